@@ -15,6 +15,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
 import vamgpu  # noqa: E402 - found beside this folder
+from vamgpu.jobs.keys import reference  # noqa: E402
 
 project, author, release = "vamgpu", "The vamgpu developers", vamgpu.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -106,5 +107,6 @@ def two_sentences(page: Path) -> str:
 def setup(app: Any) -> None:
     """Sphinx calls this once, before it reads any page."""
     write_reference(HERE / "api")
+    (HERE / "keys.md").write_text(reference(), "utf-8")
     app.connect("autodoc-process-docstring", plain_bars, priority=400)
     app.connect("source-read", linked)

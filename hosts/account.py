@@ -1,4 +1,4 @@
-"""How much of its light each view got, from the record of a run: known, unknown, and what was wanted."""
+"""The light that each frame got in a run, known and unknown, beside the light that was planned."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.printing.given_dose import GivenDose
 
 if TYPE_CHECKING:
     from vamgpu.hosts.record import RunRecord
@@ -28,23 +29,17 @@ def wanted_light(schedule: Schedule) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class LightAccount:
-    """Light of the views of a run: a view is a frame of a projector.
+    """Light of the frames of a run, in ns, arrays (engines, frames)."""
 
-    Attributes:
-        wanted: What was planned [ns], (engines, frames).
-        sure: What was given for certain [ns], of the same shape.
-        unsure: What was given or not, since the light went off at an unknown time [ns], of the same shape.
-        versions: The same of each version of the frames, where these were replaced.
-    """
-
-    wanted: np.ndarray
-    sure: np.ndarray
-    unsure: np.ndarray
-    versions: Mapping[int, LightAccount] = field(default_factory=dict)
+    wanted: np.ndarray  # planned
+    sure: np.ndarray  # given for certain
+    unsure: np.ndarray  # given or not: the light went off at an unknown time
+    versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same of each version of the frames
+    dose: GivenDose | None = None  # of all planned light, over the proved one; None if unknown
 
     @property
     def views(self) -> int:
-        """How many views have light in the plan."""
+        """Number of frames that have light in the plan."""
         return int(np.count_nonzero(self.wanted))
 
     @property
@@ -55,60 +50,43 @@ class LightAccount:
 
     @property
     def complete(self) -> bool:
-        """Whether every view has its light."""
-        return not self.short.any()
+        """Whether every view has its light, and that is the whole exposure where it is known."""
+        return not self.short.any() and (self.dose is None or self.dose.whole)
 
     def share(self, unsure: float) -> np.ndarray:
-        """Light over what was wanted, (engines, frames); 1 where none was wanted.
-
-        Args:
-            unsure: How much of the unknown light counts, 0 to 1.
-
-        Returns:
-            Shares, 0 and more.
-        """
+        """Light over what was wanted, (engines, frames); 1 where none was. unsure: counted share of unknown light."""
         got = self.sure + unsure * self.unsure
         return np.where(self.wanted > 0, got / np.maximum(self.wanted, 1), 1.0)
 
     def facts(self) -> dict[str, Any]:
-        """What a run's folder tells of it."""
+        """The account as a run's folder keeps it."""
         short = self.short
         least, most = (self.share(unsure)[short] for unsure in (0.0, 1.0))
         return {
             "views": self.views, "short": int(short.sum()), "complete": self.complete,
             "least_share": float(least.min(initial=1.0)), "most_share": float(most.min(initial=1.0)),
-        } | (
+        } | ({} if self.dose is None else {"dose": self.dose.share}) | (
             {"versions": {str(number): each.facts() for number, each in self.versions.items()}} if self.versions else {}
         )  # fmt: skip
 
     def __str__(self) -> str:
-        if self.complete:
-            return f"all {self.views} views have their light"
         told = self.facts()
+        if not told["short"]:
+            return f"all {self.views} frames have their light" + ("" if self.dose is None else f"; dose {self.dose}")
         low, high = (100 * told[name] for name in ("least_share", "most_share"))
         band = f"{low:.0f} %" if round(low) == round(high) else f"{low:.0f} to {high:.0f} %"
-        return f"complete but for {told['short']} of {self.views} views: the darkest has {band} of its light"
+        return f"{told['short']} of {self.views} frames are underexposed: the darkest has {band} of its light"
 
 
 def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True) -> LightAccount | None:
-    """What the record of a run tells of the light of its views.
-
-    Args:
-        run: The record.
-        wanted: Light of each frame [ns], (frames,), of each projector alike; by default what the folder keeps of it.
-        versions: Whether frames that took the place of others are views of their own; else all are the job's, and all
-            planned turns are wanted.
-
-    Returns:
-        The account; None for the folder of a version that did not keep what was wanted.
-    """
+    """The light of a run's frames; None for folders without it. versions: count replaced frames by version."""
     kept: Mapping[str, Any] | None = run.asked.get("views")
     if wanted is None and kept is None:
         return None
     if wanted is None:
         assert kept is not None
         wanted = np.broadcast_to(np.asarray(kept["on_ns"], np.int64), (kept["frames"],))
-    shown = run.shown
+    shown, dose = run.shown, GivenDose.read(run.asked.get("dose"))
     lit = (shown["dark"] == 0) & (shown["frame"] >= 0)
     engines = max(int((kept or {}).get("engines", 1)), int(shown["engine"].max(initial=0)) + 1)
     unsure = np.zeros(len(shown), bool)
@@ -122,7 +100,7 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
             light = np.zeros((engines, len(wanted)), np.int64)
             np.add.at(light, (shown["engine"][those], shown["frame"][those]), shown["on_time"][those])
             got.append(light)
-        return LightAccount(np.broadcast_to(wanted, (engines, len(wanted))), *got)
+        return LightAccount(np.broadcast_to(wanted, (engines, len(wanted))), *got, dose=dose)
 
     shares = version_shares(run.events, len(wanted)) if versions else None
     if shares is None:
@@ -135,10 +113,7 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
 
 
 def version_shares(events: Sequence[Mapping[str, Any]], frames: int) -> dict[int, np.ndarray] | None:
-    """Which share of the planned light of each frame a version has, (frames,); None where none was replaced.
-
-    All frames of a vial come round in each turn; those of a web belong to one segment.
-    """
+    """Share of each frame's planned light that a version has, (frames,); None where none was replaced."""
     swaps = [event for event in events if event["event"] == "swap"]
     if not swaps:
         return None
@@ -155,7 +130,7 @@ def version_shares(events: Sequence[Mapping[str, Any]], frames: int) -> dict[int
 
 
 def views_asked(schedule: Schedule) -> dict[str, Any]:
-    """What a run's folder keeps of the light that is wanted."""
+    """The planned light, as a run's folder keeps it."""
     wanted = wanted_light(schedule)
     alike = bool((wanted == wanted[:1]).all())
     return {"engines": schedule.engines, "frames": len(wanted),

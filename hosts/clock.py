@@ -9,19 +9,12 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 from vamgpu.hosts.schedules.timing import SECOND
 
-SHORT = 200_000
-"""The last stretch before a wake-up that is not slept through but watched [ns]; a sleep overshoots by about 60 µs."""
-
-
 _now = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns
 
 
 @runtime_checkable
 class Clock(Protocol):
-    """What tells the time and waits; nothing else in this package does either.
-
-    real: whether it goes on by itself, so that threads must work ahead of it.
-    """
+    """Tells the time and waits. real: it goes on by itself, so that threads must work ahead of it."""
 
     real: bool
 
@@ -31,16 +24,9 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """The machine's own monotonic clock, which goes on while a suspended machine sleeps, where its system tells.
-
-    watch: how long before a wake-up [ns] to stop sleeping and watch the clock instead, which costs a core meanwhile; 0,
-    the default, never does.  `SHORT` is enough to be on time.
-    """
+    """The machine's own monotonic clock, which goes on while a suspended machine sleeps, where its system tells."""
 
     real = True
-
-    def __init__(self, watch: int = 0) -> None:
-        self.watch: int = int(watch)
 
     def now(self) -> int:
         """The time [ns] since the machine started."""
@@ -48,11 +34,8 @@ class RealClock:
 
     def sleep_until(self, until: int) -> None:
         """Sleep to ``until`` [ns]; returns late by what the system takes to wake a thread."""
-        left = until - self.watch - _now()
-        if left > 0:
+        if (left := until - _now()) > 0:
             time.sleep(left * 1e-9)
-        while self.watch and _now() < until:
-            pass
 
 
 TRIES = 4  # how often a question that took long is asked
@@ -60,10 +43,7 @@ Answer = TypeVar("Answer")
 
 
 class TimedQuery(Generic[Answer]):
-    """A question, and the time in the middle between it and its answer.
-
-    slack: how long an answer may take [ns], if it does not take twice as long as the quickest so far.
-    """
+    """A question, and the time halfway to its answer. slack: how long an answer may always take [ns]."""
 
     def __init__(self, clock: Clock, ask: Callable[[], Answer], slack: float) -> None:
         self._clock, self._ask, self._slack, self._quickest = clock, ask, slack, SECOND

@@ -32,25 +32,17 @@ LEAVE = 1.0  # how long the thread may take to end [s]
 
 @dataclass(frozen=True)
 class StopRule:
-    """When a print stops. threshold: [gray levels/voxel].  voxels: of the part.  bits: of the camera's levels.
+    """When a print stops."""
 
-    exposure: of its images [s].  discard: images that it may have taken before it was asked.
-    """
-
-    threshold: float
-    voxels: float
-    bits: int = 8
-    exposure: float = 0.01
-    discard: int = 0
+    threshold: float  # [gray levels/voxel]
+    voxels: float  # of the part
+    bits: int = 8  # of the camera's levels
+    exposure: float = 0.01  # of an image [s]
+    discard: int = 0  # images that the camera may have taken before it was asked
 
 
 class ScatterWatch:
-    """Watches one print, from before its light to its end; a context.
-
-    wanted: when to stop.  folder: keeps ``scatter.csv``: density, and seconds since the first image's light, the
-    background first.  lit: for how long the print has shown images [s], below 0 before.  period: between two
-    readings.  patience: how old the camera's last image may be in real time.  board: shows image and readings.
-    """
+    """Watches one print, from before its light to its end; a context. It writes ``scatter.csv``: seconds, density."""
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
@@ -139,7 +131,7 @@ class ScatterWatch:
         return self._said
 
     def short(self) -> str:
-        """What to say of a print that came to its end without the stop."""
+        """Message for a print that reached its end without the stop."""
         most = max((reading.density for reading in self.rule.readings), default=0.0)
         said = (
             f"scatter density reached {most:.3g} of {self._wanted.threshold:g} in all its turns: the part may lack "

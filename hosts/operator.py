@@ -21,12 +21,7 @@ LEAVE = 1.0  # how long the thread may take to end [s]
 
 
 class Viewer:
-    """Draws the frames on show as the board's previews; a context.
-
-    frame: by its number and its projector's, uint8 [row, column].  engines: how many projectors there are.
-
-    A disk that hangs, or a frame that cannot be drawn, leaves the board with the one before.
-    """
+    """Draws the frames on show as the board's previews; a context. frame: by number and projector, [row, column]."""
 
     def __init__(self, board: Board, frame: Callable[[int, int], np.ndarray], engines: int = 1) -> None:
         self._board, self._frame, self._engines = board, frame, engines
@@ -61,20 +56,7 @@ AGAIN = SECOND  # between two tries to go on unattended [ns]
 def attended(
     job: Print, first: int | None = None, go_on: Callable[[], bool] | None = None, unattended: int = 0
 ) -> PrintState:
-    """Print to the end, through what pauses or holds it.
-
-    Args:
-        job: The print.
-        first: Slot to begin at; None for where it stopped.
-        go_on: Is asked, in the dark, whether the print goes on; None lets none go on.
-        unattended: How often a print that is held goes on by itself, as soon as its cause is gone.
-
-    Returns:
-        The state at the end, or the one that it was left in.
-
-    Raises:
-        VamError: What ended the print, or what holds it where nobody lets it go on.
-    """
+    """Print to the end; go_on lets a held print go on, as do ``unattended`` tries. Raises what ended or holds it."""
     while True:
         error = None
         try:
@@ -97,11 +79,7 @@ def attended(
 def print_with_operator(
     job: Print, board: Board, first: int | None = None, unattended: int = 0, go_on: Callable[[], bool] | None = None
 ) -> PrintState:
-    """Print to the end, through pauses and holds, by the buttons of a page; see `attended`.
-
-    go_on: is asked whether one that is held goes on; None leaves that to the buttons, and draws the frames on show.
-    One that pauses for longer than resin remembers is cancelled; one that is held for so long has failed.
-    """
+    """Print to the end by the buttons of a page, see `attended`; a pause that is too long ends the print."""
     going = threading.Event()
 
     def pause() -> None:
@@ -123,7 +101,7 @@ def print_with_operator(
 
     for name, press in (("pause", pause), ("resume", resume), ("cancel", lambda: job.stop("cancelled at the page"))):
         board.button(name, press)
-    drawn = board.pictures and go_on is None
+    drawn = board.draws_previews and go_on is None
     watching = Viewer(board, job.player.frame, job.player.schedule.engines) if drawn else nullcontext()
     with watching:
         return attended(job, first, goes_on, unattended)

@@ -1,4 +1,4 @@
-"""What a run printed: the light of its record through the simulation of the job that it was made from."""
+"""Proof of a run: the light of its record, through the simulation of the job that it printed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from vamgpu.errors import BadInput, StorageError, VamError
 from vamgpu.hosts.account import LightAccount, account
-from vamgpu.hosts.plans import kept_frames
 from vamgpu.hosts.record import RunRecord, read_run
 from vamgpu.hosts.resume import digest
-from vamgpu.printing.simulate import simulate
+from vamgpu.hosts.version_store import kept_frames
+from vamgpu.printing.given_dose import prove_given
 
 if TYPE_CHECKING:
     from vamgpu.backend.array import DeviceArray
@@ -27,18 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ShownFrames:
-    """Frames as a run showed them.
+    """Frames as a run showed them."""
 
-    Attributes:
-        frames: What was to be shown.
-        share: Of its light that each frame got, (frames,).
-        versions: What reads the frames that were shown in their place, and the share of the light of all turns that
-            each got.
-    """
-
-    frames: Frames
-    share: np.ndarray
-    versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()
+    frames: Frames  # of the job
+    share: np.ndarray  # of its light that each frame got, (frames,)
+    versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()  # readers of replaced frames, and their shares
 
     @property
     def scale(self) -> float:
@@ -59,7 +52,7 @@ class ShownFrames:
 
 
 def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
-    """Of each projector. Raises `BadInput` for others than were printed, `StorageError` where one is gone."""
+    """Job folders of the projectors. Raises `BadInput` for jobs that were not printed, `StorageError`."""
     printed, moved = run.asked["digests"], {digest(Path(each)): Path(each) for each in given}
     if others := [str(place) for known, place in moved.items() if known not in printed]:
         raise BadInput(f"the job {others[0]!r} is another one than was printed; give the one that was (--job)")
@@ -77,13 +70,14 @@ def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class RunProof:
-    """What one projector of a run printed.
+    """The print of one projector of a run.
 
     Attributes:
         run: The record.
         light: The light of all views.
         planned: The proof of the job itself.
-        least, most: Proofs of what was shown, with none and with all of the light that nobody knows of.
+        least, most: Proofs of what was shown, with none and with all of the light that nobody knows of; one and the
+            same where all of it is known.
     """
 
     run: RunRecord
@@ -120,7 +114,7 @@ def prove_run(
     except VamError:
         raise
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise StorageError(f"the record of {str(path)!r} is garbled: {error!r}; its folder was changed") from error
+        raise StorageError(f"the record of {str(path)!r} is malformed: {error!r}; its folder was changed") from error
     if light is None or run.asked.get("kind") != "vial":
         raise BadInput(f"{str(path)!r} does not hold the light of a vial's views; only runs of vials can be proved")
     if not light.sure.any():
@@ -129,14 +123,14 @@ def prove_run(
     for engine, place in enumerate(jobs):
         planned = prove(place, device)
         proof = planned.proof
-        shown = (_shown(run, light, proof.frames, engine, unsure) for unsure in (0.0, 1.0))
-        least, most = (simulate(proof.operator, frames, proof.target) for frames in shown)
-        found.append(RunProof(run, light, planned, least, most))
+        doubts = (0.0, 1.0) if any(one.unsure[engine].any() for one in (light, *light.versions.values())) else (0.0,)
+        shown = [prove_given(proof, _shown(run, light, proof.frames, engine, unsure), light.dose) for unsure in doubts]
+        found.append(RunProof(run, light, planned, shown[0], shown[-1]))
     return tuple(found)
 
 
 def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure: float) -> ShownFrames:
-    """What a projector showed: the job's frames, and those of the versions that took their place."""
+    """The frames that a projector showed: the job's, and those of the versions that replaced them."""
     if not light.versions:
         return ShownFrames(job, light.share(unsure)[engine])
     planned = account(run, versions=False)

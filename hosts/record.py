@@ -30,14 +30,12 @@ from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_byte
 FULL = (errno.ENOSPC, errno.EDQUOT)  # what a system says of a disk, or the share of it that one has, that is full
 RESERVE = ".reserve"  # room that is kept for the last state, should the disk be full by then
 MAGIC = b"VAMSHOWN\x02\x00\x00\x00"
-BEFORE = b"VAMSHOWN\x01\x00\x00\x00"  # of records without a version, which are read too
-_RECORD = struct.Struct("<6q2H2I")
-_FIELDS = ("slot", "frame", "position", "start", "on_time", "late")
-_BEFORE = [(name, "<i8") for name in _FIELDS] + [("engine", "<u2"), ("dark", "<u2")]
-FRAME_RECORD = np.dtype([*_BEFORE, ("version", "<u4"), ("check", "<u4")])
+_TIMES = ("slot", "frame", "position", "start", "on_time", "late")
+FRAME_RECORD = np.dtype(
+    [*((name, "<i8") for name in _TIMES), ("engine", "<u2"), ("dark", "<u2"), ("version", "<u4"), ("check", "<u4")]
+)
 """A record: slot and frame numbers, position as a pose that runs on over turns, start, on_time, lateness [ns] (below 0:
 in time by so much), which projector, 1 where black was shown instead, and the version of the frame."""
-_FORMATS = {MAGIC: FRAME_RECORD, BEFORE: np.dtype([*_BEFORE, ("check", "<u4")])}
 
 
 @dataclass(frozen=True)
@@ -66,8 +64,6 @@ class RunFolder:
 
     def __init__(self, path: Path, resume: bool = False) -> None:
         self.path = path
-        if resume:
-            self._renew()
         self._lock = threading.RLock()
         self._write: Callable[[int, bytes], int] = os.write
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
@@ -83,10 +79,7 @@ class RunFolder:
 
     @classmethod
     def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
-        """A new folder. asked: what was asked for, as JSON takes it.  rig: text of the rig's file.
-
-        Raises `BadInput` for what cannot be written, `StorageError` for a folder that exists.
-        """
+        """A new folder. asked: as JSON takes it.  rig: its file's text. Raises `BadInput`, `StorageError`."""
         try:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -172,24 +165,9 @@ class RunFolder:
                 os.ftruncate(file, os.fstat(file).st_size - written)
                 raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
 
-    def _renew(self) -> None:
-        """Records of the earlier format are written anew, as those to come have a version."""
-        place = self.path / "shown.bin"
-        try:
-            if read_bytes(place, MOST_RECORD).startswith(MAGIC):
-                return
-            draft, names = self.path / ".shown.bin", (*_FIELDS, "engine", "dark")
-            rows = read_run(self.path).shown[list(names)].tolist()
-            draft.write_bytes(
-                MAGIC + b"".join(FrameRecord(**dict(zip(names, row, strict=True))).packed() for row in rows)
-            )
-            os.replace(draft, place)
-        except OSError as error:
-            raise explained("write", place, error) from error
-
     def _cut(self) -> None:
         """Cut off what a kill tore."""
-        whole = len(MAGIC) + len(read_run(self.path).shown) * _RECORD.size
+        whole = len(MAGIC) + len(read_run(self.path).shown) * FRAME_RECORD.itemsize
         os.truncate(self.path / "shown.bin", whole)
         lines = read_bytes(self.path / "events.jsonl", MOST_RECORD)
         os.truncate(self.path / "events.jsonl", lines.rfind(b"\n") + 1)
@@ -197,17 +175,15 @@ class RunFolder:
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """A run as its folder tells it. asked: what was asked for.  shown: records (`FRAME_RECORD`), one a frame, in order.
-    events: dicts.  torn: bytes after the last whole record, of one that a kill or a full disk cut short.
-    """
+    """A run as its folder tells it."""
 
     path: Path
     asked: dict[str, Any]
     state: PrintState
     message: str
-    shown: np.ndarray
+    shown: np.ndarray  # `FRAME_RECORD`, one a frame, in order
     events: tuple[dict[str, Any], ...]
-    torn: int
+    torn: int  # bytes of a last record that a kill or a full disk cut short
 
 
 def read_run(path: str | Path) -> RunRecord:
@@ -229,16 +205,14 @@ def read_run(path: str | Path) -> RunRecord:
         raise explained("read", place, error) from error
     except (ValueError, KeyError, TypeError) as error:
         raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
-    kind = _FORMATS.get(data[: len(MAGIC)])
-    if kind is None:
-        raise StorageError(f"{str(place / 'shown.bin')!r} is no record of frames; check the path")
-    body, size = memoryview(data)[len(MAGIC) :], kind.itemsize
+    if not data.startswith(MAGIC):
+        raise StorageError(
+            f"{str(place / 'shown.bin')!r} is no record of frames, or one of version 0.2 or earlier; check the path, "
+            "or read it with the version that wrote it"
+        )
+    body, size = memoryview(data)[len(MAGIC) :], FRAME_RECORD.itemsize
     count = next((n for n in range(len(body) // size) if not _whole(body, n, size)), len(body) // size)
-    shown = np.frombuffer(body, kind, count)
-    if kind != FRAME_RECORD:
-        older, shown = shown, np.zeros(count, FRAME_RECORD)
-        for name in older.dtype.names or ():
-            shown[name] = older[name]
+    shown = np.frombuffer(body, FRAME_RECORD, count)
     torn = len(body) - count * size
     return RunRecord(place, asked, state, message, shown, events, torn)
 
@@ -270,7 +244,7 @@ def _whole(body: memoryview, number: int, size: int) -> bool:
 
 
 def _views(run: RunRecord) -> dict[str, Any]:
-    """How a run ended, and the light of its views where the folder keeps what was wanted."""
+    """The end of a run, and the light of its frames where the folder keeps the planned light."""
     found = account(run)
     return {"state": run.state.value} | ({} if found is None else {"light": found.facts()})
 

@@ -26,37 +26,28 @@ from vamgpu.hosts.state import PrintState
 from vamgpu.storage.atomic import explained
 from vamgpu.storage.reading import MOST_TOML, read_bytes, read_text
 
-SEGMENT, POLL = ("segment", "leg"), ("poll", "look")
-"""Events by their names, now and in the folders of earlier versions."""
-
 
 @dataclass(frozen=True, eq=False)
 class Interrupted:
-    """A print that a host left. first: the next slot.  unseen: from which one nobody saw all.  origin: see `Origin`.
-
-    lost: poses that were black, of each projector.  since: when it had light last, by the clock of its days [s].
-    """
+    """A print that a host left."""
 
     run: RunRecord
-    first: int
-    unseen: int
+    first: int  # the next slot
+    unseen: int  # the slot from which on nobody saw all
     origin: Origin
-    lost: tuple[tuple[int, ...], ...]
-    since: float
+    lost: tuple[tuple[int, ...], ...]  # poses that were black, of each projector
+    since: float  # last light, by the clock of its days [s]
 
     @property
     def pause(self) -> int:
-        """How long it has been dark [ns]."""
+        """Time in the dark [ns]."""
         return _since(self.since)
 
     def take_up(
         self, folder: RunFolder, schedule: Schedule, now: int, version: Callable[[int], int] = lambda slot: 0
     ) -> None:
-        """Write down, at a time of the rig's clock [ns], what was triggered after the host's last poll.
-
-        What was on show then may have been cut short, and so the last; mirrors that go dark with their program have
-        shown none of what came after. version: of the frames that a slot showed.
-        """
+        """Record, at a time of the rig's clock [ns], what was triggered after the host's last poll."""
+        # the frame on show then may have been cut short; mirrors that go dark with their program showed none after it
         if self.first > self.unseen:
             folder.event("unseen", now, first=self.unseen, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
@@ -70,23 +61,20 @@ class Interrupted:
 
 @dataclass(frozen=True, eq=False)
 class AbandonedRun:
-    """What the folder of a host that died tells by itself. segment: its last event of that kind.
-
-    sign: when it wrote of light last [s].  dark: whether it had put the light out itself.
-    """
+    """State of the folder of a host that died."""
 
     run: RunRecord
-    segment: dict[str, Any]
-    sign: float
-    dark: bool
+    segment: dict[str, Any]  # the event that began the last run segment
+    sign: float  # last sign of light [s]
+    dark: bool  # whether the host had put the light out
 
 
 def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
-    """What the folder of a host that died tells. Raises `BadInput` where its print cannot be resumed."""
+    """State of the folder of a host that died. Raises `BadInput` if its print cannot be resumed."""
     path = run.path
     if run.state is not PrintState.PRINTING and not run.state.waits:
         raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left unfinished can be resumed")
-    segment = next((event for event in reversed(run.events) if event["event"] in SEGMENT), None)
+    segment = next((event for event in reversed(run.events) if event["event"] == "segment"), None)
     if segment is None:
         raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
     if "preroll" not in segment:
@@ -95,8 +83,8 @@ def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedR
             "anew with fresh resin"
         )
     _check_pause(path, float(run.events[-1]["wall"]), limits)
-    signs = [event for event in run.events if event["event"] in (*SEGMENT, "light", *POLL)]
-    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] not in POLL)
+    signs = [event for event in run.events if event["event"] in ("segment", "light", "poll")]
+    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "poll")
     return AbandonedRun(run, segment, float(signs[-1]["wall"]), dark)
 
 
@@ -113,11 +101,7 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
 def interrupted(
     path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
 ) -> Interrupted:
-    """What a print's folder and its controller tell together. Raises `BadInput` where it cannot be resumed.
-
-    The controller must have kept its power: it alone knows where the motor is, and what it showed until the lease of
-    the host that died ran out.
-    """
+    """State of a print by its folder and by its controller, which kept its power. Raises `BadInput`."""
     left = left_in(read_run(path), limits)
     run, segment, now = left.run, left.segment, controller.status()
     if now.zero != segment.get("zero"):
@@ -169,15 +153,16 @@ def limits(rig: RigConfig) -> SafetyLimits:
 
 
 def asked_for(planned: PrintPlan) -> dict[str, Any]:
-    """What a run's folder keeps of its plan."""
+    """The plan as a run's folder keeps it."""
     table, jobs = planned.schedule, [each.path for each in planned.jobs]
     return {
         "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
         "slots": len(table), "unit": table.unit, "speed": float(table.speed),
         "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
-        "guarantees": [one.told() for one in planned.guarantees],
+        "guarantees": [one.record() for one in planned.guarantees],
         "calibrations": dict(planned.calibration.used),
         "views": views_asked(table),
+        "dose": None if planned.dose is None else planned.dose.plain(),
     }  # fmt: skip
 
 
@@ -213,7 +198,7 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
         )
     before = read_run(folder)
     asked, wanted = before.asked, asked_for(planned)
-    names = ("digests", "kind", "slots", "speed", "stop", "calibrations")
+    names = ("digests", "kind", "slots", "speed", "stop", "calibrations", "views")
     if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
@@ -222,7 +207,7 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
 
 
 def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -> Interrupted:
-    """What a host left in a folder, of the same print. Raises `BadInput`, `StorageError`."""
+    """The interrupted print in a folder, if it is the same one. Raises `BadInput`, `StorageError`."""
     may_go_on(planned, folder)
     assert isinstance(machines, MirrorMachines)
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
@@ -245,7 +230,7 @@ def _same_rig(rig: RigConfig, run: RunRecord) -> None:
 
 
 def _light(rig: RigFile) -> dict[str, Any]:
-    """What of a rig's file must stay as it is before a print goes on."""
+    """The part of a rig's file that must not change before a print goes on."""
     told = rig.model_dump(exclude={"rig", "safety", "feedback", "camera_stage"})
     for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["light"]):
         for name in ("port", "library"):
@@ -257,10 +242,7 @@ def run_folder(
     planned: PrintPlan, folder: str | Path, left: Interrupted | None, now: int,
     version: Callable[[int], int] | None = None,
 ) -> RunFolder:  # fmt: skip
-    """A new folder of a run, or that of one that is resumed, up to what was shown. Raises `StorageError`.
-
-    now: by the rig's clock [ns].  version: of the frames that a slot showed; None for the job's.
-    """
+    """A new run folder, or a resumed one up to what was shown. now: [ns].  version: of a slot, or `StorageError`."""
     if left is None:
         return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
     record = RunFolder.again(folder)

@@ -16,27 +16,27 @@ from vamgpu.deprecated import renamed
 from vamgpu.errors import BadInput, JobError, StorageError, WrongDevice
 from vamgpu.geometry import positive
 from vamgpu.hosts.exposure import ScatterWatch, StopRule
-from vamgpu.hosts.frames.versions import FramePlans
+from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.live.images import LiveCamera
 from vamgpu.hosts.live.link import LiveLink, LiveOrder, task_of
 from vamgpu.hosts.operator import attended, print_with_operator
-from vamgpu.hosts.plans import boundary, planned_versions, restored, swaps
 from vamgpu.hosts.players.approach import Origin
 from vamgpu.hosts.players.machines import Machines, SourceFrames, StageMachines, VideoMachines, senses
 from vamgpu.hosts.players.player import Player
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.stage_clocked import StageClockedPlayer
 from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.resume import left_by_a_host, limits, may_go_on, run_folder
+from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.resume import Interrupted, left_by_a_host, limits, may_go_on, run_folder
 from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.rigs.opening import close, opened
+from vamgpu.hosts.rigs.connect import close, opened
 from vamgpu.hosts.rigs.planning import PrintPlan, plan
 from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
 from vamgpu.hosts.rigs.rehearsing import Rehearsal, rehearsal
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.state import Board, PrintState
+from vamgpu.hosts.version_store import boundary, planned_versions, restored, swaps
 from vamgpu.printing.scatter import STOP
 from vamgpu.storage.folder import Folder
 
@@ -90,12 +90,9 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
 
 
 def player(
-    planned: PrintPlan,
-    machines: Machines,
-    found: Judged | None = None,
-    origin: Origin | None = None,
-    plans: FramePlans | None = None,
-) -> Player:
+    planned: PrintPlan, machines: Machines, found: Judged | None = None, origin: Origin | None = None,
+    versions: FrameVersions | None = None,
+) -> Player:  # fmt: skip
     """The player that shows a plan on its machines.
 
     Args:
@@ -103,7 +100,7 @@ def player(
         machines: Its opened machines.
         found: What `check` returned; None runs it.
         origin: Where pose 0 is on the motor, for a print that is resumed; None sets it anew.
-        plans: Versions of the frames, of `vamgpu.hosts.plans.planned_versions`; None where frames stay.
+        versions: Versions of the frames, of `vamgpu.hosts.version_store.planned_versions`; None where frames stay.
 
     Returns:
         A `TriggeredPlayer` for mirrors that a controller triggers, a `StageClockedPlayer` where a stage does, a
@@ -112,25 +109,16 @@ def player(
     Raises:
         BadInput, WrongDevice, TimingInfeasible: See `check`.
     """
-    found = found or check(planned, machines, live=plans is not None)
+    found = found or check(planned, machines, live=versions is not None)
     if planned.display is not None and isinstance(machines, VideoMachines):
-        sources = planned.sources() if plans is None else plans.sources
+        sources = planned.sources() if versions is None else versions.sources
         shown = SourceFrames(sources[0], (planned.mirrors[0].rows, planned.mirrors[0].columns))
-        return SpinningPlayer(planned.schedule, planned.display, machines, shown, plans=plans)
+        return SpinningPlayer(planned.schedule, planned.display, machines, shown, versions=versions)
     assert found is not None and not isinstance(machines, VideoMachines)
+    sizes: dict[str, Any] = {"depth": found.depth, "sequences": found.sequences, "versions": versions}
     if isinstance(machines, StageMachines):
-        sizes = {"depth": found.depth, "sequences": found.sequences, "plans": plans}
         return StageClockedPlayer(planned.schedule, machines, planned.sources(), **sizes)
-    return TriggeredPlayer(
-        planned.schedule,
-        machines,
-        planned.sources(),
-        depth=found.depth,
-        sequences=found.sequences,
-        turn=found.turn,
-        origin=origin,
-        plans=plans,
-    )
+    return TriggeredPlayer(planned.schedule, machines, planned.sources(), turn=found.turn, origin=origin, **sizes)
 
 
 def carry_out(
@@ -161,61 +149,91 @@ def carry_out(
         BadInput: The print cannot be resumed, or frames of slices are to be replaced.
         WrongDevice: The plan has a stop, and no camera was opened.
         StorageError: The folder exists, or cannot be written.
-        VamError: Whatever else ended or holds the print. The light is off and the reason is recorded before this is
-            raised; the state in the folder says whether the print can go on.
+        VamError: What else ended or holds the print: it is dark and recorded; the folder's state says if it can go on.
     """
-    _may_watch(planned, machines, resume)
-    _shut(machines)
+    _may_begin(planned, machines, resume)
     left = left_by_a_host(planned, machines, folder) if resume else None
-    plans = (
-        planned_versions(planned, 0.0 if live is None else live.allowance)
-        if live is not None or (left is not None and swaps(left.run))
-        else None
-    )
-    if plans is not None and live is not None:
-        plans.stop = live.stop
-    if plans is not None and left is not None:
-        restored(plans, planned, left.run, left.first, left.lost)
-    playing = player(planned, machines, found, None if left is None else left.origin, plans)
-    if left is not None and isinstance(playing, TriggeredPlayer):
-        playing.recall(left.lost)
-    for one in planned.guarantees.lacking:
-        log.warning("%s %s", one.about, one)
+    versions = _versions(planned, live, left)
+    playing = _playing(planned, machines, found, left, versions)
+    _warn(planned)
     with ExitStack() as held:
-        version = None if plans is None else plans.at
-        record = held.enter_context(run_folder(planned, folder, left, machines.clock.now(), version))
-        if process is not None:
-            record.event("process", machines.clock.now(), **process)
-        shown, watch = board or Board(), None
-        if planned.stop is not None and machines.camera is not None:
-            speed = float(planned.schedule.speed)
-            watch = ScatterWatch(
-                machines.camera,
-                machines.clock,
-                planned.stop,
-                record,
-                lambda: shown.now.position / speed,
-                board=shown,
-            )
-        ends: Any = {}
-        if watch is not None:
-            ends = {"enough": watch.enough, "short": watch.short, "recover": watch.recover}
-        if live is not None and plans is not None:
-            camera = None
-            if machines.camera is not None and watch is None:
-                speed = float(planned.schedule.speed)
-                camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lambda: shown.now.light, speed))
-            task = task_of(planned, record.path)
-            ends["live"] = held.enter_context(LiveLink(live, task, planned, plans, machines.clock, shown, camera))
+        record = _record(held, planned, machines, folder, left, versions, process)
+        shown = board or Board()
+        watch = _scatter_watch(planned, machines, record, shown)
+        ends: Any = {} if watch is None else {name: getattr(watch, name) for name in ("enough", "short", "recover")}
+        if live is not None and versions is not None:
+            ends["live"] = _linked(held, live, planned, machines, record, versions, shown, images=watch is None)
         job = Print(playing, record, limits=limits(planned.rig), board=shown, senses=partial(senses, machines), **ends)
         if left is not None:
-            job.recall(read_run(folder).shown, left.pause)
+            job.restore(read_run(folder).shown, left.pause)
+        first, asked = None if left is None else left.first, None if go_on is None else partial(go_on, job)
         with nullcontext() if watch is None else _before_the_light(watch, job):
-            first = None if left is None else left.first
-            asked = None if go_on is None else partial(go_on, job)
             if board is not None:
                 return print_with_operator(job, board, first, unattended, asked), job
             return attended(job, first, asked, unattended), job
+
+
+def _warn(planned: PrintPlan) -> None:
+    """Log what nothing watches."""
+    for one in planned.guarantees.lacking:
+        log.warning("%s %s", one.about, one)
+
+
+def _record(
+    held: ExitStack, planned: PrintPlan, machines: Machines, folder: str | Path, left: Interrupted | None,
+    versions: FrameVersions | None, process: Mapping[str, str] | None,
+) -> RunFolder:  # fmt: skip
+    """The run's folder, new or resumed, open until the print ends."""
+    now, version = machines.clock.now(), None if versions is None else versions.at
+    record = held.enter_context(run_folder(planned, folder, left, now, version))
+    if process is not None:
+        record.event("process", now, **process)
+    return record
+
+
+def _playing(
+    planned: PrintPlan, machines: Machines, found: Judged | None, left: Interrupted | None,
+    versions: FrameVersions | None,
+) -> Player:  # fmt: skip
+    """The player, which shows again what was missed before an earlier host left."""
+    playing = player(planned, machines, found, None if left is None else left.origin, versions)
+    if left is not None and isinstance(playing, TriggeredPlayer):
+        playing.restore(left.lost)
+    return playing
+
+
+def _versions(planned: PrintPlan, live: LiveOrder | None, left: Interrupted | None) -> FrameVersions | None:
+    """Versions of the frames, those of an earlier host included; None where frames stay."""
+    if live is None and (left is None or not swaps(left.run)):
+        return None
+    versions = planned_versions(planned, 0.0 if live is None else live.allowance)
+    if live is not None:
+        versions.stop = live.stop
+    if left is not None:
+        restored(versions, planned, left.run, left.first, left.lost)
+    return versions
+
+
+def _scatter_watch(planned: PrintPlan, machines: Machines, record: RunFolder, board: Board) -> ScatterWatch | None:
+    """The camera's watch of a plan with a stop."""
+    if planned.stop is None or machines.camera is None:
+        return None
+    speed = float(planned.schedule.speed)
+    lit = lambda: board.now.position / speed  # noqa: E731
+    return ScatterWatch(machines.camera, machines.clock, planned.stop, record, lit, board=board)
+
+
+def _linked(
+    held: ExitStack, live: LiveOrder, planned: PrintPlan, machines: Machines, record: RunFolder,
+    versions: FrameVersions, board: Board, *, images: bool,
+) -> LiveLink:  # fmt: skip
+    """The planning process, and the camera whose images it gets, held until the print ends."""
+    camera = None
+    if machines.camera is not None and images:
+        speed = float(planned.schedule.speed)
+        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lambda: board.now.light, speed))
+    task = task_of(planned, record.path)
+    return held.enter_context(LiveLink(live, task, planned, versions, machines.clock, board, camera))
 
 
 def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
@@ -249,7 +267,7 @@ def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
 
 
 def _voxels(path: str) -> float:
-    """Of a job's part: the sum of its fractions."""
+    """Voxels of a job's part: the sum of its fractions."""
     folder = Folder.open(path)
     if "target" not in folder.manifest.arrays:
         raise StorageError(
@@ -272,20 +290,14 @@ def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
         yield
 
 
-def _shut(machines: Machines) -> None:
-    """Raise `InterlockOpen` while the enclosure is; a print that began would have failed, and could not go on."""
-    if machines.controller is not None and not machines.controller.status().interlock_closed:
-        raise InterlockOpen("the interlock is open: close the enclosure, then print again")
-
-
-def _may_watch(planned: PrintPlan, machines: Machines, resume: bool) -> None:
-    """Raise `WrongDevice` where the camera of a plan with a stop was not opened, `BadInput` where it comes too late."""
-    if planned.stop is None:
-        return
-    if machines.camera is None:
+def _may_begin(planned: PrintPlan, machines: Machines, resume: bool) -> None:
+    """Raise `WrongDevice` for a stop without a camera, `BadInput` for one that comes too late, `InterlockOpen`."""
+    if planned.stop is not None and machines.camera is None:
         raise WrongDevice("the plan stops by what a camera sees, and none was opened; use opened(rig, camera=True)")
-    if resume:
+    if planned.stop is not None and resume:
         raise BadInput(
             "resin that was lit scatters already, so a print that stops by its scatter cannot be resumed: begin "
             "it anew with fresh resin"
         )
+    if machines.controller is not None and not machines.controller.status().interlock_closed:
+        raise InterlockOpen("the interlock is open: close the enclosure, then print again")

@@ -33,16 +33,12 @@ FINAL = (BadInput, OverDose, OriginLost)  # after these no print goes on
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What holds the light of a print.
+    """Limits of the light of a print."""
 
-    lease: how long the controller keeps the light by itself [ns].  tolerance: of motion, in poses.  budget: light over
-    the plan's.  resume: the longest pause after which a print goes on [ns]. Raises `BadInput`.
-    """
-
-    lease: int = DEFAULT_LENGTH
-    tolerance: float = 0.5
-    budget: float = 1.01
-    resume: int = 30 * SECOND
+    lease: int = DEFAULT_LENGTH  # how long the controller keeps the light by itself [ns]
+    tolerance: float = 0.5  # of motion [poses]
+    budget: float = 1.01  # light over the plan's
+    resume: int = 30 * SECOND  # longest pause [ns]
 
     def __post_init__(self) -> None:
         whole("lease [ns]", self.lease)
@@ -51,8 +47,8 @@ class SafetyLimits:
         positive("budget", self.budget)
 
 
-class Companion(Protocol):
-    """What goes along with a print: it is called in the printing thread, waits for nothing, and never raises."""
+class PrintObserver(Protocol):
+    """Observes a print: it is called in the printing thread, waits for nothing, and never raises."""
 
     def saw(self, seen: StatusPoll) -> None: ...  # what a poll saw
     def notices(self) -> list[tuple[str, dict[str, Any]]]: ...  # events since this was asked, and their facts
@@ -81,7 +77,7 @@ class Print:
         self, player: Player, folder: RunFolder, *, limits: SafetyLimits = SafetyLimits(), board: Board | None = None,
         power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
         recover: Callable[[], None] = lambda: None, senses: Callable[[], Mapping[str, object]] = dict,
-        live: Companion | None = None,
+        live: PrintObserver | None = None,
     ) -> None:  # fmt: skip
         if (share := positive("power", power)) > 1:
             raise BadInput(f"power is {power!r}; expected a share of the schedule's: 1 at most")
@@ -111,7 +107,7 @@ class Print:
     # ---- from any thread -------------------------------------------------------------------------------------
     @property
     def asked(self) -> PrintState | None:
-        """What somebody asked for: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
+        """The state that somebody asked for: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
         return PrintState.CANCELLED if self._cancelled else PrintState.PAUSED if self._pausing else None
 
     def stop(self, why: str = "emergency stop") -> None:
@@ -123,7 +119,7 @@ class Print:
         """Dark after the frame that is shown, and the motion at rest, until `run` is called again."""
         self._pausing = True
 
-    def recall(self, shown: np.ndarray, pause: int) -> None:
+    def restore(self, shown: np.ndarray, pause: int) -> None:
         """Count light that an earlier host gave, records of its folder, and how long it has been dark since [ns]."""
         self._begun = True
         self.dark_since = self.player.clock.now() - pause
@@ -140,11 +136,7 @@ class Print:
             self.board.show(**self._senses())
 
     def run(self, first: int | None = None) -> PrintState:
-        """Print from a slot on (by default where it stopped) until it is complete, paused, held, cancelled or failed.
-
-        Raises what went wrong, after it is dark and written down. The state is `PrintState.HELD` then where this may
-        be called again once the cause is gone. Raises `WrongState` for a print that has ended.
-        """
+        """Print from a slot on (None: where it stopped) until it ends, pauses or is held. Raises what went wrong."""
         if self.states.state.ended:
             raise WrongState(f"the print is {self.states.state.value}; begin another one, in a folder of its own")
         start = self.next if first is None else whole("slot", first, 0)
@@ -178,10 +170,7 @@ class Print:
         return self.states.state
 
     def begin(self, first: int) -> bool:
-        """Prime the machines and make light from a slot on; the guard is held already.
-
-        False where a pause was asked for meanwhile: there was no light then.
-        """
+        """Prime the machines and make light from a slot on; False where a pause was asked for meanwhile."""
         self.next, self._finishing, self._lit = first, False, False
         self._swap()
         ahead = self.player.prime(first, self._alive)
@@ -283,7 +272,7 @@ class Print:
             return
         schedule, given = self.player.schedule, []
         for slot in range(max(self.next, doubtful.start), min(doubtful.stop, self._end_slot)):
-            version = 0 if self.player.plans is None else self.player.plans.at(slot)
+            version = 0 if self.player.versions is None else self.player.versions.at(slot)
             for engine in range(schedule.engines):
                 frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in _RECORDED)
                 self._unwritten.append(
@@ -306,8 +295,8 @@ class Print:
     @property
     def _end_slot(self) -> int:
         """The slot that the light ends before; a version of the frames may end sooner than the plan."""
-        plans = self.player.plans
-        return len(self.player.schedule) if plans is None or plans.stop is None else plans.end
+        versions = self.player.versions
+        return len(self.player.schedule) if versions is None or versions.stop is None else versions.end
 
     @property
     def _sooner(self) -> bool:
@@ -320,29 +309,28 @@ class Print:
         return self._sooner and self.next > self._end_slot
 
     def _swap(self) -> None:
-        """Commit a version of the frames that was offered, or drop it, and arm the budget for the light that is then
-        wanted."""
-        if (plans := self.player.plans) is None:
+        """Commit or drop the version that was offered, and arm the budget for the light that is then wanted."""
+        if (versions := self.player.versions) is None:
             return
-        if (version := plans.take()) is not None:
+        if (version := versions.take()) is not None:
             if self.player.swap(version):
                 self._arm()
                 self.board.show(plan=version.number, stop=version.stop)
                 # kept until it is written, also by a disk that is full now: who resumes goes by it
-                self._unwritten.append(partial(self._event, "swap", **version.facts(), **plans.facts()))
+                self._unwritten.append(partial(self._event, "swap", **version.facts(), **versions.facts()))
                 self._write()
             else:
-                plans.drop(version, f"frames of {plans.unit} {version.turn} were on their way already")
-        for number, why in plans.refused():
+                versions.drop(version, f"frames of {versions.unit} {version.turn} were on their way already")
+        for number, why in versions.refused():
             log.warning("version %d of the frames is not shown: %s", number, why)
             self._event("swap dropped", version=number, why=why)
-        plans.forget(self.next, self.player.owed)
+        versions.forget(self.next, self.player.pending_versions)
 
     def _arm(self) -> None:
         """The light of all slots that are lit, which is at most what the first plan had."""
-        schedule, plans, budget = self.player.schedule, self.player.plans, self.guard.budget
-        if plans is not None and budget is not None:
-            lit = (schedule.on[:, None] * schedule.power)[: plans.end]
+        schedule, versions, budget = self.player.schedule, self.player.versions, self.guard.budget
+        if versions is not None and budget is not None:
+            lit = (schedule.on[:, None] * schedule.power)[: versions.end]
             budget.arm(float(lit.sum()) * 1e-9 * self.power * self.limits.budget)
 
     def _over(self) -> bool:
@@ -352,10 +340,10 @@ class Print:
         self.guard.off("complete")
         self._lit = False
         if self._sooner and self.next >= self._end_slot:
-            assert self.player.plans is not None
+            assert self.player.versions is not None
             self.player.halt()
             self._account(
-                f"it ended after {self.player.plans.stop} {self.player.plans.unit}s, as its last version says"
+                f"it ended after {self.player.versions.stop} {self.player.versions.unit}s, as its last version says"
             )
             return False
         if self.next < len(self.player.schedule):
@@ -460,6 +448,6 @@ def may_resume(pause: int, limits: SafetyLimits) -> None:
     """Raise `BadInput` for a pause [ns] that was too long."""
     if pause > limits.resume:
         raise BadInput(
-            f"the print paused for {pause / SECOND:.1f} s; after {limits.resume / SECOND:g} s resin has forgotten "
-            "too much of its dose: begin anew with fresh resin"
+            f"the print paused for {pause / SECOND:.1f} s; after {limits.resume / SECOND:g} s too much "
+            "of its dose has decayed: begin anew with fresh resin"
         )

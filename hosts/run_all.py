@@ -31,7 +31,7 @@ def close_all(closers: Sequence[Callable[[], None]]) -> None:
 
 
 class Closing:
-    """What is closed where the context of it ends."""
+    """Closes itself at the end of its context."""
 
     def close(self) -> None:
         """Let go; more than once does no harm."""

@@ -18,20 +18,16 @@ class WrongState(VamError, RuntimeError):
 
 
 class PrintState(StrEnum):
-    """Where a print is.
-
-    HELD: something that may pass made it dark, and it can go on.  COMPLETE: every view has its light.  INCOMPLETE: it
-    came to its end, and some views lack light.  ERROR: it cannot go on.
-    """
+    """State of a print."""
 
     STANDBY = "standby"
     PRINTING = "printing"
     PAUSED = "paused"
-    HELD = "held"
-    COMPLETE = "complete"
-    INCOMPLETE = "incomplete"
+    HELD = "held"  # dark by what may pass; it can go on
+    COMPLETE = "complete"  # every frame has its light
+    INCOMPLETE = "incomplete"  # at its end, with underexposed frames
     CANCELLED = "cancelled"
-    ERROR = "error"
+    ERROR = "error"  # it cannot go on
 
     @property
     def ended(self) -> bool:
@@ -56,7 +52,7 @@ NEXT: dict[PrintState, frozenset[PrintState]] = {
     PrintState.CANCELLED: frozenset(),
     PrintState.ERROR: frozenset(),
 }
-"""What may follow each state. An error may follow everything that has not ended; nothing follows an end."""
+"""States that may follow each state. An error may follow all that have not ended; nothing follows an end."""
 
 
 @dataclass(frozen=True)
@@ -114,77 +110,57 @@ class PrintStates:
 
 @dataclass(frozen=True)
 class Estimated:
-    """A parameter of a print as it is estimated: its name, with its unit, its value, and one standard deviation.
+    """An estimated parameter of a print."""
 
-    usual: between which it was expected to lie before anything was seen; None where nobody knows.
-    """
-
-    name: str
+    name: str  # with its unit
     value: float
-    error: float
-    usual: tuple[float, float] | None = None
+    error: float  # standard deviation
+    usual: tuple[float, float] | None = None  # range expected before anything was seen
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A print as it is now.
-
-    slot, slots: how far it is, and of how many; 0 where there is no end.  frame: the frame shown.  position: of the
-    stage or web, with ``unit``.  focus: of the lens [1/m], None without one.  fill: of the buffers of frames, 0..1.
-    margin: time left when the last frame was ready [ns].  light: whether it is on.  power: of the light.  dark:
-    frames that black stood for.  spent: share of the budget of light.  preview: of the frame, uint8
-    [row, column], None at first.  others: those of further projectors.  left: time to the end, without pauses [s].
-    resuming: whether one that was dark gets ready to go on.  deadline: until when a print that is dark can go on, by
-    `time.monotonic` [s].
-    lease: how long the controller keeps the light by itself [s]; None for a print that did not begin.  renewed: how
-    old its last renewal was at the last look at the machines [s].  polled: when that was, by `time.monotonic` [s].
-    interlock_closed: None where nobody knows.  lens_temperature: None where the lens tells none [degC]; both are asked
-    in the dark.  camera: its last image.  scatter: readings of the resin, oldest first; may grow.  threshold: that
-    stops the print.  plan: version of the frames that coming turns show.  stop: the turn before which the light is to
-    end; None for all.  parameters: what live estimation believes.  maps: pictures of it by name, uint8
-    [row, column, color].  live: what became of the process that estimates and
-    plans.
-    """
+    """A print as it is now."""
 
     state: PrintState = PrintState.STANDBY
     message: str = ""
     job: str = ""
     slot: int = 0
-    slots: int = 0
-    frame: int = -1
+    slots: int = 0  # 0 where there is no end
+    frame: int = -1  # on show
     position: float = 0.0
     unit: str = "deg"
-    focus: float | None = None
-    fill: float = 0.0
-    margin: int = 0
+    focus: float | None = None  # of the lens [1/m]; None without one
+    fill: float = 0.0  # of the buffers, 0..1
+    margin: int = 0  # time left when the last frame was ready [ns]
     light: bool = False
     power: float = 0.0
-    dark: int = 0
-    spent: float = 0.0
-    preview: np.ndarray | None = None
-    others: tuple[np.ndarray, ...] = ()
-    left: float | None = None
-    resuming: bool = False
-    deadline: float | None = None
-    lease: float | None = None
-    renewed: float | None = None
-    polled: float | None = None
-    interlock_closed: bool | None = None
-    lens_temperature: float | None = None
-    camera: np.ndarray | None = None
-    scatter: Sequence[ScatterReading] = ()
-    threshold: float | None = None
-    plan: int = 0
-    stop: int | None = None
-    parameters: Sequence[Estimated] = ()
-    maps: Mapping[str, np.ndarray] = field(default_factory=dict)
-    live: str = ""
+    dark: int = 0  # frames that black stood for
+    spent: float = 0.0  # share of the budget of light
+    preview: np.ndarray | None = None  # uint8 [row, column]
+    others: tuple[np.ndarray, ...] = ()  # previews of further projectors
+    left: float | None = None  # time to the end, without pauses [s]
+    resuming: bool = False  # whether it gets ready to go on
+    deadline: float | None = None  # until when it can go on, by `time.monotonic` [s]
+    lease: float | None = None  # how long the controller keeps the light by itself [s]
+    renewed: float | None = None  # age of the last renewal when polled [s]
+    polled: float | None = None  # by `time.monotonic` [s]
+    interlock_closed: bool | None = None  # asked in the dark; None: unknown
+    lens_temperature: float | None = None  # [degC], asked in the dark; None: unknown
+    camera: np.ndarray | None = None  # its last image
+    scatter: Sequence[ScatterReading] = ()  # oldest first; may grow
+    threshold: float | None = None  # of scatter that stops the print
+    plan: int = 0  # version of the frames to come
+    stop: int | None = None  # turn before which the light ends
+    parameters: Sequence[Estimated] = ()  # of live estimation
+    maps: Mapping[str, np.ndarray] = field(default_factory=dict)  # uint8 [row, column, color] by name
+    live: str = ""  # state of the planning process
 
 
 class Board:
     """The newest snapshot, and the buttons. Writing costs the printing thread one reference; readers never block it."""
 
-    pictures = True
+    draws_previews = True
     """Whether the process that prints draws frames for it."""
 
     def __init__(self, **fields: object) -> None:
@@ -205,7 +181,7 @@ class Board:
             self._now = Snapshot(**(vars(self._now) | fields))  # type: ignore[arg-type]
 
     def on_stop(self, stop: Callable[[str], None]) -> None:
-        """What an emergency stop calls, in the order of telling: the light first. One that came before is not lost."""
+        """Add a function that an emergency stop calls, in this order: the light first. An earlier stop is not lost."""
         self._stops.append(stop)
         if self._stopped is not None:
             stop(self._stopped)

@@ -1,4 +1,4 @@
-"""What a camera's images say of the light that a print took, and what a field would show instead."""
+"""Light that a print took by a camera's images, and the images that a field would make."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FAINTEST = 2.0
 FAINT = 1e-6
 """Least share of light whose logarithm is taken."""
 SPREAD = np.uint32(2654435769)
-"""What seeds are multiplied by, so that near ones draw unlike numbers."""
+"""Factors of seeds, so that near ones draw unlike numbers."""
 
 CPU, GPU = Tiling(major=1, minor=0), Tiling(major=1, minor=1)
 

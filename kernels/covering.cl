@@ -4,12 +4,12 @@
 #define NEVER 1e30f
 
 #ifdef COMPILE_divide_prices
-FIELD_KERNEL divide_prices(ARRAY wall, ARRAY cap, ARRAY target, float inside, float outside,
+FIELD_KERNEL divide_prices(ARRAY lower, ARRAY upper, ARRAY target, float inside, float outside,
                            __global float *restrict paid, __global float *restrict cost, SIZES) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const Lanes body = LOAD(target + at) >= 0.5f;
-        const Vector price = fmax(ZERO, LOAD(wall + at)), top = fmax(ZERO, LOAD(cap + at));
+        const Vector price = fmax(ZERO, LOAD(lower + at)), top = fmax(ZERO, LOAD(upper + at));
         STORE(paid + at, select(ZERO, inside * price, body));
         STORE(cost + at, select(outside * price, inside * top, body));
     }

@@ -21,17 +21,17 @@ NEVER = 1e30
 """Scale of a cover that does not reach such a pixel."""
 
 
-@kernel(over="wall", cpu=CPU, gpu=GPU)
+@kernel(over="lower", cpu=CPU, gpu=GPU)
 def divide_prices(
-    wall: Array, cap: Array, target: Array, inside: Real, outside: Real, paid: ArrayOut, cost: ArrayOut
+    lower: Array, upper: Array, target: Array, inside: Real, outside: Real, paid: ArrayOut, cost: ArrayOut
 ) -> None:
-    """paid = inside·wall in the part, 0 outside; cost = inside·cap in the part, outside·wall outside.
+    """paid = inside·lower in the part, 0 outside; cost = inside·upper in the part, outside·lower outside.
 
-    Prices below 0 count as 0; see `vamgpu.kernels.saddle.limit_step` for wall and cap.
+    Prices below 0 count as 0; see `vamgpu.kernels.pdhg.dual_step` for lower and upper.
     """
     part = target >= 0.5
-    paid[...] = np.where(part, inside * np.maximum(wall, 0.0), 0.0)
-    cost[...] = np.where(part, inside * np.maximum(cap, 0.0), outside * np.maximum(wall, 0.0))
+    paid[...] = np.where(part, inside * np.maximum(lower, 0.0), 0.0)
+    cost[...] = np.where(part, inside * np.maximum(upper, 0.0), outside * np.maximum(lower, 0.0))
 
 
 @kernel(over="light", cpu=CPU, gpu=GPU)

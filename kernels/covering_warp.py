@@ -17,12 +17,12 @@ NEVER: Any = wp.constant(1e30)
 
 @wp.kernel
 def divide_prices(
-    wall: Vectors, cap: Vectors, target: Vectors, inside: float, outside: float, paid: Vectors, cost: Vectors,
+    lower: Vectors, upper: Vectors, target: Vectors, inside: float, outside: float, paid: Vectors, cost: Vectors,
     n_i: int, n_j: int, n_z: int,
 ) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
-    price = wall[slab, i, j, lane]
-    top = cap[slab, i, j, lane]
+    price = lower[slab, i, j, lane]
+    top = upper[slab, i, j, lane]
     body = target[slab, i, j, lane]
     gain = wp.vec4(0.0, 0.0, 0.0, 0.0)
     loss = wp.vec4(0.0, 0.0, 0.0, 0.0)

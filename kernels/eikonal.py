@@ -67,7 +67,7 @@ def march(
     look: Look, starts: np.ndarray, region: np.ndarray, step: float, steps: int, scheme: int, every: int,
     ends: np.ndarray, path: np.ndarray, times: np.ndarray,
 ) -> None:  # fmt: skip
-    """What the kernels of this file do, through any field; see `march_formula`."""
+    """March rays through any field, as the kernels of this file do; see `march_formula`."""
     state = State(look, starts)
     path[:, 0], times[...] = starts[:, :3], -1.0
     live = np.arange(len(starts))
@@ -142,7 +142,7 @@ class State:
 
 
 def _outside(state: State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far outside the region, below zero inside, on the way out only; and its growth per t."""
+    """Distance outside the region, below zero inside, on the way out only; and its growth per t."""
     place, heading = state.place, state.heading
     round_value = (place**2) @ region[:3] - region[3]
     values = np.concatenate([round_value[:, None], region[4:7] - place, place - region[7:10]], axis=1)

@@ -1,20 +1,23 @@
-"""Pixels of two levels that are flipped where the dose of all of them comes nearer to what a part asks for."""
+"""Pixels that go to another level where the dose of all of them comes nearer to what a part asks for."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from vamgpu.kernels.reduce import CPU
-from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Real, Tiling, kernel
+from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Integer, Real, Tiling, kernel
 
 GPU = Tiling(major=1, minor=1)
+SPREAD = 3518319155, 2882110345, 2360945575, 2654435769
+"""Multiples of these, of 2³², fill a cube evenly: negative powers of the root of g⁴ = g + 1 (M. Roberts' R3 sequence),
+and the golden ratio from one round to the next."""
 
 
 @kernel(over="brighter", cpu=CPU, gpu=GPU)
 def price_flips(
     dose: Array, side: Array, least: Real, most: Real, leak: Real, step: Real, brighter: ArrayOut, darker: ArrayOut
 ) -> None:
-    """How much further off a voxel's dose is by ``step`` more or less light, squared, over the step.
+    """Growth of the squared error of a voxel's dose by ``step`` more or less light, squared, over the step.
 
     side: above 0 in the part, whose dose is to be from ``least`` to ``most``; below 0 in a void, which is to get
     ``leak`` at the most; 0 where any dose will do. A pixel's sum of these along its light, weighted by how much a voxel
@@ -38,3 +41,22 @@ def flip_pixels(brighter: Array, darker: Array, step: Array, light: ArrayInOut, 
     lit = light > 0
     change[...] = np.where(lit, np.where(darker < 0, -step, 0.0), np.where(brighter < 0, step, 0.0))
     light += change
+
+
+@kernel(over="light", reach="first", cpu=CPU, gpu=GPU)
+def step_pixels(
+    brighter: Array, darker: Array, worth: Real, seed: Integer, first: Integer, step: Real, most: Real,
+    light: ArrayInOut,
+) -> None:  # fmt: skip
+    """Step some of the pixels that gain by it, those that gain more sooner: light ± step, within 0 and most.
+
+    worth: gain, which is the lesser of both prices below 0, from which on all pixels are stepped; others are with the
+    share of it that they gain. seed: which ones. first: number of the first slice.
+    """
+    gain = -np.minimum(brighter, darker)
+    i, j, k = np.ogrid[tuple(slice(n) for n in light.shape)]
+    place = sum(axis.astype(np.uint64) * factor for axis, factor in zip((i, j, k + first), SPREAD, strict=False))
+    place = (place + np.uint64(seed) * np.uint64(SPREAD[3])) & np.uint64(0xFFFFFFFF)
+    chosen = (place >> np.uint64(8)) / 2.0**24 * worth < gain
+    stepped = light + np.where(brighter <= darker, step, -step)
+    light[...] = np.where(chosen, np.clip(stepped, 0.0, most), light)

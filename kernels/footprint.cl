@@ -7,7 +7,7 @@
 #endif
 
 #ifdef COMPILE_back_footprint
-FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global const float2 *restrict directions,
+FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global const float *restrict directions,
                             __global const float4 *restrict light, int bent, float ratio, float strength, float fill,
                             float sigma, float radius, int taps, __global float *restrict volume,
                             int n_angle, int n_r, int n_z, int n_across, int n_along, int n_x, int n_y) {
@@ -64,7 +64,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
         for (int work = at.member; work < 4 * turns; work += MEMBERS) {
             const float x = row + work % 4 / 2 - 0.5f * (n_x - 1), y = column + work % 2 - 0.5f * (n_y - 1);
             float u;
-            const Foot foot = footprint(light, n_across, n_along, n_r, directions[first + work / 4], x, y, bent, ratio,
+            const Foot foot = footprint(light, n_across, n_along, n_r, vload3(first + work / 4, directions), x, y, bent, ratio,
                                         strength, fill, sigma, &u);
             lit[work] = within(x, y, radius) ? (int2)((int)ceil(u - foot.reach), (int)floor(u + foot.reach))
                                              : (int2)(1000000, -1);
@@ -82,7 +82,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
             const int2 window = windows[turn];
             const float x = row + i / 2 - 0.5f * (n_x - 1), y = column + i % 2 - 0.5f * (n_y - 1);
             float u;
-            const Foot foot = footprint(light, n_across, n_along, n_r, directions[first + turn], x, y, bent, ratio,
+            const Foot foot = footprint(light, n_across, n_along, n_r, vload3(first + turn, directions), x, y, bent, ratio,
                                         strength, fill, sigma, &u);
             const float gain = within(x, y, radius) ? foot.gain : 0.0f;
             float distance = u - window.x, above = edge(&foot, distance + 0.5f * fill, sigma, inverse_sigma);
@@ -105,7 +105,7 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
 #endif
 
 #ifdef COMPILE_forward_footprint
-FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global const float2 *restrict directions,
+FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global const float *restrict directions,
                                __global const float4 *restrict light, __global const float8 *restrict edges, int bent,
                                float ratio, float strength, float fill, float sigma, float radius, int taps, int cells,
                                __global float *restrict sinogram,
@@ -158,8 +158,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
     DECLARE_KEPT;
     const float inverse_sigma = sigma > 0.0f ? 1.0f / sigma : 0.0f;
     const int angle = min(at.major, n_angle - 1), r = at.minor * 4;
-    const float2 direction = directions[angle];
-    const Span span = span_of_four(edges, r, n_r, direction, n_x, n_y);
+    const Span span = span_of_four(edges, r, n_r, vload3(angle, directions).xy, n_x, n_y);
     const int most = ALONE ? min(most_cells(&span), cells) : cells, across = min(most, samples);
     const int at_once = clamp(samples / across, 1, TURNS);
     Vector sum[TILE_SLABS][4];
@@ -181,6 +180,9 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
             const int slot = samples_before(windows, turn) + k;
             const int2 cell = span.along_y ? (int2)(window.x + k, plane) : (int2)(plane, window.x + k);
             const float x = cell.x - 0.5f * (n_x - 1), y = cell.y - 0.5f * (n_y - 1);
+            // Loaded here, not before the loop: Intel's compiler for processors keeps a negated float across a barrier for
+            // the last item of a group alone, and moves the direction's minus out of the loop.
+            const float3 direction = vload3(angle, directions);
             float u;
             const Foot foot = footprint(light, n_across, n_along, n_r, direction, x, y, bent, ratio, strength, fill, sigma, &u);
             float share[4] = {0.0f, 0.0f, 0.0f, 0.0f};

@@ -31,20 +31,29 @@ static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
 }
 
 // A voxel seen by the columns: half sum and half difference of its two boxes, what entries are divided by, its reach.
+// Boxes of a square voxel are a and b wide; that of its way while it is lit, c, and the widest of the three stays.
 typedef struct {
     Real outer, inner, gain, reach;
 } Foot;
 
-static inline Foot foot_of(Real a, Real b, Real strength, float fill, float sigma) {
+static inline Foot foot_of(Real a, Real b, Real c, Real strength, float fill, float sigma) {
+    const Real narrow = fmin(a, b), side = fmax(a, b), next = fmin(side, c);
+    const Real merged = c > 0.0f ? sqrt(fma(narrow, narrow, next * next)) : narrow;
     const float least = THINNEST + BLURRED * sigma;
-    const Real thin = fmax(fmin(a, b), least);
-    const Real wide = sqrt(fmax(a * a + b * b - thin * thin, least * least));
+    const Real thin = fmax(fmin(fmax(side, c), merged), least);
+    const Real wide = sqrt(fmax(c * c + (a * a + b * b) - thin * thin, least * least));
     Foot foot;
     foot.outer = 0.5f * (wide + thin);
     foot.inner = 0.5f * (wide - thin);
     foot.gain = strength / (wide * thin * fill);
     foot.reach = fmax(foot.outer + (0.5f * fill + TAIL * sigma), (Real)(FAR * sigma));
     return foot;
+}
+
+// Columns that a voxel moves by while it is lit, from the gradient of the column across and along the light.
+static inline float swept(float2 gradient, float3 direction, float x, float y) {
+    const float across = fma(y, direction.x, -x * direction.y), along = fma(-x, direction.x, -y * direction.y);
+    return fabs(gradient.x * along - gradient.y * across) * direction.z;
 }
 
 // Integral of the voxel's blurred trapezoid from -infinity to x, times the areas of its boxes.

@@ -7,6 +7,9 @@ sum of the third integral of the Gaussian over the eight corners of the boxes. S
 whose gradient is the same everywhere; bent light looks column, strength and gradient up in a map of one pose, made
 once.
 
+While the vial turns, the voxel's column moves steadily: one more box, of width c. The widest of a, b and c stays, and a
+box of the variance of the other two takes their place.
+
 Lengths are in voxels, columns count from 0.
 """
 
@@ -16,9 +19,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from vamgpu.kernels.project import Directions, middle
+from vamgpu.kernels.project import middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
 
+Directions = Annotated[np.ndarray, Table("float32", ("angle", "3"))]
+"""cosθ, sinθ, and the arc [rad] of the turn during which the pose is lit."""
 Map = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
 """Column of the light, its strength, and the columns a voxel across and along it, samples one voxel apart."""
 Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
@@ -56,6 +61,14 @@ def sides(a: np.ndarray, b: np.ndarray, sigma: float) -> tuple[np.ndarray, np.nd
     return np.sqrt(np.maximum(square - thin**2, least**2)), thin
 
 
+def exposed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two boxes for three: the widest, and one of the variance of the other two; a and b themselves where c is 0."""
+    wide, thin = np.maximum(a, b), np.minimum(a, b)
+    widest = np.maximum(wide, c)
+    other = np.hypot(thin, np.minimum(wide, c))
+    return np.where(c > 0.0, widest, a), np.where(c > 0.0, other, b)
+
+
 def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
     """Mean over a voxel of the light of a pixel that is ``distance`` columns off; sums to 1 over pixels.
 
@@ -88,20 +101,21 @@ def _matrix(
     from scipy.sparse import csr_array
 
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
-    c, s = direction
+    c, s, arc = direction
     x, y = x[:, None], y[None, :]
+    lateral, depth = y * c - x * s, -(x * c + y * s)
     if bent:
-        across, along = y * c - x * s + middle(light.shape[0]), -(x * c + y * s) + middle(light.shape[1])
+        across, along = lateral + middle(light.shape[0]), depth + middle(light.shape[1])
         i = np.clip(across.astype(int), 0, light.shape[0] - 2)
         j = np.clip(along.astype(int), 0, light.shape[1] - 2)
         p, q = (across - i)[..., None], (along - j)[..., None]
         near, far = (light[i + k, j] + q * (light[i + k, j + 1] - light[i + k, j]) for k in (0, 1))
         u, weight, g, h = np.moveaxis(near + p * (far - near), -1, 0)
     else:
-        u = (y * c - x * s) * ratio + middle(columns)
+        u = lateral * ratio + middle(columns)
         weight, g, h = np.full(u.shape, strength), np.full(u.shape, ratio), np.zeros(u.shape)
     weight = weight * (x**2 + y**2 <= radius**2)
-    a, b = np.abs(g * s + h * c), np.abs(g * c - h * s)
+    a, b = exposed(np.abs(g * s + h * c), np.abs(g * c - h * s), np.abs(g * depth - h * lateral) * arc)
     reach = half_support(*sides(a, b, sigma), fill, sigma)
     first = np.ceil(u - reach).astype(int)
     column = first + np.arange(int(np.floor(2.0 * reach.max())) + 1)[:, None, None]

@@ -18,29 +18,31 @@ typedef struct {
 
 // The poses, the light and the pixels' shape, as every item needs them.
 typedef struct {
-    __global const float2 *directions;
+    __global const float *directions;
     __global const float4 *light;
     int n_angle, n_r, n_across, n_along, n_x, n_y, bent;
     float ratio, strength, fill, sigma, radius;
 } Scene;
 
-static inline Foot footprints(const Scene *k, float2 direction, float x, float y, Real *u) {
+static inline Foot footprints(const Scene *k, float3 direction, float x, float y, Real *u) {
     if (!k->bent) {
         const Real column = y + LANE_NUMBERS;
         *u = (column * direction.x - x * direction.y) * k->ratio + 0.5f * (k->n_r - 1);
-        return foot_of((Real)(fabs(k->ratio * direction.y)), (Real)(fabs(k->ratio * direction.x)), (Real)(k->strength),
-                       k->fill, k->sigma);
+        const Real moved = fabs(k->ratio * direction.z * (column * direction.y + x * direction.x));
+        return foot_of((Real)(fabs(k->ratio * direction.y)), (Real)(fabs(k->ratio * direction.x)), moved,
+                       (Real)(k->strength), k->fill, k->sigma);
     }
-    float column[WIDTH], strength[WIDTH], a[WIDTH], b[WIDTH];
+    float column[WIDTH], strength[WIDTH], a[WIDTH], b[WIDTH], c[WIDTH];
     for (int lane = 0; lane < WIDTH; lane++) {
-        const float4 ray = look_up(k->light, k->n_across, k->n_along, direction, x, y + lane);
+        const float4 ray = look_up(k->light, k->n_across, k->n_along, direction.xy, x, y + lane);
         column[lane] = ray.x;
         strength[lane] = ray.y;
         a[lane] = fabs(ray.z * direction.y + ray.w * direction.x);
         b[lane] = fabs(ray.z * direction.x - ray.w * direction.y);
+        c[lane] = swept(ray.zw, direction, x, y + lane);
     }
     *u = VLOAD(0, column);
-    return foot_of(VLOAD(0, a), VLOAD(0, b), VLOAD(0, strength), k->fill, k->sigma);
+    return foot_of(VLOAD(0, a), VLOAD(0, b), VLOAD(0, c), VLOAD(0, strength), k->fill, k->sigma);
 }
 
 static inline float greatest(Real value) {
@@ -62,7 +64,7 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
     if (!any) return false;
     for (int pose = 0; pose < count; pose++) {
         Real u;
-        const Foot foot = footprints(k, k->directions[angle + pose], x, y, &u);
+        const Foot foot = footprints(k, vload3(angle + pose, k->directions), x, y, &u);
         const Real first = ceil(u - foot.reach) + skip;
         VSTORE(CONVERT_INT(first), 0, notes->first[pose]);
         const int most = clamp((int)(2.0f * greatest(foot.reach)) + 1 - skip, 0, taps);
@@ -82,8 +84,8 @@ static inline int folds_of(const Scene *k) {
     if (k->n_angle % 4 || k->n_x != k->n_y || k->n_x % 2) return 1;
     const int quarter = k->n_angle / 4;
     for (int angle = 0; angle < k->n_angle; angle++) {
-        const float2 first = k->directions[angle], turned = k->directions[(angle + quarter) % k->n_angle];
-        if (fabs(turned.x + first.y) + fabs(turned.y - first.x) > 1e-6f) return 1;
+        const float3 first = vload3(angle, k->directions), turned = vload3((angle + quarter) % k->n_angle, k->directions);
+        if (fabs(turned.x + first.y) + fabs(turned.y - first.x) + fabs(turned.z - first.z) > 1e-6f) return 1;
     }
     return 4;
 }

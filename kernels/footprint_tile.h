@@ -46,13 +46,13 @@ static inline size_t lane_of(Place at, int s, int n_major, int n_minor, int n_z)
 }
 
 // Column, strength and footprint of one voxel at one pose.
-static inline Foot footprint(__global const float4 *restrict light, int n_across, int n_along, int n_r, float2 direction,
+static inline Foot footprint(__global const float4 *restrict light, int n_across, int n_along, int n_r, float3 direction,
                              float x, float y, int bent, float ratio, float strength, float fill, float sigma, float *u) {
     float4 ray = (float4)((y * direction.x - x * direction.y) * ratio + 0.5f * (n_r - 1), strength, ratio, 0.0f);
-    if (bent) ray = look_up(light, n_across, n_along, direction, x, y);
+    if (bent) ray = look_up(light, n_across, n_along, direction.xy, x, y);
     *u = ray.x;
-    return foot_of(fabs(ray.z * direction.y + ray.w * direction.x), fabs(ray.z * direction.x - ray.w * direction.y), ray.y,
-                   fill, sigma);
+    return foot_of(fabs(ray.z * direction.y + ray.w * direction.x), fabs(ray.z * direction.x - ray.w * direction.y),
+                   swept(ray.zw, direction, x, y), ray.y, fill, sigma);
 }
 
 // Adds ``count`` samples, each fetched while the one before it is added. ``shares`` and ``indices`` have room for one more.

@@ -58,25 +58,33 @@ def edge(x: float, outer: float, inner: float, sigma: float, inverse_sigma: floa
 
 @wp.func
 def footprint(
-    light: wp.array3d[float], n_r: int, c: float, s: float, x: float, y: float, bent: int, ratio: float,
+    light: wp.array3d[float], n_r: int, c: float, s: float, arc: float, x: float, y: float, bent: int, ratio: float,
     strength: float, fill: float, sigma: float,
 ):  # fmt: skip
     """Column and footprint of one voxel at one pose."""
-    u = (y * c - x * s) * ratio + 0.5 * float(n_r - 1)
+    across = y * c - x * s
+    along = -x * c - y * s
+    u = across * ratio + 0.5 * float(n_r - 1)
     gain = strength
     by_across = ratio
     by_along = float(0.0)
     if bent != 0:
-        ray = sampled(light, y * c - x * s, -x * c - y * s)
+        ray = sampled(light, across, along)
         u = ray[0]
         gain = ray[1]
         by_across = ray[2]
         by_along = ray[3]
     a = wp.abs(by_across * s + by_along * c)
     b = wp.abs(by_across * c - by_along * s)
+    moved = wp.abs(by_across * along - by_along * across) * arc
+    thin = wp.min(a, b)
+    if moved > 0.0:  # the widest of three boxes stays, the other two are merged
+        side = wp.max(a, b)
+        other = wp.min(side, moved)
+        thin = wp.min(wp.max(side, moved), wp.sqrt(thin * thin + other * other))
     least = THINNEST + BLURRED * sigma
-    thin = wp.max(wp.min(a, b), least)
-    wide = wp.sqrt(wp.max(a * a + b * b - thin * thin, least * least))
+    thin = wp.max(thin, least)
+    wide = wp.sqrt(wp.max(moved * moved + (a * a + b * b) - thin * thin, least * least))
     outer = 0.5 * (wide + thin)
     reach = wp.max(outer + 0.5 * fill + TAIL * sigma, FAR * sigma)
     return Ray(u, outer, 0.5 * (wide - thin), gain / (wide * thin * fill), reach)
@@ -84,7 +92,7 @@ def footprint(
 
 @wp.func
 def faded(distance: float, reach: float, fade: float):
-    """How much of a share counts: all but near the end of its reach."""
+    """The part of a share that counts: all but near the end of its reach."""
     return wp.clamp((reach - wp.abs(distance)) * fade, 0.0, 1.0)
 
 
@@ -121,8 +129,9 @@ def back_footprint(
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)
                 ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], x, y, bent, ratio, strength, fill, sigma
-                )
+                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
+                    bent, ratio, strength, fill, sigma,
+                )  # fmt: skip
                 is_lit = x * x + y * y <= radius * radius
                 number(at.slots + 2 * work, True, wp.where(is_lit, int(wp.ceil(ray[0] - ray[4])), 1000000))
                 number(at.slots + 2 * work + 1, True, wp.where(is_lit, int(wp.floor(ray[0] + ray[4])), -1000000))
@@ -148,8 +157,9 @@ def back_footprint(
                 x = voxel(row + i // 2, n_x)
                 y = voxel(column + i % 2, n_y)
                 ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], x, y, bent, ratio, strength, fill, sigma
-                )
+                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
+                    bent, ratio, strength, fill, sigma,
+                )  # fmt: skip
                 gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
                 distance = ray[0] - float(first)
                 above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
@@ -192,6 +202,7 @@ def forward_footprint(
     t3 = wp.mat44(0.0)
     c = directions[angle, 0]
     s = directions[angle, 1]
+    arc = directions[angle, 2]
     span = span_of(edges, wp.min(r, n_r - 1), wp.min(r + 3, n_r - 1), wp.vec4(c, s, 0.0, 0.0), n_x, n_y)
     most = int(cells)
     if 32 % at.members == 0:  # no other tile waits for this one
@@ -221,7 +232,7 @@ def forward_footprint(
                     j = wp.where(span.along_y == 1, plane, cell)
                     x = voxel(i, n_x)
                     y = voxel(j, n_y)
-                    ray = footprint(light, n_r, c, s, x, y, bent, ratio, strength, fill, sigma)
+                    ray = footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
                     gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
                     above = edge(ray[0] - float(r) + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
                     shares = wp.vec4(0.0)

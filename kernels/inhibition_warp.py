@@ -12,7 +12,7 @@ MOST = 40
 
 @wp.func
 def depletion_substep(a: float, b: float, v: float, alpha: float, floor: float):
-    """How far A decays while v arrives: see the definition."""
+    """Decay of A while v arrives: see the definition."""
     h = wp.max(v / (a + b + floor), (v - a - b / alpha) / floor)
     step = float(1.0)
     n = int(0)

@@ -76,7 +76,7 @@ def inhibit(
 
 
 class _Terms(NamedTuple):
-    """What acts on each item during a step: rates at the present light, and [C]_ref or 0."""
+    """Rates that act on each item during a step: those at the present light, and [C]_ref or 0."""
 
     a: np.ndarray
     b: np.ndarray
@@ -115,7 +115,7 @@ def _change(state: np.ndarray, terms: _Terms) -> np.ndarray:
 
 
 def _reach(state: np.ndarray, change: np.ndarray, terms: _Terms) -> np.ndarray:
-    """How long [A] + [B], and of order 0 also [C], would last at their present rates."""
+    """Time that [A] + [B], and of order 0 also [C], would last at their present rates."""
     fall = -(change[:, 0] + change[:, 1])
     whole = state[:, 0] + state[:, 1] - 0.5 * DEPLETED * terms.scale
     reach = np.where(fall > 0.0, whole / np.where(fall > 0.0, fall, 1.0), np.inf)

@@ -1,5 +1,21 @@
 #include "curve.h"
 
+#ifdef COMPILE_dark_loss
+FIELD_KERNEL dark_loss(__global float *dose, __global const float *restrict weight, float most,
+                       __global float *restrict parts, SIZES, int n_part) {
+    const int part = part_index(n_i, n_j, n_z);
+    if (part < 0 || part >= n_part) return;
+    Vector sum[VECTORS];
+    EACH_VECTOR sum[v] = ZERO;
+    EACH_VECTOR_AT {
+        const Vector over = fmax(LOAD(dose + at) - most, ZERO), slope = weight[j] * over;
+        STORE(dose + at, slope);
+        sum[v] += MASKED(REAL_LANES, 0.5f * slope * over);
+    }
+    parts[part] = sum_of(sum);
+}
+#else
+
 // What a loss is, PARAMETERS and their NAMES: it takes a vector of doses, target fractions and weights (1 where there are
 // none), returns the losses, and leaves the derivatives in place of the doses.
 #ifdef COMPILE_band_loss
@@ -23,6 +39,17 @@ static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample
     const Vector gain = MASKED(wrong, (gain_low + (gain_high - gain_low) * f) * weight);
     *dose = (copysign(gain * power * root, difference) + 2.0f * ridge * value) * slope * density;
     return gain * root * amount + ridge * value * value;
+}
+#elif defined(COMPILE_ramp_loss)
+#define PARAMETERS float outside, float inside, float most
+#define NAMES outside, inside, most
+
+static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample, PARAMETERS) {
+    const Vector over = *dose - (outside + (inside - outside) * f);
+    const Vector within = fmin(over, ZERO) + fmax(*dose - most, ZERO);
+    const Vector error = select(fmax(over, ZERO), within, f >= 0.5f);
+    *dose = weight * error;
+    return 0.5f * weight * error * error;
 }
 #else
 #define PARAMETERS __global const float *restrict outer, __global const float *restrict inner, float start, float density
@@ -66,6 +93,12 @@ static inline void evaluate(__global float *dose, ARRAY target, ARRAY weight, in
 
 #ifdef COMPILE_band_loss
 KERNEL(band_loss)
+#elif defined(COMPILE_ramp_loss)
+FIELD_KERNEL ramp_loss(__global float *dose, ARRAY target, ARRAY weight, int weighted, PARAMETERS, float reach,
+                       __global float *restrict parts, SIZES, int n_part) {
+    evaluate(dose, target, weight, weighted, 0, reach, parts, n_i, n_j, n_z, 0, n_part, NAMES);
+}
 #else
 KERNEL(sampled_loss)
+#endif
 #endif

@@ -2,7 +2,8 @@
 
 `band_loss` measures how far a dose lies outside the band that the target sets. Source: the band constraint Lp norm,
 C. C. Li et al., Additive Manufacturing (2024) 104447. With wide bands and the identity as response it is the
-two-threshold loss. `sampled_loss` takes any loss of a dose, given by samples of it.
+two-threshold loss. `sampled_loss` takes any loss of a dose, given by samples of it. `ramp_loss` is the two-threshold
+loss whose thresholds ramp across the surface of the part, `dark_loss` that of resin where there is no part.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from vamgpu.kernels.reduce import CPU, GPU, Parts, disc
 from vamgpu.kernels.signature import Array, ArrayInOut, Integer, Real, Table, kernel
 
 Response = Annotated[np.ndarray, Table("float32", ("sample",))]
+Weights = Annotated[np.ndarray, Table("float32", ("j",))]
 
 
 def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float) -> tuple[np.ndarray, np.ndarray]:
@@ -93,3 +95,46 @@ def sampled_loss(
     parts[...] = 0.0
     parts[0] = np.sum(gain * (value + (within - value) * f))
     dose[...] = gain * (slope + (steep - slope) * f) * density
+
+
+@kernel(over="dose", cpu=CPU, gpu=GPU)
+def ramp_loss(
+    dose: ArrayInOut,
+    target: Array,
+    weight: Array,
+    weighted: Integer,
+    outside: Real,
+    inside: Real,
+    most: Real,
+    reach: Real,
+    parts: Parts,
+) -> None:
+    """Σ parts = Σ w·e²/2; dose becomes the derivative of that by dose.
+
+    target: 0 a width outside the surface, 1 a width inside it, a line between. The threshold is t = outside + (inside −
+    outside)·target; from a target of one half on a dose errs by e where it is below t or above ``most``, else where it
+    is above t. w = weight where ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
+    """
+    threshold = outside + (inside - outside) * target
+    error = np.where(
+        target >= 0.5,
+        np.minimum(dose - threshold, 0.0) + np.maximum(dose - most, 0.0),
+        np.maximum(dose - threshold, 0.0),
+    )
+    near = disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
+    gain = near * weight if weighted else near * 1.0
+    parts[...] = 0.0
+    parts[0] = 0.5 * np.sum(gain * error**2)
+    dose[...] = gain * error
+
+
+@kernel(over="dose", cpu=CPU, gpu=GPU)
+def dark_loss(dose: ArrayInOut, weight: Weights, most: Real, parts: Parts) -> None:
+    """Σ parts = Σ w·e²/2 with e = max(0, dose − most); dose becomes the derivative of that by dose.
+
+    weight: w of each row of samples.
+    """
+    over = np.maximum(dose - most, 0.0)
+    parts[...] = 0.0
+    parts[0] = 0.5 * np.sum(weight[:, None] * over**2)
+    dose[...] = weight[:, None] * over

@@ -41,6 +41,15 @@ class Sampled:
     n_sample: int
 
 
+@wp.struct
+class Ramp:
+    """Arguments of `ramp_loss` that say what the loss is."""
+
+    outside: float
+    inside: float
+    most: float
+
+
 @wp.func
 def respond(dose: float, response: wp.array[float], start: float, density: float, n_sample: int):
     """Response at a dose and its derivative."""
@@ -83,6 +92,16 @@ def add_loss(loss: float, dose: float, f: float, weight: float, sampled: Sampled
     answer = (1.0 - f) * respond(dose, sampled.outer, sampled.start, sampled.density, sampled.n_sample)
     answer += f * respond(dose, sampled.inner, sampled.start, sampled.density, sampled.n_sample)
     return wp.vec2(loss + weight * answer[0], weight * answer[1])
+
+
+@wp.func
+def add_loss(loss: float, dose: float, f: float, weight: float, ramp: Ramp):  # noqa: F811 - Warp chooses by type
+    """The sum of losses after one more voxel, and the derivative of its loss by its dose."""
+    over = dose - (ramp.outside + (ramp.inside - ramp.outside) * f)
+    error = wp.max(over, 0.0)
+    if f >= 0.5:
+        error = wp.min(over, 0.0) + wp.max(dose - ramp.most, 0.0)
+    return wp.vec2(loss + 0.5 * weight * error * error, weight * error)
 
 
 @wp.func
@@ -133,3 +152,32 @@ def sampled_loss(
     slab, tile, j, lane = wp.tid()
     sampled = Sampled(outer, inner, start, density, n_sample)
     evaluate(dose, target, weight, weighted, binary, reach, parts, slab, tile, j, lane, n_i, n_j, n_z, sampled)
+
+
+@wp.kernel
+def ramp_loss(
+    dose: Vectors, target: Vectors, weight: Vectors, weighted: int, outside: float, inside: float, most: float,
+    reach: float, parts: wp.array[float], n_i: int, n_j: int, n_z: int, n_part: int,
+) -> None:  # fmt: skip
+    slab, tile, j, lane = wp.tid()
+    ramp = Ramp(outside, inside, most)
+    evaluate(dose, target, weight, weighted, 0, reach, parts, slab, tile, j, lane, n_i, n_j, n_z, ramp)
+
+
+@wp.kernel
+def dark_loss(
+    dose: Vectors, weight: wp.array[float], most: float, parts: wp.array[float],
+    n_i: int, n_j: int, n_z: int, n_part: int,
+) -> None:  # fmt: skip
+    slab, tile, j, lane = wp.tid()
+    count = real_lanes(slab, lane, dose.shape[3], n_z)
+    result = float(0.0)
+    for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):
+        slopes = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        doses = dose[slab, i, j, lane]
+        for k in range(count):
+            over = wp.max(doses[k] - most, 0.0)
+            slopes[k] = weight[j] * over
+            result += 0.5 * slopes[k] * over
+        dose[slab, i, j, lane] = slopes
+    parts[part_index(slab, tile, j, lane, n_i, n_j, dose.shape[3])] = result

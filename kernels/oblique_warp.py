@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.func
 def overlap(distance: float, reach: float, inverse: float):
-    """How much of a voxel, 2 reach - 1 = 1 / inverse columns wide, lies in a column that far from it."""
+    """The part of a voxel, 2 reach - 1 = 1 / inverse columns wide, in a column that far from it."""
     return wp.clamp(reach - wp.abs(distance), 0.0, 1.0) * inverse
 
 

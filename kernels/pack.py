@@ -1,4 +1,4 @@
-"""From light to frames and back: count values, choose gray levels, fold bits, and compute what the mirrors show.
+"""Light to frames and back: count values, choose gray levels, fold bits, and compute what the mirrors show.
 
 A frame is an image ``[row, column]`` of one pose: row 0 shows the largest z and column 0 the smallest r, before flips.
 A frame may be displaced by ``shift`` whole pixels plus a ``part`` of one. Frame pixel (r, z) then shows the light of

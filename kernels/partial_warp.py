@@ -1,4 +1,4 @@
-"""What Warp kernels with partial results share: which result is theirs and which lanes are padding."""
+"""Partial results of Warp kernels: which one is an item's and which lanes are padding."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def part_index(slab: int, tile: int, j: int, lane: int, n_i: int, n_j: int, n_la
 
 @wp.func
 def real_lanes(slab: int, lane: int, n_lane: int, n_z: int):
-    """How many of a thread's four lanes are slices of the field."""
+    """The number of a thread's four lanes that are slices of the field."""
     return wp.clamp(n_z - 4 * (slab * n_lane + lane), 0, 4)
 
 

@@ -1,4 +1,4 @@
-"""From frames to what is loaded into mirrors: frames in the order they are shown, masked by columns, as bit planes.
+"""Frames as mirrors load them: in the order they are shown, masked by columns, as bit planes.
 
 A plane has rows from the top, and in a row eight columns a byte, the leftmost in the highest bit; bytes beyond the last
 column are 0. The planes of a frame come by falling weight: the first is that of 128, the last that of 1.

@@ -43,7 +43,7 @@ def word_of(images: wp.array3d[wp.uint8], masks: wp.array2d[wp.uint8], angle: in
 
 @wp.func
 def sum_of(x: wp.uint64):
-    """Of the bytes of a word."""
+    """Sum of the bytes of a word."""
     low = wp.uint64(0x00FF00FF00FF00FF)
     pairs = (x & low) + ((x >> wp.uint64(8)) & low)
     return int((pairs * wp.uint64(0x0001000100010001)) >> wp.uint64(48))

@@ -18,7 +18,7 @@ STRIP = 16  # planes a group crosses at its two poses before it goes on
 def march(
     field: Flat, slab: int, lane: int, lanes: int, strip: int, offset: float, c: float, s: float, n_x: int, n_y: int
 ):
-    """What the ray at `offset` columns from the middle meets in planes [strip, strip + STRIP)."""
+    """The sum along the ray at `offset` columns from the middle in planes [strip, strip + STRIP)."""
     across_y = wp.abs(c) >= wp.abs(s)
     planes = wp.where(across_y, n_x, n_y)
     cells = wp.where(across_y, n_y, n_x)
@@ -83,7 +83,7 @@ def forward_joseph(
 
 @wp.func
 def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
-    """What a voxel that projects to column u receives from the pose that begins at sample `row`.
+    """The light that a voxel at column u receives from the pose that begins at sample `row`.
 
     Weights of columns further than 1 / m are zero, so clamping the pair of columns into the beam needs no branch.
     """

@@ -1,13 +1,15 @@
-"""What frames do to the resin, computed apart from the operators that solve.
+"""The dose of frames in the resin, computed apart from the operators that solve.
 
 A pixel's light is spread once along z and once along r into fine bins. Rays traced through one pose say between which
-bins the light lies that crosses a voxel; where caustics fold the light they say so for every fold, a branch. Fine
-voxels then take what lies between, and part voxels the mean of fine ones.
+bins the light lies that crosses a voxel; where caustics fold the light they say so for every fold, a branch. While a
+frame is lit, both ends move from where they lie before to where they lie after, evenly. Fine voxels take the mean of
+what lies between, and part voxels the mean of fine ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import ceil
 from typing import Annotated
 
 import numpy as np
@@ -28,11 +30,11 @@ RowSpan = Annotated[np.ndarray, Table("int32", ("slice", "2"))]
 First = Annotated[np.ndarray, Table("int32", ("bin",))]
 ColumnShares = Annotated[np.ndarray, Table("float32", ("bin", "tap"))]
 """Light of each bin per light of column first + tap."""
-Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]
-"""Cosine, sine, time over the mean time, and a spare."""
+Poses = Annotated[np.ndarray, Table("float32", ("arc", "4"))]
+"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; as many arcs in a row for each angle."""
 Pose = Annotated[np.ndarray, Table("float32", ("branch", "across", "along", "4"))]
 """First and last bin (with fractions) whose light crosses a voxel, its share, and a spare."""
-Taps = Annotated[np.ndarray, Table("float32", ("tap",))]
+Taps = Annotated[np.ndarray, Table("float32", ("2", "tap"))]
 
 
 @kernel(over="spread", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(128, 1)))
@@ -53,38 +55,54 @@ def spread_columns(spread: Rows, first: First, shares: ColumnShares, profile: Pr
     over="dose",
     cpu=Tiling(major=16, minor=0, slabs=4),
     gpu=Tiling(major=1, minor=1, slabs=4, group=(64, 4)),
-    constants={"cpu": {"ANGLES": 12, "TOGETHER": 16, "CAPACITY": 64}},
+    constants={"cpu": {"ARCS": 4, "TOGETHER": 16, "CAPACITY": 64}},
 )
 def expose_voxels(
     profile: Profile, poses: Poses, pose: Pose, scale: Real, single: Real, radius: Real, dose: VolumeOut
 ) -> None:
-    """dose[x, y, z] = Σ over poses and branches of time × share × the light between two bins of the profile.
+    """dose[x, y, z] = Σ over arcs and branches of time × share × the mean light between two moving bins of the profile.
 
     pose: of the laboratory, samples ``1 / scale`` voxels apart about the axis.  single: voxels this near to the axis
     are on the first branch alone.  Voxels beyond ``radius`` voxels from the axis get nothing.
     """
     dose[...] = 0.0
-    total = np.concatenate([np.zeros_like(profile[:, :1]), np.cumsum(profile, axis=1)], axis=1)
-    for angle, lit, low, high, weight in spans(poses, pose, scale, single, radius, dose.shape[:2]):
-        dose[lit] += weight[:, None] * (_running(total[angle], high) - _running(total[angle], low))
+    for angle, lit, bins, weights in spans(poses, pose, scale, single, radius, profile.shape, dose.shape[:2]):
+        dose[lit] += sum(weight[:, None] * profile[angle, bin] for weight, bin in zip(weights.T, bins.T, strict=True))
 
 
 def spans(
-    poses: np.ndarray, pose: np.ndarray, scale: float, single: float, radius: float, shape: tuple[int, ...]
-) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """For every pose and branch: its number, the voxels [x, y] lit, between which bins their light lies, their share.
+    poses: np.ndarray, pose: np.ndarray, scale: float, single: float, radius: float, profile: tuple[int, ...],
+    shape: tuple[int, ...],
+) -> Iterator[tuple[int, tuple[np.ndarray, ...], np.ndarray, np.ndarray]]:  # fmt: skip
+    """For every arc and branch: its angle, the voxels [x, y] lit, the bins [voxel, bin] of their light, and weights.
 
-    Arguments as for `expose_voxels`; shape: voxels along x and y.
+    Arguments as for `expose_voxels`; profile: angles and bins; shape: voxels along x and y.
     """
-    x, y = (np.arange(n) - middle(n) for n in shape)
-    far = x[:, None] ** 2 + y[None, :] ** 2
-    for angle, (c, s, time, _) in enumerate(poses):
-        across = (y[None, :] * c - x[:, None] * s) * scale
-        along = -(x[:, None] * c + y[None, :] * s) * scale
-        for branch, table in enumerate(pose):
-            low, high, share = np.moveaxis(_look_up(table, across, along)[..., :3], -1, 0)
-            lit = (high > low) & (far <= radius**2) & ((branch == 0) | (far > single**2))
-            yield angle, lit, low[lit], high[lit], time * share[lit]
+    x, y = np.meshgrid(*(np.arange(n) - middle(n) for n in shape), indexing="ij")
+    far = x**2 + y**2
+    reached = [np.nonzero((far <= radius**2) & ((branch == 0) | (far > single**2))) for branch in range(len(pose))]
+    for arc, (c, s, time, half) in enumerate(poses):
+        for table, lit in zip(pose, reached, strict=True):
+            across, along = (y[lit] * c - x[lit] * s) * scale, -(x[lit] * c + y[lit] * s) * scale
+            ways = (-half, half) if half > 0 else (0.0,)
+            ends = np.stack([_look_up(table, across + h * along, along - h * across) for h in ways])
+            crossed = (ends[..., 1] > ends[..., 0]).any(axis=0)
+            lit, ends = tuple(place[crossed] for place in lit), ends[:, crossed, :3]
+            low, high, share = np.moveaxis(ends, -1, 0)
+            first = np.floor(low.min(axis=0, initial=profile[1] + 0.5) - 0.5)
+            bins = first[:, None] + np.arange(ceil((high.max(axis=0, initial=0.0) - first).max(initial=0.0)) + 1)
+            around = np.concatenate([bins[:, :1] - 1, bins, bins[:, -1:] + 1], axis=1) + 0.5
+            weights = np.diff(_beyond(high, around) - _beyond(low, around), n=2, axis=1)
+            weights = np.where((bins >= 0) & (bins < profile[1]), weights, 0.0)
+            bins = np.clip(bins, 0, profile[1] - 1).astype(int)
+            yield arc * profile[0] // len(poses), lit, bins, time * share.mean(axis=0)[:, None] * weights
+
+
+def _beyond(place: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Mean of t²/2 while a place [2, voxel] moves evenly from first to second; t: what it is beyond an edge, or 0."""
+    low, high = (end(place, axis=0)[:, None] - edge for end in (np.min, np.max))
+    crossing = np.maximum(high, 0.0) ** 3 / (6.0 * np.where(high > low, high - low, 1.0))
+    return np.where(low >= 0, (low * low + low * high + high * high) / 6.0, crossing)
 
 
 def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -97,24 +115,13 @@ def _look_up(table: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.nda
     return (1 - a) * near + a * ((1 - b) * table[i + 1, j] + b * table[i + 1, j + 1])
 
 
-def _running(total: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Running integral [place, z] at fractional bins, constant beyond both ends."""
-    k, part = whole_and_part(len(total), place)
-    return (1 - part)[:, None] * total[k] + part[:, None] * total[k + 1]
-
-
-def whole_and_part(count: int, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample before each place, of so many, and what is left; constant beyond both ends."""
-    place = np.clip(place, 0.0, count - 1.0)
-    k = np.minimum(place.astype(int), count - 2)
-    return k, place - k
-
-
 @kernel(over="volume", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1, group=(64, 4)))
 def average_voxels(
-    fine: Fine, taps: Taps, corner_x: Integer, corner_y: Integer, first: Integer, volume: VolumeOut
+    fine: Fine, taps: Taps, finer: Integer, corner_x: Integer, corner_y: Integer, first: Integer, volume: VolumeOut
 ) -> None:
-    """volume[x, y, first + level] = Σ taps[a] taps[b] fine[corner_x + 2 x + a, corner_y + 2 y + b, level].
+    """volume[x, y, first + level] = Σ taps[0, a] taps[1, b] fine[corner_x + f x + a, corner_y + f y + b, level].
+
+    f: ``finer``.
 
     Other slices stay as they are. What lies beyond ``fine`` counts as 0. ``first`` and the number of levels are
     multiples of the layout's lanes, which are those of the volume, unless the levels are all there are.
@@ -123,9 +130,9 @@ def average_voxels(
     nx, ny, nz = volume.shape
     count = min(levels, nz - first)
     volume[:, :, first : first + count] = 0.0
-    for a, b in np.ndindex(taps.size, taps.size):
-        i, j = corner_x + 2 * np.arange(nx) + a, corner_y + 2 * np.arange(ny) + b
+    for a, b in np.ndindex(taps.shape[1], taps.shape[1]):
+        i, j = corner_x + finer * np.arange(nx) + a, corner_y + finer * np.arange(ny) + b
         x, y = np.flatnonzero((i >= 0) & (i < u)), np.flatnonzero((j >= 0) & (j < v))
         if x.size and y.size:
-            part = taps[a] * taps[b] * fine[np.ix_(i[x], j[y], np.arange(count))]
+            part = taps[0, a] * taps[1, b] * fine[np.ix_(i[x], j[y], np.arange(count))]
             volume[np.ix_(x, y, first + np.arange(count))] += part

@@ -39,11 +39,30 @@ def spread_columns(
     profile[slab, (angle * n_bin + bin) * lanes + lane] = result
 
 
+@wp.func
+def place_beyond(first: float, second: float, edge: float) -> float:
+    """Mean of t²/2 while a place moves evenly from first to second; t: how far it is beyond an edge, or 0."""
+    low = wp.min(first, second) - edge
+    high = wp.max(first, second) - edge
+    if low >= 0.0:
+        return (low * low + low * high + high * high) / 6.0
+    if high <= 0.0:
+        return 0.0
+    return high * high * high / (6.0 * (high - low))
+
+
+@wp.func
+def beyond(first: wp.vec4, second: wp.vec4, bin: int) -> float:
+    """The same for the light between both ends, about the middle of a bin."""
+    edge = float(bin) + 0.5
+    return place_beyond(first[1], second[1], edge) - place_beyond(first[0], second[0], edge)
+
+
 @wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
 def expose_voxels(
     profile: Flat, poses: wp.array2d[float], pose: wp.array4d[float], scale: float, single: float,
     radius: float, dose: Flat,
-    n_angle: int, n_bin: int, n_z: int, n_branch: int, n_across: int, n_along: int, n_x: int, n_y: int,
+    n_angle: int, n_bin: int, n_z: int, n_arc: int, n_branch: int, n_across: int, n_along: int, n_x: int, n_y: int,
 ) -> None:  # fmt: skip
     block, i, j, lane = wp.tid()
     s0 = 4 * block
@@ -62,18 +81,29 @@ def expose_voxels(
         branches = n_branch
         if far <= single * single:
             branches = 1
-        for angle in range(n_angle):
-            across = (y * poses[angle, 0] - x * poses[angle, 1]) * scale
-            along = (-x * poses[angle, 0] - y * poses[angle, 1]) * scale
+        for arc in range(n_arc):
+            half = poses[arc, 3]
+            across = (y * poses[arc, 0] - x * poses[arc, 1]) * scale
+            along = (-x * poses[arc, 0] - y * poses[arc, 1]) * scale
+            profile_of = arc / (n_arc / n_angle) * n_bin
             for branch in range(branches):
-                lit = sampled(pose[branch], across, along)
-                low = wp.max(lit[0], 0.0)
-                high = wp.min(lit[1], float(n_bin))
+                before = sampled(pose[branch], across - half * along, along + half * across)
+                after = before
+                if half > 0.0:
+                    after = sampled(pose[branch], across + half * along, along - half * across)
+                low = wp.min(before[0], after[0])
+                high = wp.max(before[1], after[1])
+                share = 0.5 * poses[arc, 2] * (before[2] + after[2])
                 if high > low:
-                    for bin in range(int(low), int(wp.ceil(high))):
-                        part = wp.min(high, float(bin) + 1.0) - wp.max(low, float(bin))
-                        weight = poses[angle, 2] * lit[2] * part
-                        index = (angle * n_bin + bin) * lanes + lane
+                    first = wp.max(int(wp.floor(low - 0.5)), 0)
+                    last = beyond(before, after, first - 1)
+                    here = beyond(before, after, first)
+                    for bin in range(first, wp.min(int(wp.ceil(high + 0.5)), n_bin)):
+                        ahead = beyond(before, after, bin + 1)
+                        weight = share * (last - 2.0 * here + ahead)
+                        last = here
+                        here = ahead
+                        index = (profile_of + bin) * lanes + lane
                         t0 += weight * read(profile, s0, index)
                         t1 += weight * read(profile, s1, index)
                         t2 += weight * read(profile, s2, index)
@@ -87,7 +117,7 @@ def expose_voxels(
 
 @wp.kernel
 def average_voxels(
-    fine: Flat, taps: wp.array[float], corner_x: int, corner_y: int, first: int, volume: Flat,
+    fine: Flat, taps: wp.array2d[float], finer: int, corner_x: int, corner_y: int, first: int, volume: Flat,
     n_u: int, n_v: int, n_level: int, n_tap: int, n_x: int, n_y: int, n_z: int,
 ) -> None:  # fmt: skip
     slab, x, y, lane = wp.tid()
@@ -96,10 +126,10 @@ def average_voxels(
     if source >= 0 and source < fine.shape[0]:
         total = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for a in range(n_tap):
-            i = corner_x + 2 * x + a
+            i = corner_x + finer * x + a
             if i >= 0 and i < n_u:
                 for b in range(n_tap):
-                    j = corner_y + 2 * y + b
+                    j = corner_y + finer * y + b
                     if j >= 0 and j < n_v:
-                        total += taps[a] * taps[b] * read(fine, source, (i * n_v + j) * lanes + lane)
+                        total += taps[0, a] * taps[1, b] * read(fine, source, (i * n_v + j) * lanes + lane)
         volume[slab, (x * n_y + y) * lanes + lane] = total

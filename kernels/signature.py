@@ -1,4 +1,4 @@
-"""How a kernel is declared: once, by the annotations of its NumPy definition.
+"""Declarations of kernels: made once, by the annotations of the NumPy definition.
 
 A `Field` is a three-dimensional float array whose last axis is z. On OpenCL and Warp devices it is stored as
 ``[slab][major][minor][lane]``: z is cut into slabs of ``lanes`` neighbors, so that one vector load reads
@@ -19,7 +19,7 @@ import numpy as np
 
 
 class Moved:
-    """What a kernel does with the bytes of an array."""
+    """Whether a kernel reads or writes the bytes of an array."""
 
     writes: bool
     updates: bool
@@ -75,7 +75,7 @@ Fixed = Annotated[int, Scalar("int32", fixed=True)]
 
 @dataclass(frozen=True)
 class Tiling:
-    """How much one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
+    """The part that one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
 
     Of a table it is ``minor`` samples along the last axis; Warp's threads take one each.
     group counts the work items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never
@@ -96,8 +96,9 @@ class Kernel:
 
     reach: which other slices a slice's result depends on. Nothing: none. An axis: as many to either side as its length
     less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. A number: the
-    one of another field that comes to lie there when that begins at the slice of this number. "all": any. A kernel
-    over a table reaches along "part" where partial results of partial results are the result.
+    one of another field that comes to lie there when that begins at the slice of this number; without such a field
+    none, but slices have numbers, of which this is the first. "all": any. A kernel over a table reaches along "part"
+    where partial results of partial results are the result.
     nvidia: in place of `gpu` where NVIDIA's OpenCL has matrix units, of fields with whole slabs.
     """
 

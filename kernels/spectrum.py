@@ -6,8 +6,8 @@ what one pose leaves on the rings, and the transform back. Two neighboring slice
 one complex number; the convolution is real, so they never mix. Slices are even in number.
 
 A volume is ``[turn, ring cell, z]``: a ring that has m samples a turn has m of the cells, and sample t·m + q of it lies
-at turn t and cell ``begin + q · rings of its belt + ring``. Its spectrum is ``[frequency, ring cell, z]``, where
-frequency k + j·turns lies at k and cell ``begin + j · rings of its belt + ring``.
+at turn t and cell ``begin + q · rings of its band + ring``. Its spectrum is ``[frequency, ring cell, z]``, where
+frequency k + j·turns lies at k and cell ``begin + j · rings of its band + ring``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Source = Annotated[np.ndarray, Field(("a", "b", "z"))]
 Sink = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
 Spectrum = Annotated[np.ndarray, Field(("k", "cell", "z"))]
 SpectrumOut = Annotated[np.ndarray, Field(("k", "cell", "z"), writes=True)]
-Belts = Annotated[np.ndarray, Table("int32", ("belt", "16"))]
+RingBands = Annotated[np.ndarray, Table("int32", ("band", "16"))]
 """Rings of equally many samples: first sample, samples a ring, rings, radix, product of the radices before, first
 wave; for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
 first + (s mod n)·a + (s div n)·b + j; and what `in_groups` adds."""
@@ -47,7 +47,7 @@ Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
 """For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary; half
 of them for a column in the middle of mirrored ones, which is a pair with itself; 0 beyond all columns."""
 Tiles = Annotated[np.ndarray, Table("int32", ("tile", "2"))]
-"""Of each `ROWS` cells: first entry of a frequency, and the tile whose entries are conjugate."""
+"""For each `ROWS` cells: first entry of a frequency, and the tile whose entries are conjugate."""
 Lit = Annotated[np.ndarray, Table("int32", ("frequency", "tile"))]
 """For each frequency up to half of all, how many pairs of columns light a tile there, a multiple of `ROWS`."""
 Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
@@ -84,37 +84,37 @@ def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
     return [(a, *rest) for a in own for rest in _products(n // a, count - 1, a)]
 
 
-def is_even(belt: tuple[int, ...]) -> bool:
+def is_even(band: tuple[int, ...]) -> bool:
     """Whether the samples that a pass makes one of, and those that it makes, are evenly apart in their fields.
 
     Args:
-        belt: The columns of `Belts`, but the last two.
+        band: The columns of `RingBands`, but the last two.
 
     Returns:
         Whether no step from one to the next passes the n of their places.
     """
-    _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = belt
+    _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = band
     read = n // radix % source == 0 or source >= n
     return read and (done % sink == 0 or sink % (done * radix) == 0 or sink >= n)
 
 
-def in_groups(belts: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
-    """`Belts`: the columns of a pass, and how groups of a GPU share them out.
+def in_groups(bands: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
+    """`RingBands`: the columns of a pass, and how groups of a GPU share them out.
 
     Args:
-        belts: Of each belt all columns but the last two.
+        bands: Of each band all columns but the last two.
         whole: Whether a group takes one transform, of a radix of several factors.
 
     Returns:
         The whole table. Its last columns: how many rings a group takes at once, 0 where it takes direct sums, as of
-        samples that are unevenly apart; the belt's first group.
+        samples that are unevenly apart; the band's first group.
     """
     found, group = [], 0
-    for belt in belts:
-        _, n, rings, radix, *_ = belt
-        few = radix <= FACTOR and is_even(belt)
+    for band in bands:
+        _, n, rings, radix, *_ = band
+        few = radix <= FACTOR and is_even(band)
         at_once = 1 if whole else min(rings, AT_A_TIME) if few else 0
-        found.append((*belt, at_once, group))
+        found.append((*band, at_once, group))
         group += n // radix * -(-rings // (at_once or rings))
     return np.array(found)
 
@@ -146,19 +146,19 @@ def _right_and_left(columns: int, mirrored: int) -> tuple[np.ndarray, np.ndarray
     },
 )
 def fourier(
-    source: Source, belts: Belts, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
+    source: Source, bands: RingBands, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
     sink: Sink,
 ) -> None:  # fmt: skip
     """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
 
-    first, second, third, last: `factors` of the radix, where that is the same for all belts, whose samples are evenly
+    first, second, third, last: `factors` of the radix, where that is the same for all bands, whose samples are evenly
     apart (`is_even`), and groups of a GPU are to take it at once; else 0.
 
     Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
     """
     slices = source.shape[2]
     given, found = _paired(source.reshape(-1, slices)), _paired(np.zeros((sink.shape[0] * sink.shape[1], slices)))
-    for _, n, rings, radix, done, wave, *places in belts.tolist():
+    for _, n, rings, radix, done, wave, *places in bands.tolist():
         (first, *read), (begin, *write) = places[:4], places[4:8]
         out, ring = np.arange(n), np.arange(rings)
         turns = n // (done * radix)
@@ -185,7 +185,7 @@ def most_lit_first(tiles: np.ndarray, lit: np.ndarray) -> np.ndarray:
 
 
 def _entries(entries: np.ndarray, tiles: np.ndarray, lit: np.ndarray, k: int, count: int) -> list[np.ndarray]:
-    """Of a frequency: entries (pairs, `ROWS`) of each tile, complex."""
+    """Complex entries (pairs, `ROWS`) of each tile, at a frequency."""
     back, per = 2 * k > count, len(entries) // (count // 2 + 1)
     kept, found = count - k if back else k, []
     for tile in range(len(tiles)):

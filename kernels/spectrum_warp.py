@@ -28,25 +28,25 @@ def turned(x: wp.vec4):
 
 @wp.func
 def direct_sums(
-    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat, slab: int, lane: int,
+    source: Flat, bands: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat, slab: int, lane: int,
     lanes: int, number: int,
 ):  # fmt: skip
     """OUTPUTS samples of a transform: number `number` of all."""
     own = number
     g = int(0)
-    blocks = (belts[0, 3] + OUTPUTS - 1) // OUTPUTS
-    count = belts[0, 1] // belts[0, 3] * blocks * belts[0, 2]
+    blocks = (bands[0, 3] + OUTPUTS - 1) // OUTPUTS
+    count = bands[0, 1] // bands[0, 3] * blocks * bands[0, 2]
     while own >= count:
         own -= count
         g += 1
-        if g == belts.shape[0]:
+        if g == bands.shape[0]:
             return
-        blocks = (belts[g, 3] + OUTPUTS - 1) // OUTPUTS
-        count = belts[g, 1] // belts[g, 3] * blocks * belts[g, 2]
-    n = belts[g, 1]
-    rings = belts[g, 2]
-    radix = belts[g, 3]
-    done = belts[g, 4]
+        blocks = (bands[g, 3] + OUTPUTS - 1) // OUTPUTS
+        count = bands[g, 1] // bands[g, 3] * blocks * bands[g, 2]
+    n = bands[g, 1]
+    rings = bands[g, 2]
+    radix = bands[g, 3]
+    done = bands[g, 4]
     turns = n // (done * radix)
     ring = own % rings
     block = own // rings % blocks * OUTPUTS
@@ -61,13 +61,13 @@ def direct_sums(
     along = Outputs()
     across = Outputs()
     for _ in range(radix):
-        at = belts[g, 6] + sample % belts[g, 7] * belts[g, 8] + sample // belts[g, 7] * belts[g, 9] + ring
+        at = bands[g, 6] + sample % bands[g, 7] * bands[g, 8] + sample // bands[g, 7] * bands[g, 9] + ring
         given = read(source, slab, at * lanes + lane)
         c = Waves()
         s = Waves()
         for o in range(OUTPUTS):
-            c[o] = waves[belts[g, 5] + phase[o], 0]
-            s[o] = waves[belts[g, 5] + phase[o], 1]
+            c[o] = waves[bands[g, 5] + phase[o], 0]
+            s[o] = waves[bands[g, 5] + phase[o], 1]
             phase[o] = phase[o] + step[o]
             if phase[o] >= n:
                 phase[o] = phase[o] - n
@@ -77,20 +77,20 @@ def direct_sums(
     for o in range(OUTPUTS):
         if block + o < radix:
             out = start * done * radix + inner + (block + o) * done
-            at = belts[g, 10] + out % belts[g, 11] * belts[g, 12] + out // belts[g, 11] * belts[g, 13] + ring
+            at = bands[g, 10] + out % bands[g, 11] * bands[g, 12] + out // bands[g, 11] * bands[g, 13] + ring
             write(sink, slab, at * lanes + lane, along[o] + sign * turned(across[o]))
 
 
 @wp.kernel
 def fourier(
-    source: Flat, belts: wp.array2d[int], waves: wp.array2d[float], sign: float, first: int, second: int, third: int,
-    last: int, sink: Flat, n_a: int, n_b: int, n_z: int, n_belt: int, n_wave: int, n_i: int, n_j: int,
+    source: Flat, bands: wp.array2d[int], waves: wp.array2d[float], sign: float, first: int, second: int, third: int,
+    last: int, sink: Flat, n_a: int, n_b: int, n_z: int, n_band: int, n_wave: int, n_i: int, n_j: int,
 ) -> None:  # fmt: skip
     slab, majors, minor, lane = wp.tid()
     lanes = source.shape[1] // (n_a * n_b)
     for m in range(MAJORS):
         number = (majors * MAJORS + m) * ((n_j + 1) // 2) + minor
-        direct_sums(source, belts, waves, sign, sink, slab, lane, lanes, number)
+        direct_sums(source, bands, waves, sign, sink, slab, lane, lanes, number)
 
 
 @wp.func_native("""
@@ -129,7 +129,7 @@ def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 @wp.func
 def pairs_of(lit: wp.array2d[int], tile: int, k: int, n_k: int):
-    """How many pairs of columns light the tile whose entries are taken, at a frequency."""
+    """The number of pairs of columns that light the tile whose entries are taken, at a frequency."""
     return lit[wp.where(2 * k > n_k, n_k - k, k), tile]
 
 

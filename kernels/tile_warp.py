@@ -178,7 +178,7 @@ def write_four(field: Flat, slabs: wp.vec4i, index: int, a: wp.vec4, b: wp.vec4,
 
 @wp.func
 def samples_before(windows: int, turn: int):
-    """How many samples the turns before one have."""
+    """The number of samples of the turns before one."""
     count = int(0)
     for before in range(turn):
         count += number(windows + 2 * before + 1, False, 0)

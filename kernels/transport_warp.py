@@ -23,7 +23,7 @@ def spread_one(
     s: Flat, spread: wp.array2d[float], walls: wp.array3d[float], species: int, slab: int, x: int, y: int,
     lane: int, lanes: int, passes: wp.vec4, n_x: int, n_y: int, n_z: int,
 ):  # fmt: skip
-    """What a species becomes by diffusion; passes holds 1 for the open faces x low, x high, y low, y high."""
+    """A species after diffusion; passes holds 1 for the open faces x low, x high, y low, y high."""
     at = (x * n_y + y) * lanes + lane
     here = read(s, slab, at)
     if x > 0:  # noqa: SIM108 - Warp evaluates both sides of a ternary

@@ -19,7 +19,7 @@ static inline Vector raised(Vector x, float power) {
     return power == 0.0f ? (Vector)(1.0f) : power == 1.0f ? x : power == 3.0f ? x * x * x : pow(x, (Vector)(power));
 }
 
-FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, __global float *gradient,
+FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, float most, __global float *gradient,
                            __global float *restrict parts, SIZES, int n_part) {
     const int part = part_index(n_i, n_j, n_z);
     if (part < 0 || part >= n_part) return;
@@ -33,7 +33,11 @@ FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, __g
             value += weight * power * root;
             sum[v] += MASKED(REAL_LANES, root * lit);
         }
-        STORE(gradient + at, select(value, fmin(value, ZERO), (from <= ZERO) & (Lanes)(hold ? -1 : 0)));
+        if (hold) {
+            value = select(value, fmin(value, ZERO), from <= ZERO);
+            value = select(value, fmax(value, ZERO), from >= most);
+        }
+        STORE(gradient + at, value);
     }
     parts[part] = weight * sum_of(sum);
 }

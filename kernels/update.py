@@ -24,11 +24,14 @@ def multiply(x: Array, y: Array, out: ArrayOut) -> None:
 
 
 @kernel(over="gradient", cpu=CPU, gpu=PARTIAL)
-def apply_penalty(light: Array, weight: Real, power: Real, hold: Integer, gradient: ArrayInOut, parts: Parts) -> None:
-    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, stop dark light from falling.
+def apply_penalty(
+    light: Array, weight: Real, power: Real, hold: Integer, most: Real, gradient: ArrayInOut, parts: Parts
+) -> None:
+    """Add the derivative of weight·light^power to the gradient, then, with ``hold``, keep light within 0 and ``most``.
 
-    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where it would make dark light (≤ 0) negative: a
-    filter or a metric applied to what is left keeps it a direction of descent. power ≥ 1.
+    Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where a step against it would make dark light (≤ 0)
+    negative, or the brightest light (≥ most) brighter: a filter or a metric applied to what is left keeps it a
+    direction of descent. power ≥ 1.
     Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
     """
     lit = np.maximum(light, 0.0)
@@ -36,7 +39,7 @@ def apply_penalty(light: Array, weight: Real, power: Real, hold: Integer, gradie
     parts[0] = weight * np.sum(lit**power)
     gradient += weight * power * lit ** (power - 1)
     if hold:
-        gradient[(light <= 0) & (gradient > 0)] = 0.0
+        gradient[((light <= 0) & (gradient > 0)) | ((light >= most) & (gradient < 0))] = 0.0
 
 
 @kernel(over="model", cpu=CPU, gpu=GPU)

@@ -27,7 +27,7 @@ def multiply(x: Vectors, y: Vectors, out: Vectors, n_i: int, n_j: int, n_z: int)
 
 @wp.kernel
 def apply_penalty(
-    light: Vectors, weight: float, power: float, hold: int, gradient: Vectors, parts: wp.array[float],
+    light: Vectors, weight: float, power: float, hold: int, most: float, gradient: Vectors, parts: wp.array[float],
     n_i: int, n_j: int, n_z: int, n_part: int,
 ) -> None:  # fmt: skip
     slab, tile, j, lane = wp.tid()
@@ -45,6 +45,8 @@ def apply_penalty(
                 result += root * wp.max(lit[k], 0.0)
             if hold != 0 and lit[k] <= 0.0:
                 value[k] = wp.min(value[k], 0.0)
+            if hold != 0 and lit[k] >= most:
+                value[k] = wp.max(value[k], 0.0)
         gradient[slab, i, j, lane] = value
     parts[part_index(slab, tile, j, lane, n_i, n_j, light.shape[3])] = weight * result
 

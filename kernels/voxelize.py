@@ -124,7 +124,7 @@ def _enlist(lists: np.ndarray, start: np.ndarray, column: np.ndarray, code: np.n
 
 
 def _changes(column: np.ndarray, code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of sorted crossings: whether the ray enters there, and whether its winding number passes between 0 and 1."""
+    """For sorted crossings: whether the ray enters there, and whether its winding number passes between 0 and 1."""
     entered = code & 1 == 0
     step = np.where(entered, 1, -1)
     winding = np.cumsum(step)

@@ -25,9 +25,9 @@ FIELD_KERNEL interpolate(ARRAY x, __global const float *restrict knots, __global
 }
 #endif
 
-#ifdef COMPILE_lean_gain
-FIELD_KERNEL lean_gain(__global const float *restrict up, __global const float *restrict aside, float level,
-                       float along, float across, __global float *restrict gain, int n_z, int n_i, int n_j) {
+#ifdef COMPILE_tilted_gain
+FIELD_KERNEL tilted_gain(__global const float *restrict up, __global const float *restrict aside, float level,
+                         float along, float across, __global float *restrict gain, int n_z, int n_i, int n_j) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const float even = 1.0f + across * aside[i * n_j + j];
@@ -62,10 +62,11 @@ FIELD_KERNEL spare_voxels(ARRAY dose, ARRAY target, ARRAY deviation, float share
 }
 #endif
 
-#ifdef COMPILE_weigh_evidence
-FIELD_KERNEL weigh_evidence(ARRAY dose, ARRAY seen, ARRAY deviation, __global const float *restrict judged,
-                            __global const float *restrict samples, float start, float density,
-                            __global float *restrict weight, __global float *restrict pull, SIZES, int n_sample) {
+#ifdef COMPILE_likelihood_weights
+FIELD_KERNEL likelihood_weights(ARRAY dose, ARRAY seen, ARRAY deviation, __global const float *restrict judged,
+                                __global const float *restrict samples, float start, float density,
+                                __global float *restrict weight, __global float *restrict pull, SIZES,
+                                int n_sample) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         Vector rise;
@@ -91,10 +92,10 @@ FIELD_KERNEL share_gain(ARRAY pull, ARRAY weight, float least, float shared, flo
 }
 #endif
 
-#ifdef COMPILE_doubt_conversion
-FIELD_KERNEL doubt_conversion(ARRAY extinction, ARRAY sharp, ARRAY rounded, __global const float *restrict knots,
-                              __global const float *restrict slopes, float model, __global float *restrict variance,
-                              SIZES, int n_knot) {
+#ifdef COMPILE_conversion_deviation
+FIELD_KERNEL conversion_deviation(ARRAY extinction, ARRAY sharp, ARRAY rounded, __global const float *restrict knots,
+                                  __global const float *restrict slopes, float model, __global float *restrict variance,
+                                  SIZES, int n_knot) {
     if (!MINE) return;
     EACH_VECTOR_AT {
         const Vector place = LOAD(extinction + at), edge = LOAD(sharp + at) - LOAD(rounded + at);

@@ -1,4 +1,4 @@
-"""What a watched print makes of each voxel: what light did there, what a camera saw, and what can still be mended."""
+"""Voxels of a watched print: the light so far, what a camera saw, and what can still be corrected."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def interpolate(x: Array, knots: Knots, values: Knots, out: ArrayOut) -> None:
 
 
 @kernel(over="gain", cpu=CPU, gpu=GPU)
-def lean_gain(up: Slices, aside: Columns, level: Real, along: Real, across: Real, gain: ArrayOut) -> None:
+def tilted_gain(up: Slices, aside: Columns, level: Real, along: Real, across: Real, gain: ArrayOut) -> None:
     """gain = level·(1 + along·up + across·aside)."""
     gain[...] = level * (1.0 + along * up + across * aside[:, :, None])
 
@@ -58,14 +58,14 @@ def spare_voxels(
 
 
 @kernel(over="weight", cpu=CPU, gpu=GPU)
-def weigh_evidence(
+def likelihood_weights(
     dose: Array, seen: Array, deviation: Array, judged: Columns, samples: Samples, start: Real, density: Real,
     weight: ArrayOut, pull: ArrayOut,
 ) -> None:  # fmt: skip
-    """How much a relative gain of the dose would change what is seen, squared, and how much of it is asked for.
+    """Curvature and slope of the log-likelihood of a relative gain of each voxel's dose.
 
-    Both in units of the variance: weight = (M'·dose)² / deviation², pull = M'·dose·(seen − M) / deviation², with M the
-    samples as in `look_up`. 0 where ``deviation`` is, which tells that nothing is seen, and where ``judged`` is.
+    weight = (M'·dose)² / deviation², pull = M'·dose·(seen − M) / deviation², with M the samples as in `look_up`. Both
+    are 0 where ``deviation`` is 0, as nothing is seen there, and where ``judged`` is 0.
     """
     made, rise = look_up(dose, samples, start, density)
     known = (deviation > 0.0) & (judged[:, :, None] > 0.0)
@@ -85,7 +85,7 @@ def share_gain(
 
 
 @kernel(over="variance", cpu=CPU, gpu=GPU)
-def doubt_conversion(
+def conversion_deviation(
     extinction: Array, sharp: Array, rounded: Array, knots: Knots, slopes: Knots, model: Real, variance: ArrayInOut
 ) -> None:
     """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), a deviation of conversion, of that of extinction.

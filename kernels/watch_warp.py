@@ -34,7 +34,7 @@ def interpolate(
 
 
 @wp.kernel
-def lean_gain(
+def tilted_gain(
     up: wp.array[float], aside: wp.array2d[float], level: float, along: float, across: float, gain: Vectors,
     n_z: int, n_i: int, n_j: int,
 ) -> None:  # fmt: skip
@@ -81,7 +81,7 @@ def spare_voxels(
 
 
 @wp.kernel
-def weigh_evidence(
+def likelihood_weights(
     dose: Vectors, seen: Vectors, deviation: Vectors, judged: wp.array2d[float], samples: wp.array[float],
     start: float, density: float, weight: Vectors, pull: Vectors, n_i: int, n_j: int, n_z: int, n_sample: int,
 ) -> None:  # fmt: skip
@@ -121,7 +121,7 @@ def share_gain(
 
 
 @wp.kernel
-def doubt_conversion(
+def conversion_deviation(
     extinction: Vectors, sharp: Vectors, rounded: Vectors, knots: wp.array[float], slopes: wp.array[float],
     model: float, variance: Vectors, n_i: int, n_j: int, n_z: int, n_knot: int,
 ) -> None:  # fmt: skip

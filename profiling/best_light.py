@@ -2,10 +2,10 @@
 
 Five slices of 40 × 40 voxels and 60 angles, and five bundled shapes and lattices of some 32 voxels across and 60
 angles. Every method asks for the same two thresholds (`vamgpu.methods.compare`) and may spend the same projector
-evaluations, warm starts included; the default, "best", is one of two others by its evaluations. A light counts by
-its dose on the float64 reference, and by its 8-bit frames along traced rays: window, time until the threshold is
-solid (65 mW/cm² and 50 mJ/cm³, 0.1 of the light absorbed a millimeter), mean dose outside over the mean in the part.
-The bound is that of 1000 evaluations: no light whatever has a wider window.
+evaluations, warm starts included. A light counts by its dose on the float64 reference, and by its 8-bit frames along
+traced rays: window, time until the threshold is solid (65 mW/cm² and 50 mJ/cm³, 0.1 of the light absorbed a
+millimeter), mean dose outside over the mean in the part. The bound is that of 1000 evaluations: no light whatever has a
+wider window.
 
 With --mesh, a solid of so many voxels and angles in place of the ten parts.
 """
@@ -85,8 +85,8 @@ def measure(A: vamgpu.Projection, fractions: np.ndarray, methods: list[str], eva
         out[method] = {}
         plan: Any = None
         for budget in BUDGETS:
-            # a line search that a budget cuts short is not what it would have been, nor does the default choose alike
-            before = None if method in ("lbfgs", "best") else plan
+            # a line search that a budget cuts short is not what it would have been
+            before = None if method in ("lbfgs", "ramp") else plan
             try:
                 plan = compared(A, fractions, method, budget, resume=before)
             except Diverged as error:  # the light of before counts
@@ -134,7 +134,7 @@ def table(record: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--methods", nargs="+", choices=tuple(LABELS), default=[*LABELS][1:])
+    parser.add_argument("--methods", nargs="+", choices=tuple(LABELS), default=[*LABELS])
     parser.add_argument("--parts", nargs="+", default=None, help="some of the ten")
     parser.add_argument("--size", type=int, default=SIZE, help="voxels across of shapes and lattices, or of the mesh")
     parser.add_argument("--mesh", type=Path, default=None, help="a solid in place of the ten parts")

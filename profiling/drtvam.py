@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import vamgpu
-from vamgpu.metrics import light_efficiency, score
+from vamgpu.metrics import mean_brightness, score
 from vamgpu.targets.mesh import load_mesh
 
 SIDE = 8.5
@@ -58,7 +58,7 @@ def projection(name: str, n: int, device: Any) -> vamgpu.Projection:
 def method(iterations: int | None, efficiency: float | None) -> tuple[Any, int]:
     """L-BFGS where light has a price (0.03 unless said), the default method for a price of 0; and how long it runs."""
     if efficiency == 0.0:
-        return vamgpu.ProcessWindow(), iterations or 40
+        return vamgpu.SurfaceRamp(), iterations or 40
     return vamgpu.LBFGS(efficiency=0.03 if efficiency is None else efficiency), iterations or 26
 
 
@@ -84,7 +84,7 @@ def solved(A: Any, target: Any, how: tuple[Any, int], theirs: dict[str, float]) 
             "iou": round(scores.iou, 6),
             "window": round(scores.window, 4),
             "error_rate": scores.error_rate,
-            "light_efficiency": round(light_efficiency(plan.sinogram), 5),
+            "light_efficiency": round(mean_brightness(plan.sinogram), 5),
         },
     }
     for quantile in QUANTILES:
@@ -93,9 +93,9 @@ def solved(A: Any, target: Any, how: tuple[Any, int], theirs: dict[str, float]) 
             "iou": round(proof.scores.iou, 6),
             "window": round(proof.scores.window, 4),
             "error_rate": proof.scores.error_rate,
-            "light_efficiency": round(proof.light_efficiency, 5),
+            "light_efficiency": round(proof.mean_brightness, 5),
             "outside_over_inside": round(proof.outside_over_inside, 4),
-            "efficiency_over_theirs": round(proof.light_efficiency / theirs["light_efficiency"], 2),
+            "efficiency_over_theirs": round(proof.mean_brightness / theirs["light_efficiency"], 2),
         }
     result["theirs, measured before"] = theirs
     return result

@@ -1,4 +1,4 @@
-"""Gray bodies by thresholds and by prices at equal projector evaluations, proved from 8-bit frames along traced rays.
+"""Gray bodies by the default and by L-BFGS at equal projector evaluations, proved from 8-bit frames along traced rays.
 
 Two slices of 40 × 40 voxels and a ball of 32 × 32 × 28, 60 angles, each with a body that asks for a dose of its own.
 For each light: strict window of doses over what voxels are asked for, overlap, and the voxels of the part and of the
@@ -50,7 +50,7 @@ def measure(shape: tuple[int, int, int], bodies: list[vam.Body], device: Any) ->
     beam = vam.Beam((shape[0] + (16 if shape[2] == 1 else 0), shape[2]), PITCH)
     A, found = vam.Projection(target.grid, beam, vam.Turntable(ANGLES), None, device), {}
     for budget in BUDGETS:
-        for method in ("window", "widest"):
+        for method in ("ramp", "lbfgs"):
             proof = vam.simulate(A, vam.pack(vam.optimize(A, target, method, evaluations=budget)), target)
             assert proof.independent
             found[f"{method} {budget}"] = {

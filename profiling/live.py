@@ -16,7 +16,6 @@ from common import machine, write_record
 import vamgpu
 from vamgpu.kernels.camera import draw_noise
 from vamgpu.live import CuringResin, LiveLoop, LiveSetup, LiveState, SensorNoise, Turbidity
-from vamgpu.live.planes import by_planes
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot
 from vamgpu.optics.vial import Vial
@@ -48,7 +47,7 @@ def case(
     combine(1.1 / PLANNED * float(part.sum()) / dot(shone, shone), shone, 0.0, shone, shone)  # (A p)·(A p) = p·(Aᵀ A p)
     light = shone.numpy()
     loop = setup.loop(part, light)
-    camera, even = loop.tomograph.camera, loop.estimator.delivering(OFF).T(light)
+    camera, even = loop.tomograph.camera, loop.estimator.calibrated(OFF).T(light)
     noise, known = (camera.projection.device.empty(camera.projection.range.shape) for _ in range(2))
     combine(0.0, noise, 0.0, noise, known, floor=NOISE.read**-2)
     rows = camera.projection.device.table(np.arange(n), "int32")
@@ -61,10 +60,10 @@ def case(
         def levels(light: np.ndarray) -> np.ndarray:
             return np.clip(np.rint(light), 0, NOISE.brightest).astype(np.uint16).swapaxes(1, 2)
 
-        dark = camera.darkened(by_planes(cured, even))
+        dark = camera.darkened(cured(even))
         noise.device.launch(draw_noise, weight=known, slices=rows, seed=turns, noise=noise)
         combine(-OPEN, dark, 1.0, noise, dark)
-        return by_planes(lambda less: levels(OPEN + less), dark.numpy())
+        return levels(OPEN + dark.numpy())
 
     state = replace(loop.start(), turn=SHOWN - 1, shown=(SHOWN - 1) * light, turns=PLANNED - SHOWN)
     return loop, state, frames

@@ -72,7 +72,7 @@ class Bench:
     def slices(self, name: str) -> Pair:
         """The kernels of an operator alone, one row of light a slice."""
         A, launch = self.operators[name], self.device.launch
-        shared = {"directions": A._directions, **A._light}
+        shared = {"directions": A._directions[0], **A._light}
 
         def forward() -> None:
             launch(forward_footprint, volume=self.volume, sinogram=self.shadow, **shared, **A._gather)
@@ -88,7 +88,7 @@ class Bench:
 
         A = self.operators[name]
         light = {**A._light, "light": A._light["light"].numpy()}
-        return footprint_matrix(A.grid.shape[0], A.beam.pixels[0], A.motion.poses, light)
+        return footprint_matrix(A.grid.shape[0], A.beam.pixels[0], A._directions[0].numpy(), light)
 
 
 def ours(n: int, angles: int, device: Device, runs: int) -> dict[str, Any]:

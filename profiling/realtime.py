@@ -27,7 +27,7 @@ from common import machine, write_record
 from vamgpu.cli.print import DEMO
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.realtime.order import PrintOrder
-from vamgpu.hosts.realtime.watching import started, watched
+from vamgpu.hosts.realtime.watch import started, watched
 from vamgpu.hosts.record import read_run, timing
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.state import Board

@@ -66,8 +66,8 @@ def _flops(kernel: str, given: dict[str, Any]) -> int:
         lit = given["lit"].numpy().astype(np.int64)
         return int(2 * 16 * lit.sum() * angles / len(lit)) * slices
     if kernel == "fourier":
-        belts = given["belts"].numpy().astype(np.float64)  # as is usual, 5·n·log₂ n for n complex numbers
-        return int(2.5 * given["sink"].shape[2] * (belts[:, 1] * belts[:, 2] * np.log2(belts[:, 3])).sum())
+        bands = given["bands"].numpy().astype(np.float64)  # as is usual, 5·n·log₂ n for n complex numbers
+        return int(2.5 * given["sink"].shape[2] * (bands[:, 1] * bands[:, 2] * np.log2(bands[:, 3])).sum())
     return 0
 
 
@@ -116,7 +116,7 @@ def printed(mesh: Path, n: int, angles: int, device: Device, iterations: int) ->
     A = Projection(target.grid, Beam((n, n), target.grid.pitch), Turntable(angles), None, device)
     operators = {"rays": A, "rings": RingProjection.of(A), "rings, tf32": RingProjection.of(A, tf32=True)}
     found: dict[str, Any] = {}
-    for method in ("widest", "osmo"):
+    for method in ("ramp", "osmo"):
         for name, operator in operators.items():
             plan = vamgpu.optimize(operator, target, method, iterations, progress=False)
             proof = vamgpu.simulate(A, vamgpu.pack(plan), target)
@@ -160,18 +160,18 @@ def picture(path: Path) -> None:
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
     poses = list(pose_on_rings(rings, beam, vial))
     most = max(float(pose[..., column].max()) for pose in poses)
-    spectrum = np.full((rings.rings, 48 * max(belt.samples for belt in rings.belts) + 1), np.nan)
-    for belt, pose in zip(rings.belts, poses, strict=True):
-        count = rings.angles * belt.samples
+    spectrum = np.full((rings.rings, 48 * max(band.samples for band in rings.bands) + 1), np.nan)
+    for band, pose in zip(rings.bands, poses, strict=True):
+        count = rings.angles * band.samples
         edges = 2.0 * np.pi / count * (np.arange(count + 1) - 0.5)
-        radii = np.arange(belt.begin, belt.stop + 1) / rings.rings
+        radii = np.arange(band.begin, band.stop + 1) / rings.rings
         turn, radius = np.meshgrid(edges, radii)
         left.pcolormesh(
             radius * np.cos(turn), radius * np.sin(turn), pose[..., column] / most, cmap="magma_r", vmin=0.0, vmax=1.0,
             edgecolors=(0.0, 0.0, 0.0, 0.12), linewidth=0.2,
         )  # fmt: skip
         found = np.abs(np.fft.rfft(pose[..., column], axis=1)) / count
-        spectrum[belt.begin : belt.stop, : found.shape[1]] = found
+        spectrum[band.begin : band.stop, : found.shape[1]] = found
     left.set(
         aspect="equal", xlabel="x / radius", ylabel="y / radius", title="light of one column, one angle, in a vial"
     )

@@ -4,9 +4,8 @@ n^3 voxels, straight light, nothing absorbed. The corner of the tolerance table:
 an axis that is a quarter of a pixel off, either side; one threshold for all, the nominal print without a spread
 included. Nominal light and light with tolerances may spend the same iterations; the evaluations of the latter count
 every scenario that was computed. A light counts by its 8-bit frames, exposed at every corner along rays traced for it.
-With --bound, prices tell what no light exceeds where the point spread is the greatest; with --slab too, of so many
-slices alone, those whose voxels the robust light holds the hardest: what no light exceeds at some corners on some of
-the voxels, none exceeds at all corners on all of them.
+With --bound, multipliers tell what no light exceeds where the point spread is the greatest; with --slab too, of so many
+slices alone: what no light exceeds at some corners on some of the voxels, none exceeds at all corners on all of them.
 
 With --parts, the ten parts of `best_light.py` instead: windows at all corners by each method's own operators, at equal
 projector evaluations, those of corners counted; "nominal" is light of the default that knows no corner.
@@ -22,15 +21,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from best_light import PITCH, SIZE, parts
 from common import HERE, MESH, benchy, machine, write_record
 
 import vamgpu
 from vamgpu.errors import ToleranceWarning
-from vamgpu.methods import Bound, bound
-from vamgpu.methods.split import split_bound
-from vamgpu.methods.state import OptimizerState
+from vamgpu.methods import bound
 from vamgpu.methods.tolerances import CornerDoses, Tolerances
 from vamgpu.printing.corners import prove_corners
 
@@ -49,15 +45,6 @@ def told(doses: CornerDoses) -> dict[str, Any]:
     }
 
 
-def by_rays(plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances | None) -> Bound | None:
-    """The bound of rays through voxels, by the prices that a run on rings found."""
-    field = target.on(A.device)
-    if off is None:
-        return split_bound(OptimizerState(A, field, dict(plan.state)))
-    scenarios = off.scenarios(A)
-    return split_bound(OptimizerState(scenarios, scenarios.stacked([field] * len(scenarios)), dict(plan.state)))
-
-
 def judged(
     plan: vamgpu.Plan, A: vamgpu.Projection, target: Any, off: Tolerances, quantile: float | None
 ) -> dict[str, Any]:  # fmt: skip
@@ -72,23 +59,13 @@ def judged(
     }
 
 
-def hardest(plan: vamgpu.Plan, slices: int, deep: int) -> int:
-    """The first of so many slices in a row whose voxels are heaviest; the middle ones where none has a weight."""
-    if "heavy" not in plan.state:
-        return (deep - slices) // 2
-    each = (plan.state["heavy"].numpy() - 1.0).sum(axis=(0, 1), dtype=np.float64).reshape(-1, deep).sum(axis=0)
-    return int(np.argmax(np.convolve(each, np.ones(slices), "valid")))
-
-
 def bounded(
-    A: vamgpu.Projection, target: Any, off: Tolerances, plan: vamgpu.Plan | None, slab: int, evaluations: float,
-    seconds: float, at: int | None = None,
+    A: vamgpu.Projection, target: Any, off: Tolerances, slab: int, evaluations: float, seconds: float,
+    at: int | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """What no light exceeds, on all slices or on the hardest alone."""
     deep, until = A.grid.shape[2], time.perf_counter() + seconds
-    first = (
-        at if at is not None else 0 if not slab else (deep - slab) // 2 if plan is None else hardest(plan, slab, deep)
-    )
+    first = at if at is not None else (deep - slab) // 2 if slab else 0
     slices = (first, first + slab) if slab else (0, deep)
     steps: list[Any] = []
     found = bound(
@@ -105,13 +82,13 @@ def bounded(
 def tabled(size: int, budgets: list[int], device: Any) -> dict[str, Any]:
     """Windows at all corners, and nominal ones, of ten parts; prints the table."""
     off, found = Tolerances(axis=AXIS * PITCH, spread=(SPREADS[0] * PITCH, SPREADS[1] * PITCH)), {}
-    ways = [("nominal", 400, None)] + [(m, budget, off) for budget in budgets for m in ("window", "widest")]
+    ways = [("nominal", 400, None)] + [(m, budget, off) for budget in budgets for m in ("lbfgs", "ramp")]
     print(f"| part | {' | '.join(f'{method}, {budget}' for method, budget, _ in ways)} |")
     print("|---" + "|--:" * len(ways) + "|")
     for name, (A, fractions) in parts(device, size).items():
         row = found[name] = {}
         for method, budget, tolerances in ways:
-            how = "best" if method == "nominal" else method
+            how = "ramp" if method == "nominal" else method
             plan = vamgpu.optimize(A, fractions, how, evaluations=budget, tolerances=tolerances, progress=False)
             doses = off.doses(A, plan, fractions)
             row[f"{method} {budget}"] = {"corner": round(doses.window, 5), "nominal": round(doses.nominal, 5)}
@@ -125,14 +102,14 @@ def main() -> None:
     parser.add_argument("--mesh", type=Path, default=MESH)
     parser.add_argument("--n", type=int, default=128)
     parser.add_argument("--angles", type=int, default=360)
-    parser.add_argument("--method", default="window", help="of both lights")
+    parser.add_argument("--method", default="ramp", help="of both lights")
     parser.add_argument("--iterations", type=int, nargs="+", default=[120], help="each goes on from the one before")
-    parser.add_argument("--rings", action="store_true", help="seek light on rings; its bound is still that of rays")
+    parser.add_argument("--rings", action="store_true", help="seek light on rings")
     parser.add_argument("--quantile", type=float, default=None, help="of lit pixels that full-on ones show")
     parser.add_argument("--only", choices=("nominal", "robust", "neither"), default=None)
     parser.add_argument("--bound", type=int, default=0, help="evaluations of the robust bound")
     parser.add_argument("--slab", type=int, nargs="+", default=[0], help="slices of each bound; 0 for all")
-    parser.add_argument("--first", type=int, nargs="+", default=[], help="first slices, one a slab; else the hardest")
+    parser.add_argument("--first", type=int, nargs="+", default=[], help="first slice of each slab; else the middle")
     parser.add_argument("--seconds", type=float, default=600.0, help="of each bound at most")
     parser.add_argument("--device", default=None)
     parser.add_argument("--records", type=Path, default=HERE / "records")
@@ -161,14 +138,11 @@ def main() -> None:
                 B, target, args.method, iterations, tolerances=tolerances, resume=plan, progress=False
             )
             record[f"{name} {iterations}"] = judged(plan, A, target, off, args.quantile)
-            found = plan.bound if B is A else by_rays(plan, A, target, tolerances)
-            if found is not None:
-                record[f"{name} {iterations}"]["bound"] = round(found.value, 5)
             print(name, json.dumps(record[f"{name} {iterations}"]), flush=True)
     blurred = replace(off, spread=(SPREADS[1] * pitch, SPREADS[1] * pitch))
     for k, slab in enumerate(args.slab if args.bound else ()):
         at = args.first[k] if k < len(args.first) else None
-        found = bounded(A, target, blurred, plan, slab, args.bound, args.seconds, at)
+        found = bounded(A, target, blurred, slab, args.bound, args.seconds, at)
         record.setdefault("bounds", []).append(found)
         print(json.dumps(found), flush=True)
     print(write_record(args.records, f"robust-{args.n}-{args.label}", record))

@@ -49,7 +49,7 @@ def pair(A: LinearOperator, runs: int) -> dict[str, Any]:
 def level(n: int, slices: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
     """A matrix for all slices, and straight light."""
     grid = Grid((n, n, slices), WIDTH / n)
-    geometry = grid, Beam((n, slices), grid.pitch), Turntable(angles)
+    geometry = grid, Beam((n, slices), grid.pitch), Turntable(angles, lit_share=0)
     fields = carried(grid, deep=False)
     TracedProjection(*geometry, fields, device=device)  # compiles
     start = time.perf_counter()
@@ -63,7 +63,7 @@ def level(n: int, slices: int, angles: int, device: Device, runs: int) -> dict[s
 def deep(n: int, slices: int, angles: int, device: Device, runs: int) -> dict[str, Any]:
     """Rays marched in every product."""
     grid = Grid((n, n, slices), WIDTH / n)
-    beam, motion = Beam((n, slices), grid.pitch), Turntable(angles)
+    beam, motion = Beam((n, slices), grid.pitch), Turntable(angles, lit_share=0)
     A = TracedProjection(grid, beam, motion, carried(grid, deep=True), device=device)
     out = {"steps": steps(A), "gap": max(A.dot_test(seed) for seed in range(4)), "traced": pair(A, runs)}
     for name in ("forward", "back"):
@@ -85,7 +85,7 @@ def thousand(device: Device, runs: int) -> dict[str, Any]:
     """A thousand level rays through the lens of 256 × 256 voxels, about 500 steps each."""
     grid = Grid((256, 256, 1), WIDTH / 256)
     beam, fields = Beam((1000, 1), 0.7 * WIDTH / 1000), CoRotatingMedium(carried(grid, deep=False).index, bath=BATH)
-    A = TracedProjection(grid, beam, Turntable(1), fields, RayBundle.parallel(beam), device)
+    A = TracedProjection(grid, beam, Turntable(1, lit_share=0), fields, RayBundle.parallel(beam), device)
     taken = device.empty((1, 1000), np.int32, table=True)
     inputs = A._inputs(level=True) | {"directions": device.table([[1.0, 0.0]]), "top": 1e6, "most": A.most_steps}
     out = timed(lambda: device.launch(survey_rays, **inputs, steps=taken), device.synchronize, runs)

@@ -83,20 +83,19 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
             met = [name for name in names if _is_met(name, file)]
-            marked = [pytest.param(name, marks=pytest.mark.slow) if _is_slow(name, file) else name for name in met]
+            marked = [pytest.param(name, marks=pytest.mark.slow) if _is_slow(name) else name for name in met]
             metafunc.parametrize(fixture, marked, indirect=True)
 
 
 def _is_met(device: str, file: Path) -> bool:
-    """A second processor is one more driver for the same layout: the contracts and kernels meet it, nothing else."""
-    return device not in _processors()[1:] or _is_close(file)
+    """Kernels and operators agree on all devices, by the contracts: other tests meet the reference and a processor."""
+    others = device in _processors()[1:] or device == "warp:cpu" or device.endswith(GPU_LAYOUT)
+    return not others or _is_close(file)
 
 
-def _is_slow(device: str, file: Path) -> bool:
-    """By default the contracts alone meet Warp and a GPU's layout on a processor; a second processor is slow."""
-    if device in _processors()[1:]:
-        return True
-    return (device.endswith(GPU_LAYOUT) or device == "warp:cpu") and not _is_close(file)
+def _is_slow(device: str) -> bool:
+    """A second processor is one more driver for the same layout."""
+    return device in _processors()[1:]
 
 
 def _is_close(file: Path) -> bool:

@@ -27,8 +27,7 @@ from vamgpu.chemistry.materials.resin import Resin
 from vamgpu.curethrough.resin import read_columns
 from vamgpu.curethrough.stack import open_stack
 from vamgpu.errors import BadInput, JobError, MaterialError, MeshError, SliceError, StorageError, VamError
-from vamgpu.hosts.drivers.camera import FilePlayer
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.record import MAGIC, read_run
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.jobs.curethrough import read_curethrough
 from vamgpu.jobs.foreign.drtvam import read_drtvam
@@ -296,16 +295,12 @@ def run(name: str, words: str | None = None) -> Callable[[Path], Path]:
         good = {"run.json": "{}", "state.json": '{"state": "complete", "message": ""}', "events.jsonl": ""}
         for file, said in good.items():
             (place / file).write_text(said)
-        (place / "shown.bin").write_bytes(b"VAMSHOWN\x01\x00\x00\x00")
+        (place / "shown.bin").write_bytes(MAGIC)
         read_run(place)  # it is sound so far
         pipe(place / name) if words is None else (place / name).write_text(words)
         return place
 
     return make
-
-
-def recorded(place: Path) -> Any:
-    return FilePlayer(place).grab()
 
 
 # TOML
@@ -461,10 +456,6 @@ for what, words in {
     case(f"NPY {what}", text("a.npy", words), map_npy, StorageError)
     case(f"NPZ {what}", npz({"a.npy": words}), read_npz, StorageError)
 case("NPZ bomb", packed("a.npz", {"a.npy": npy("(3000000000,)", "|u1")}, lie=3 * 10**9), read_npz, StorageError)
-
-# images of cameras
-in_place_of("a.png", lambda path: recorded(path.parent), BadInput, "pipe, endless device, folder")
-case("image of 4e9 pixels a row", text("a.png", huge), lambda path: recorded(path.parent), BadInput)
 
 # patterns of other programs
 in_place_of("a.sino", read_vamtoolbox, StorageError)

@@ -147,14 +147,18 @@ def _straight(n: int) -> Example:
 
 
 def _footprint(n: int) -> Example:
-    """Refracted light of pixels narrower than their pitch, blurred."""
-    light, sizes = _tabulated(n, None)
-    tables = {"light": light.map, "edges": light.edges, "directions": _poses(sizes["angle"])}
+    """Refracted light of pixels narrower than their pitch, blurred, into a vial that turns by arcs."""
+    arc = 0.03
+    light, sizes = _tabulated(n, None, arc)
+    count = sizes["angle"]
+    arcs = arc * (np.arange(count) % 4 / 3.0 if count % 4 else np.ones(count))  # unlike ones do not fold
+    poses = np.concatenate([_poses(count), arcs[:, None]], axis=1)
+    tables = {"light": light.map, "edges": light.edges, "directions": poses}
     numbers = {"bent": 1, "ratio": light.steepest, "strength": 0.0, "fill": light.fill, "sigma": light.sigma}
     return Example(sizes, {**tables, **numbers, "radius": light.radius, "taps": light.taps, "cells": light.cells})
 
 
-def _tabulated(n: int, half: float | None) -> tuple[Any, dict[str, int]]:
+def _tabulated(n: int, half: float | None, arc: float = 0.0) -> tuple[Any, dict[str, int]]:
     """Tables of a vial and the sizes of what they serve."""
     from vamgpu.geometry import Beam, Grid
     from vamgpu.operators.ray_table import tabulate
@@ -163,7 +167,7 @@ def _tabulated(n: int, half: float | None) -> tuple[Any, dict[str, int]]:
     pitch = 12.0 / n
     vial = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     sizes = {**_volume(n), **_light(n)}
-    light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch, fill=0.9), vial, half)
+    light = tabulate(Grid((n, sizes["y"], 1), pitch), Beam((sizes["r"], 1), 1.2 * pitch, fill=0.9), vial, half, arc)
     return light, {**sizes, "across": light.map.shape[0], "along": light.map.shape[1]}
 
 
@@ -184,22 +188,23 @@ def _spread_columns(n: int) -> Example:
 
 
 def _exposed(n: int) -> Example:
-    """Light that a caustic folds; an odd square of voxels and poses by fours fold by symmetry too."""
+    """Light that a caustic folds and that turns; an odd square of voxels and poses by fours fold by symmetry too."""
     odd, angles, across = n | 1, n - n % 4 or 4, n + 4
     place = (np.arange(across) - 0.5 * (across - 1)) * 1.3
     middle = 1.0 * n + 1.4 * place[:, None] * (1.0 + 0.002 * place[None, :])
     share, other, zero = np.full_like(middle, 0.3), 1.9 * n - middle, np.zeros_like(middle)
     plain = np.stack([middle - 0.8, middle + 0.8, share, zero], axis=-1)
     folded = np.stack([other, other + 0.4, 0.7 * share, zero], axis=-1)
-    poses = np.concatenate([_poses(angles), np.ones((angles, 1)), np.zeros((angles, 1))], axis=1)
-    sizes = {"angle": angles, "bin": 2 * n, "branch": 2, "across": across, "along": across, "x": odd, "y": odd}
+    arcs = angles * (1 + n % 2)
+    poses = np.concatenate([_poses(arcs), np.ones((arcs, 1)), np.full((arcs, 1), 0.2 * (n % 2))], axis=1)
+    sizes = {"angle": angles, "arc": arcs, "bin": 2 * n, "branch": 2, "across": across, "along": across}
     given = {"poses": poses, "pose": np.stack([plain, folded]), "scale": 1 / 1.3, "single": 0.3 * n, "radius": 0.48 * n}
-    return Example({**sizes, "z": _slices(n)}, given)
+    return Example({**sizes, "x": odd, "y": odd, "z": _slices(n)}, given)
 
 
 def _averaged(n: int) -> Example:
     sizes = {"u": 2 * n + 3, "v": 2 * n + 1, "level": n, "tap": 5, "x": n, "y": n + 1, "z": n}
-    return Example(sizes, {"corner_x": -2, "corner_y": 1, "first": 0})
+    return Example(sizes, {"finer": 2, "corner_x": -2, "corner_y": 1, "first": 0})
 
 
 def _oblique(n: int, source: str) -> Example:
@@ -253,12 +258,6 @@ def _partial(n: int, **given: Any) -> Example:
         ("parts", "moved", "crossed", "inside", "outside", "below", "shorts", "above", "over"), np.sum
     )
     return Example({**_array_sizes(n), "part": 0, "sample": 2}, given, combine=kinds)
-
-
-def _with_gray(device: Device, arguments: dict[str, Any]) -> Any:
-    """Voids, parts, and gray bodies of a tight and of a loose tolerance."""
-    kinds = np.array([0.0, 0.7, 2.1, 2.5], np.float32)
-    return device.upload(np.random.default_rng(3).choice(kinds, arguments["ahead"].shape))
 
 
 def _elementwise(n: int, **given: Any) -> Example:
@@ -543,16 +542,16 @@ def _stack(n: int, **given: Any) -> Example:
     return Example({**sizes, "strip": (n + 3) // 2}, {k: v for k, v in given.items() if k != "reach"}, combine)
 
 
-def _in_belts(size: int) -> Example:
-    """Two belts of four turns: two rings of twice as many samples, and one of three times as many; the first pass."""
-    belts = [
+def _in_bands(size: int) -> Example:
+    """Two bands of four turns: two rings of twice as many samples, and one of three times as many; the first pass."""
+    bands = [
         (0, 8, 2, 4, 1, 0, 0, 2, 2, 7, 0, 4, 7, 2),
         (16, 12, 1, 4, 1, 8, 4, 3, 1, 7, 4, 4, 7, 1),
     ]
     waves = np.concatenate([2.0 * np.pi * np.arange(n) / n for n in (8, 12)])
-    given = {"belts": in_groups(belts), "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
+    given = {"bands": in_groups(bands), "waves": np.stack([np.cos(waves), np.sin(waves)], axis=1), "sign": -1.0}
     given |= {"first": 0, "second": 0, "third": 0, "last": 0}
-    return Example({"a": 4, "b": 7, "i": 4, "j": 7, "z": size + size % 2, "belt": 2, "wave": 20}, given)
+    return Example({"a": 4, "b": 7, "i": 4, "j": 7, "z": size + size % 2, "band": 2, "wave": 20}, given)
 
 
 def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
@@ -570,7 +569,7 @@ def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
 
 
 EXAMPLES: dict[str, Callable[[int], Example]] = {
-    "fourier": _in_belts,
+    "fourier": _in_bands,
     "light_rings": _on_rings,
     "gather_rings": _on_rings,
     "spread_rows": _spread_rows,
@@ -606,15 +605,13 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "fold": lambda n: Example({"part": 64 * n, "folded": 512}, {"kind": 0}),
     "linear": lambda n: _elementwise(n, a=0.5, b=-1.5, floor=-0.4),
     "multiply": lambda n: _elementwise(n),
-    "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1),
-    "light_step": lambda n: _partial(n, step=0.7, most=0.8),
-    "limit_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, loose=0.3, reach=0.4 * n, target=_with_gray),
-    "split_levels": lambda n: _partial(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
-    "split_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n, rim=0.3),
-    "split_light": lambda n: _partial(n, base=0.3, relax=1.6, most=1.2),
-    "split_two_levels": lambda n: _elementwise(n, push=0.3, base=0.3, relax=1.6),
-    "split_prices": lambda n: _elementwise(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
-    "price_dose": _elementwise,
+    "apply_penalty": lambda n: _partial(n, weight=0.1, power=3.0, hold=1, most=0.9),
+    "primal_step": lambda n: _partial(n, step=0.7),
+    "dual_step": lambda n: _partial(n, step=0.7, least=0.6, leak=0.3, reach=0.4 * n),
+    "find_levels": lambda n: _partial(n, least=0.8, leak=1.7, reach=0.4 * n, rim=0.3),
+    "clip_dose": lambda n: _elementwise(n, least=0.8, leak=1.7, relax=1.6, reach=0.4 * n, rim=0.3),
+    "clip_light": lambda n: _elementwise(n, push=0.3, base=0.3, relax=1.6),
+    "dual_dose": _elementwise,
     "reflect": lambda n: _elementwise(n, share=0.8),
     "divide_prices": lambda n: _elementwise(n, inside=0.3, outside=0.7),
     "light_short_pixels": lambda n: _elementwise(n, scale=2.0),
@@ -627,10 +624,15 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     ),
     "price_flips": lambda n: Example(_array_sizes(n), {"least": 0.2, "most": 0.4, "leak": 0.1, "step": 0.1}, below=0.5),
     "flip_pixels": lambda n: Example(_array_sizes(n), below=0.5),
+    "step_pixels": lambda n: Example(
+        _array_sizes(n), {"worth": 0.6, "seed": 5, "first": 3, "step": 0.2, "most": 0.9}, below=0.5
+    ),
     "filter_rows": lambda n: _filtered(n, floor=0.0),
     "filtered_step": lambda n: _filtered(n, step=0.3, momentum=0.8),
     "band_loss": _band,
     "sampled_loss": _sampled,
+    "ramp_loss": lambda n: _partial(n, weighted=1, outside=0.3, inside=0.8, most=0.9, reach=0.4 * n),
+    "dark_loss": lambda n: _partial(n, most=0.6),
     "tally": _counted,
     "fold_counts": _folded,
     "survey": _surveyed,
@@ -649,12 +651,12 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "draw_noise": lambda n: Example(_light(n), {"slices": np.arange(_slices(n)), "seed": 7}),
     "pick_voxels": _voxels,
     "interpolate": _voxels,
-    "lean_gain": lambda n: _voxels(n, level=0.8, along=0.1, across=-0.3),
+    "tilted_gain": lambda n: _voxels(n, level=0.8, along=0.1, across=-0.3),
     "match_dose": lambda n: _voxels(n, least=0.2, most=1.5),
     "spare_voxels": lambda n: _voxels(n, share=0.3, margin=0.1, inside=0.5, greatest=0.6),
-    "weigh_evidence": _voxels,
+    "likelihood_weights": _voxels,
     "share_gain": lambda n: _voxels(n, least=0.3, shared=0.4, strength=5.0),
-    "doubt_conversion": lambda n: _voxels(n, model=0.1),
+    "conversion_deviation": lambda n: _voxels(n, model=0.1),
     "weigh_poses": lambda n: Example({**_light(n), "pose": _light(n)["angle"] // 2}),
     "rebin_rays": _rebinned,
     "count_crossings": lambda n: _solid(n, listed=False),

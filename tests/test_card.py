@@ -16,7 +16,7 @@ from PIL import Image
 import vamgpu as vam
 from vamgpu import card as module
 from vamgpu.card import card
-from vamgpu.methods import run
+from vamgpu.methods import progress
 
 HOSTILE = "<script>alert('x')</script>\"'"
 
@@ -31,7 +31,12 @@ def made() -> dict[str, Any]:
     plan = vam.optimize(A, target, iterations=3)
     frames = vam.pack(plan, bits=8)
     proof = vam.simulate(A, frames, target)
-    return {"target": target, "operator": A, "transpose": A.T, "plan": plan, "frames": frames, "proof": proof}
+    assert proof.verdict.proved, "a card shows the verdict once it is known"
+    nouns = {"grid": A.grid, "beam": vam.Beam((16, 6), 0.25, fill=0.9), "motion": vam.Turntable.arc(12, np.pi)}
+    vial = vam.Vial(radius=4.0, wall=0.5, resin_index=1.5, wall_index=1.47, absorption=0.05)
+    bodies = [vam.Body(part, pitch=0.25, name=HOSTILE), vam.Body(part, "gray", HOSTILE, dose=0.7, pitch=0.25)]
+    nouns |= {"vial": vial, "scene": vam.Scene([*bodies, vam.Body(lambda x, y, z: x + y + z, "insert")])}
+    return nouns | {"target": target, "operator": A, "transpose": A.T, "plan": plan, "frames": frames, "proof": proof}
 
 
 def pictures(html: str) -> list[np.ndarray]:
@@ -47,6 +52,11 @@ def pictures(html: str) -> list[np.ndarray]:
         ("transpose", 1, ("12 × 16 × 6",)),
         ("plan", 2, ("strict window", "12 × 16 × 6")),
         ("frames", 1, ("12 of 16 × 6 pixels", "8 bits")),
+        ("grid", 0, ("[16, 16, 6]", "0.25 mm", "4 × 4 × 1.5 mm")),
+        ("beam", 0, ("[16, 6]", "0.25 mm", "4 × 1.5 mm", "0.9", "0.5 pixels")),
+        ("motion", 1, ("12 measured, from 0° to 165°", "lit share")),
+        ("vial", 1, ("4.0 mm", "0.05 1/mm", "out to", "2.667 of 3.5 mm")),
+        ("scene", 0, ("1: ", "gray, dose 0.7, to 0.952 mm", "z -0.75 to 0.75 mm", "insert, by a function")),
         ("proof", 3, ("process window, strict", "verdict", "IoU")),
     ],
 )
@@ -92,7 +102,7 @@ def test_mended_meshes_say_so(made: dict[str, Any]) -> None:
 def test_a_bar_is_shown_where_somebody_looks(
     made: dict[str, Any], looks: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(run, "watched", lambda: looks)
+    monkeypatch.setattr(progress, "watched", lambda: looks)
     monkeypatch.setenv("FORCE_COLOR", "1")  # the bar is told that there is a terminal, and one that moves its cursor
     monkeypatch.setenv("TERM", "xterm")
     rich.reconfigure()  # its console may be older than these settings

@@ -90,16 +90,6 @@ def test_an_argument_under_its_old_name_reaches_the_function():
         write("a", told=2, progress=1)  # pyright: ignore[reportCallIssue]
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [("Aimed", "Misaligned"), ("Carried", "CoRotatingMedium"), ("Aims", "LossWeights")]
-)
-def test_old_public_names_of_the_library(old, new):
-    import vamgpu
-
-    with pytest.warns(DeprecationWarning, match=f"vamgpu.{old} is called vamgpu.{new} now"):
-        assert getattr(vamgpu, old) is getattr(vamgpu, new)
-
-
 def test_an_old_kind_of_a_file_is_read_with_a_warning():
     from vamgpu import Misaligned
     from vamgpu.schema.read import read

@@ -30,7 +30,7 @@ UNIT = re.compile(
 )
 """A unit in brackets, or the word that stands for one: a share has none, a dose has that of the target."""
 PROPERTIES = (property, cached_property)
-UNLISTED = {"calibration", "cli", "curethrough", "hosts", "jobs", "reports", "storage"}
+UNLISTED = {"calibration", "curethrough", "hosts"}
 """Packages without ``__all__``."""
 
 

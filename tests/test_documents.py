@@ -31,3 +31,33 @@ def test_links_of_the_readme_lead_somewhere() -> None:
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
     assert len(links) >= 4
     assert all((ROOT / link).exists() for link in links), links
+
+
+def test_the_next_version_has_a_short_changelog() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.findall(r"^## .+?(?=^## |\Z)", text, re.M | re.S)[0]
+    assert newest.startswith("## 0.3.0") and newest.count("\n") <= 60
+    assert re.findall(r"^### (.+)$", newest, re.M) == ["Added", "Changed", "Removed", "Fixed"]
+    bullets = re.findall(r"^- .+$", newest, re.M)
+    assert bullets and all(bullet.endswith(".") and ". " not in bullet for bullet in bullets)
+
+
+def test_every_decision_is_a_short_record_that_the_index_names() -> None:
+    text = (ROOT / "DECISIONS.md").read_text(encoding="utf-8")
+    index, _, body = text.partition("\n## Records\n")
+    records = re.findall(r"^### (\d+)\. ([^\n]+)\n\n(.+?)(?=\n\n###|\Z)", body.rstrip(), re.M | re.S)
+    numbers = [int(number) for number in re.findall(r"^### (\d+)", body, re.M)]
+    assert [int(number) for number, *_ in records] == numbers == sorted(set(numbers))
+    names = {number: f"{number}. {title}" for number, title, _ in records}
+    anchors = {number: re.sub(r"[^\w\- ]", "", name.lower()).replace(" ", "-") for number, name in names.items()}
+    lines = sorted(re.findall(r"^- \[(\d+)\. (.+)\]\(#(.+)\)$", index, re.M), key=lambda line: int(line[0]))
+    assert lines == [(number, title, anchors[number]) for number, title, _ in records]
+    for number, title, record in records:
+        assert len(f"{title} {record}".split()) <= 150, number
+        parts = re.findall(r"^- \*\*(\w+)\*\* (.+)$", record, re.M)
+        status = parts[-1][1]
+        kinds = ["Status"] if status.startswith("superseded by ") else ["Context", "Decision", "Status"]
+        assert [kind for kind, _ in parts] == kinds and record.count("\n") == len(kinds) - 1, number
+        named = re.findall(r"\[(\d+)\]\(#([^)]+)\)", status)
+        assert status.startswith("accepted") or named, number
+        assert all(anchors.get(other) == anchor for other, anchor in named), number

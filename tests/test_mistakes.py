@@ -55,6 +55,14 @@ MISTAKES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no bodies": (lambda s: vam.Scene(None), "got a NoneType as bodies; expected a list"),  # type: ignore[arg-type]
     "function of two": (lambda s: scene(lambda x, y: x), "function of body 'odd'.*expected φ"),
     "function of text": (lambda s: scene(lambda x, y, z: "solid"), "function of body 'odd'.*expected φ"),
+    "vial in µm": (
+        lambda s: vam.Vial(12000, 1.0, 1.5, 1.47),
+        r"Vial radius \[mm\] is 12000; expected 0\.05 to 1000 mm.*12000 um was meant, write 12000 \* vamgpu\.units\.um",
+    ),
+    "vial in metres": (lambda s: vam.Vial(0.0124, 0.001, 1.5, 1.47), "if 0.0124 m was meant, write"),
+    "pixels in µm": (lambda s: vam.Beam((16, 4), 67), r"Beam pitch \[mm\] is 67; .* if 67 um was meant"),
+    "pixels in metres": (lambda s: vam.Beam((16, 4), 67e-6), "if 6.7e-05 m was meant"),
+    "voxels in µm": (lambda s: vam.Grid((8, 8, 8), 67), r"Grid pitch \[mm\] is 67; expected 25 mm at most.*67 um was"),
     "loss that is a number": (
         lambda s: solved(s, VoxelLoss(np.square, part=cast(Any, 3))),
         "part of a VoxelLoss is 3; expected a funct",

@@ -173,3 +173,10 @@ def test_the_recipe_for_conda_is_what_the_project_says() -> None:
     (entry,) = recipe["build"]["entry_points"]
     assert entry.replace(" ", "") == "vam=" + PROJECT["project"]["scripts"]["vam"]
     assert set(recipe["test"]["imports"]) <= set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_dir_lists_public_names_alone() -> None:
+    import vamgpu
+
+    assert vamgpu.Grid  # loads a module, which becomes an attribute
+    assert dir(vamgpu) == sorted(vamgpu.__all__)

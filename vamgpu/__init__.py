@@ -8,8 +8,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from vamgpu.deprecated import renamed
-
 _PUBLIC = {
     "devices": "vamgpu.backend",
     "open_device": "vamgpu.backend",
@@ -17,6 +15,7 @@ _PUBLIC = {
     "Beam": "vamgpu.geometry",
     "Turntable": "vamgpu.geometry",
     "WebGrid": "vamgpu.web",
+    "projector": "vamgpu.operators.projector",
     "Projection": "vamgpu.operators.projection",
     "PolarGrid": "vamgpu.operators.polar",
     "RingProjection": "vamgpu.operators.ring_projection",
@@ -44,6 +43,8 @@ _PUBLIC = {
     "Film": "vamgpu.optics.film",
     "Roller": "vamgpu.optics.roller",
     "TunableLens": "vamgpu.optics.lens",
+    "resin_pixel": "vamgpu.optics.sampling",
+    "enough_angles": "vamgpu.optics.sampling",
     "Target": "vamgpu.targets.target",
     "Body": "vamgpu.scene",
     "Scene": "vamgpu.scene",
@@ -55,8 +56,8 @@ _PUBLIC = {
     "FilteredBackProjection": "vamgpu.methods",
     "GradientDescent": "vamgpu.methods",
     "PenaltyMinimization": "vamgpu.methods",
-    "ProcessWindow": "vamgpu.methods",
     "Recipe": "vamgpu.methods",
+    "SurfaceRamp": "vamgpu.methods",
     "Tolerances": "vamgpu.methods",
     "Frames": "vamgpu.printing.frames",
     "GrayCurve": "vamgpu.printing.gray",
@@ -89,7 +90,7 @@ _PUBLIC = {
     "Spiral": "vamgpu.targets.spiral",
     "gray_wedges": "vamgpu.targets.designs",
     "usaf": "vamgpu.targets.designs",
-    "live": "vamgpu.hosts.live.watched",
+    "live": "vamgpu.hosts.live.live_print",
 }
 """Public name → module that defines it."""
 
@@ -97,18 +98,13 @@ __version__ = "0.3.0.dev0"
 __all__ = [*_PUBLIC, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def _load(name: str) -> Any:
+def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"vamgpu has no {name!r}; it has {', '.join(_PUBLIC)}")
-    if name == "live":  # the room of that name, which prints when it is called
+    if name == "live":  # the package of that name, which prints when it is called
         return import_module("vamgpu.live")
     return getattr(import_module(_PUBLIC[name]), name)
 
 
-_RENAMED = {"Aimed": "Misaligned", "Aims": "LossWeights", "Carried": "CoRotatingMedium"}
-"""Old name → the module and the name it has now, for one release."""
-__getattr__ = renamed(__name__, _RENAMED, otherwise=_load)
-
-
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_PUBLIC])
+    return sorted(__all__)

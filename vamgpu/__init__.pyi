@@ -14,7 +14,7 @@ from vamgpu.chemistry.stationary import stationary as stationary
 from vamgpu.geometry import Beam as Beam
 from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
-from vamgpu.hosts.live.watched import live as live
+from vamgpu.hosts.live.live_print import live as live
 from vamgpu.jobs.load import load as load
 from vamgpu.methods import (
     BCLP as BCLP,
@@ -38,10 +38,10 @@ from vamgpu.methods import (
     Plan as Plan,
 )
 from vamgpu.methods import (
-    ProcessWindow as ProcessWindow,
+    Recipe as Recipe,
 )
 from vamgpu.methods import (
-    Recipe as Recipe,
+    SurfaceRamp as SurfaceRamp,
 )
 from vamgpu.methods import (
     Tolerances as Tolerances,
@@ -66,6 +66,7 @@ from vamgpu.operators.moves import Wobbled as Wobbled
 from vamgpu.operators.oblique import Oblique as Oblique
 from vamgpu.operators.polar import PolarGrid as PolarGrid
 from vamgpu.operators.projection import Projection as Projection
+from vamgpu.operators.projector import projector as projector
 from vamgpu.operators.ring_projection import RingProjection as RingProjection
 from vamgpu.operators.spectral import SpectralProjection as SpectralProjection
 from vamgpu.operators.traced import TracedProjection as TracedProjection
@@ -81,6 +82,8 @@ from vamgpu.optics.occluder import Occluded as Occluded
 from vamgpu.optics.rising import Cone as Cone
 from vamgpu.optics.rising import Inclined as Inclined
 from vamgpu.optics.roller import Roller as Roller
+from vamgpu.optics.sampling import enough_angles as enough_angles
+from vamgpu.optics.sampling import resin_pixel as resin_pixel
 from vamgpu.optics.shadowgram import shadowgram as shadowgram
 from vamgpu.optics.square import SquareBath as SquareBath
 from vamgpu.optics.vat import Vat as Vat

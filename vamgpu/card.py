@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: a title, small pictures, and numbers with their units."""
+"""Cards of objects in notebooks: a title, small pictures, and numbers with their units."""
 
 from __future__ import annotations
 
@@ -39,14 +39,7 @@ def card(title: str, numbers: Mapping[str, object], pictures: Mapping[str, np.nd
 
 
 def drawable(shape: tuple[int, ...]) -> bool:
-    """Whether an array is small enough to be copied for a picture.
-
-    Args:
-        shape: Its shape.
-
-    Returns:
-        True up to `LARGEST` values.
-    """
+    """Whether an array of a shape is small enough, up to `LARGEST` values, to be copied for a picture."""
     return int(np.prod(shape, dtype=np.int64)) <= LARGEST
 
 

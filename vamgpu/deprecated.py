@@ -14,18 +14,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def renamed(module: str, names: Mapping[str, str], otherwise: Callable[[str], Any] | None = None) -> Callable[..., Any]:
-    """Make the ``__getattr__`` of a module that still answers to old names.
-
-    ``__getattr__ = renamed(__name__, {"Carried": "CoRotatingMedium", "Work": "vamgpu.hosts.jobs.PrintJob"})``
-
-    Args:
-        module: The module's ``__name__``.
-        names: Old name → new name, in this module or with the path of another.
-        otherwise: Looks up what is no old name; it raises `AttributeError` for a name unknown to it.
-
-    Returns:
-        The module's ``__getattr__``.
-    """
+    """Make the ``__getattr__`` of a module that still answers to old names; ``otherwise`` looks up any other."""
+    # ``__getattr__ = renamed(__name__, {"Carried": "CoRotatingMedium", "Work": "vamgpu.hosts.jobs.PrintJob"})``
 
     def look_up(name: str) -> Any:
         if name in names:
@@ -40,11 +30,7 @@ def renamed(module: str, names: Mapping[str, str], otherwise: Callable[[str], An
 
 
 class Renamed:
-    """An old name of an attribute, a property or a method: ``prove: ClassVar[Renamed] = Renamed("dot_test")``.
-
-    Args:
-        new: The name it has now.
-    """
+    """An old name of an attribute, a property or a method: ``prove: ClassVar[Renamed] = Renamed("dot_test")``."""
 
     old: str
 
@@ -61,14 +47,7 @@ class Renamed:
 
 
 def renamed_arguments(**names: str) -> Callable[[F], F]:
-    """Let a function or a class take keyword arguments under their old names: ``@renamed_arguments(told="progress")``.
-
-    Args:
-        **names: Old name → new name.
-
-    Returns:
-        The decorator; what it makes raises `BadInput` for an argument under both names.
-    """
+    """Decorate a function or a class to take keyword arguments by old names: ``@renamed_arguments(old="new")``."""
 
     def decorated(function: F) -> F:
         if isinstance(function, type):
@@ -90,14 +69,27 @@ def renamed_arguments(**names: str) -> Callable[[F], F]:
     return decorated
 
 
-def warn_renamed(old: str, new: str, stacklevel: int = 3, category: type[Warning] = DeprecationWarning) -> None:
-    """Warn that ``old`` is called ``new`` now.
+def named_arguments(*names: str) -> Callable[[F], F]:
+    """Decorate a function to take by place, behind its first argument, what it takes by name alone now."""
 
-    Args:
-        old: The name that was used.
-        new: The name to use.
-        stacklevel: Frames from here to the line that used it, as `warnings.warn` counts them.
-        category: `FutureWarning` for words of files, which users of the command line see.
-    """
+    def decorated(function: F) -> F:
+        @wraps(function)
+        def called(first: Any, *args: Any, **given: Any) -> Any:
+            if args and isinstance(args[0], int):
+                what = ", ".join(f"{name}=" for name in names[: len(args)])
+                warnings.warn(
+                    f"{function.__qualname__} takes {what} by name; their places go with the next release",
+                    DeprecationWarning, stacklevel=2,
+                )  # fmt: skip
+                given, args = {**dict(zip(names, args, strict=False)), **given}, ()
+            return function(first, *args, **given)
+
+        return cast(F, called)
+
+    return decorated
+
+
+def warn_renamed(old: str, new: str, stacklevel: int = 3, category: type[Warning] = DeprecationWarning) -> None:
+    """Warn that ``old`` is called ``new`` now; ``category`` is `FutureWarning` for words of files."""
     message = f"{old} is called {new} now; the old name goes with the next release"
     warnings.warn(message, category, stacklevel=stacklevel)

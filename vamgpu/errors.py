@@ -130,7 +130,7 @@ class DeviceRefused(DeviceError):
 
 
 class ProtocolError(DeviceError):
-    """What came over a line is no message: cut short, garbled, or of another protocol."""
+    """A line received no valid message: cut short, malformed, or of another protocol."""
 
 
 class TimingInfeasible(BadInput):
@@ -187,6 +187,14 @@ class DivergenceWarning(UserWarning):
 
 class OpticsWarning(UserWarning):
     """Light reaches part of the target so weakly that the print will suffer there."""
+
+
+class DoseWarning(UserWarning):
+    """A print gives another dose than the one that was proved; the message says which, and what that changes."""
+
+
+class SamplingWarning(OpticsWarning):
+    """Voxels or angles are too coarse for the pixels of a projector; the message says what would do."""
 
 
 class PackWarning(UserWarning):

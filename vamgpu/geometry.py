@@ -7,21 +7,25 @@ grid and beam is centered on it. With θ the pose, ``r = y·cosθ − x·sinθ``
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from vamgpu.card import card
 from vamgpu.errors import BadInput
 from vamgpu.quantity import positive
-from vamgpu.schema import check
-from vamgpu.schema.quantities import Fill, Length, Positive, Turn, Width
+from vamgpu.schema import check, write
+from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Width
 
 HALF_A_PIXEL = 0.5
 """Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
 WIDEST = 30
 """Standard deviation [pixels] from which on a point spread is a mistake of units, not a lens."""
 FULL_TURN = 2.0 * np.pi
+DIAL = 96
+"""Pixels along the side of the picture of a turntable."""
 SAME_ANGLE = 1e-9
 """Angles [rad] this close are the same: files write decimals."""
 
@@ -62,11 +66,18 @@ class Grid:
     """
 
     shape: tuple[int, int, int]
-    pitch: Length
+    pitch: Pitch
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", counts("Grid shape", self.shape, 3))
         check(self)
+
+    def __str__(self) -> str:
+        return f"{' × '.join(map(str, self.shape))} voxels of {1e3 * self.pitch:.4g} µm"
+
+    def _repr_html_(self) -> str:
+        size = " × ".join(f"{n * self.pitch:.4g}" for n in self.shape)
+        return card("Grid", {**write(self, units=True), "size": f"{size} mm"})
 
     @property
     def voxel_volume(self) -> float:
@@ -118,7 +129,7 @@ class Beam:
     """
 
     pixels: tuple[int, int]
-    pitch: Length
+    pitch: PixelPitch
     fill: Fill = 1.0
     spread: Width | None = None
 
@@ -129,6 +140,11 @@ class Beam:
         if self.sigma > WIDEST:
             raise BadInput(f"spread is {self.spread:g} mm, {self.sigma:.3g} pixels of {self.pitch:g} mm; expected "
                            f"{WIDEST} pixels at most: check the unit, 25 µm is 0.025 mm")  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        size = " × ".join(f"{n * self.pitch:.4g}" for n in self.pixels)
+        blur = f"{self.sigma:.3g} pixels, standard deviation"
+        return card("Beam", {**write(self, units=True), "size": f"{size} mm", "point spread": blur})
 
     @property
     def pixel_area(self) -> float:
@@ -169,10 +185,16 @@ class Turntable:
     ``Turntable([0.0, 0.017, …])`` has them where they were measured. The attributes ``theta`` [rad] and ``dwell`` are
     None where angles are even over a full turn from 0, and lit equally long.
 
+    A frame lasts. The container turns steadily while it is lit, from half an arc before its angle to half an arc after
+    it; ``lit_share`` is the arc over the step to the next angle. A container that stands still while a frame is lit has
+    a lit share of 0.
+
     Args:
         angles: How many angles, or each angle θ [rad], in the order they are shown, within one turn.
         dwell: How long each angle is lit, relative to the mean; (angles,), above 0, scaled to a mean of 1. None:
             equally long. Light stays an irradiance: operators weight each angle by its time.
+        lit_share: Share of each step during which its frame is lit while the container turns, 0 to 1. None: 1 for even
+            angles, and 0 for angles that are listed, of which each is a place and not a step.
 
     Raises:
         BadInput: A number is not finite, angles exceed a turn, or times and angles differ in number.
@@ -181,9 +203,14 @@ class Turntable:
     angles: int
     theta: tuple[float, ...] | None
     dwell: tuple[float, ...] | None
+    lit_share: float
+    _arcs: tuple[float, ...] | None
 
     def __init__(
-        self, angles: int | Sequence[Turn] | np.ndarray, dwell: Sequence[Positive] | np.ndarray | None = None
+        self,
+        angles: int | Sequence[Turn] | np.ndarray,
+        dwell: Sequence[Positive] | np.ndarray | None = None,
+        lit_share: float | None = None,
     ) -> None:
         listed = isinstance(angles, (list, tuple, range)) or np.ndim(angles) > 0  # pyright: ignore[reportArgumentType]
         theta = _finite("Turntable angles [rad]", angles) if listed else None
@@ -198,10 +225,17 @@ class Turntable:
         object.__setattr__(self, "angles", count)
         object.__setattr__(self, "theta", None if theta is None else tuple(theta.tolist()))
         object.__setattr__(self, "dwell", None if dwell is None else _relative(dwell, count))
+        object.__setattr__(self, "lit_share", _lit_share(lit_share, 0.0 if listed else 1.0))
+        object.__setattr__(self, "_arcs", None)
 
     @classmethod
     def arc(
-        cls, angles: int, span: float, start: float = 0.0, dwell: Sequence[float] | np.ndarray | None = None
+        cls,
+        angles: int,
+        span: float,
+        start: float = 0.0,
+        dwell: Sequence[float] | np.ndarray | None = None,
+        lit_share: float = 1.0,
     ) -> Turntable:
         """Even angles over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
 
@@ -210,6 +244,7 @@ class Turntable:
             span: The part of a turn [rad], at most 2π.
             start: First angle [rad].
             dwell: Times relative to their mean, (angles,), as for `Turntable`.
+            lit_share: Share of each step during which its frame is lit, as for `Turntable`.
 
         Returns:
             The turntable.
@@ -221,7 +256,7 @@ class Turntable:
         part = positive("Turntable span [rad]", span)
         if part > FULL_TURN * (1.0 + 1e-12):
             raise BadInput(f"Turntable span is {part:g} rad; expected at most 2π, a full turn: convert with units.deg")
-        return cls(start + part / FULL_TURN * _even(count), dwell)
+        return cls(start + part / FULL_TURN * _even(count), dwell, lit_share)
 
     def part(self, first: int, stop: int) -> Turntable:
         """A stretch of the turn, each angle lit as long as in the whole turn.
@@ -233,18 +268,63 @@ class Turntable:
         Returns:
             The stretch.
         """
-        piece = Turntable(self.poses[first:stop])
+        return self.chosen(range(first, stop))
+
+    def chosen(self, numbers: Sequence[int]) -> Turntable:
+        """Some of the angles, each lit as long, and over the same arc, as in the whole turn.
+
+        Args:
+            numbers: Of the angles, in the order in which they are shown.
+
+        Returns:
+            The turntable at these angles.
+        """
+        some = list(numbers)
+        piece = Turntable(self.poses[some], lit_share=self.lit_share)
         if self.dwell is not None:
-            object.__setattr__(piece, "dwell", self.dwell[first:stop])
+            object.__setattr__(piece, "dwell", tuple(self.dwell[number] for number in some))
+        if not np.allclose(piece.arcs, self.arcs[some], rtol=0.0, atol=SAME_ANGLE):
+            object.__setattr__(piece, "_arcs", tuple(self.arcs[some].tolist()))
         return piece
 
     def described(self) -> dict[str, Any]:
-        """What the constructor was given.
+        """Describe the constructor's arguments.
 
         Returns:
             Its arguments by name.
         """
-        return {"angles": self.angles if self.theta is None else self.theta, "dwell": self.dwell}
+        angles = self.angles if self.theta is None else self.theta
+        return {"angles": angles, "dwell": self.dwell, "lit_share": self.lit_share}
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Turn [rad] from each angle to the next, as a mean of both its neighbors; shape (angles,)."""
+        if self.angles == 1:
+            return np.full(1, FULL_TURN)
+        if self.theta is None:
+            return np.full(self.angles, FULL_TURN / self.angles)
+        order = np.argsort(self.poses, kind="stable")
+        gaps = np.diff(self.poses[order])
+        around = FULL_TURN - gaps.sum()  # from the last angle on to the first
+        whole = around <= 1.5 * gaps.max()
+        before = np.concatenate([[around if whole else gaps[0]], gaps])
+        after = np.concatenate([gaps, [around if whole else gaps[-1]]])
+        found = np.empty(self.angles)
+        found[order] = 0.5 * (before + after)
+        return found
+
+    @property
+    def arcs(self) -> np.ndarray:
+        """Turn [rad] of the container while each frame is lit, half of it before the angle; shape (angles,)."""
+        return self.lit_share * self.steps if self._arcs is None else np.array(self._arcs)
+
+    @property
+    def stepped(self) -> Turntable:
+        """The same with a container that stands still while a frame is lit."""
+        rest = copy(self)
+        object.__setattr__(rest, "lit_share", 0.0)
+        object.__setattr__(rest, "_arcs", None)
+        return rest
 
     @property
     def poses(self) -> np.ndarray:
@@ -263,18 +343,44 @@ class Turntable:
 
     def __repr__(self) -> str:
         times = "" if self.dwell is None else f", dwell={_shortened(self.dwell)}"
-        return f"Turntable(angles={self.angles if self.theta is None else _shortened(self.theta)}{times})"
+        usual = self.lit_share == (1.0 if self.theta is None else 0.0)
+        lit = "" if usual else f", lit_share={self.lit_share:g}"
+        return f"Turntable(angles={self.angles if self.theta is None else _shortened(self.theta)}{times}{lit})"
 
     def __str__(self) -> str:
-        low, high = (np.degrees(end) for end in (self.poses.min(), self.poses.max()))
-        where = "over a full turn" if self.theta is None else f"measured, from {low:.4g}° to {high:.4g}°"
+        where = "over a full turn"
+        if self.theta is not None:
+            where = f"measured, from {np.degrees(min(self.theta)):.4g}° to {np.degrees(max(self.theta)):.4g}°"
         lit = "" if self.dwell is None else f", each lit {min(self.dwell):.3g} to {max(self.dwell):.3g} times the mean"
-        return f"{self.angles} {where}{lit}"
+        return f"{self.angles} {where}{lit}, {self.moves}"
+
+    def _repr_html_(self) -> str:
+        lit = 0.5 + 0.5 * self.times / self.times.max()
+        seen = np.zeros((DIAL, DIAL))
+        for radius in range(DIAL // 4, DIAL // 2):
+            x, y = (np.rint(0.5 * (DIAL - 1) + radius * part(self.poses)).astype(int) for part in (np.cos, np.sin))
+            seen[x, y] = lit
+        return card("Turntable", {"angles": self, "lit share": f"{self.lit_share:g}"}, {"angles, from above": seen})
+
+    @property
+    def moves(self) -> str:
+        """The vial's motion while a frame is lit, in words."""
+        return "at rest while lit" if not self.lit_share else f"turning while lit for {self.lit_share:g} of each step"
 
 
 def _even(count: int) -> np.ndarray:
     """Angles [rad] of ``count`` even poses over a full turn."""
     return FULL_TURN * np.arange(count) / count
+
+
+def _lit_share(value: Any, usual: float) -> float:
+    """A share of a step, else `BadInput`."""
+    if value is None:
+        return usual
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
+        raise BadInput(f"Turntable lit_share is {value!r}; expected 0 (at rest while a frame is lit) to 1 (lit all the "
+                       "time)")  # fmt: skip
+    return float(value)
 
 
 def _finite(name: str, values: Any) -> np.ndarray:
@@ -308,17 +414,11 @@ def _shortened(values: tuple[float, ...]) -> str:
 
 @dataclass(frozen=True)
 class Chords:
-    """The straight piece of every ray inside the resin, for light entering at offset u [mm] from the axis.
+    """The straight piece of every ray inside the resin, for light entering at offset u [mm] from the axis."""
 
-    All arrays have the shape of u; a ray that misses the resin has transmittance 0.
-
-    Attributes:
-        p: Signed distance [mm] of the chord from the axis.
-        angle: Its turn d [rad] against the light's direction.
-        spread: d′(u) [rad/mm].
-        transmittance: Share of the power that reaches the resin.
-        length: Path in the resin [mm].
-    """
+    # Arrays in the shape of u. p: signed distance [mm] of the chord from the axis.  angle: its turn d [rad] against the
+    # light's direction.  spread: d′(u) [rad/mm].  transmittance: share of the power that reaches the resin, 0 for a ray
+    # that misses it.  length: path in the resin [mm].
 
     p: np.ndarray
     angle: np.ndarray
@@ -329,7 +429,7 @@ class Chords:
 
 @runtime_checkable
 class Vessel(Protocol):
-    """What a projector asks of the container the resin stands in, at one pose.
+    """The container of the resin as a projector sees it, at one pose.
 
     Laboratory coordinates at pose θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
     """

@@ -31,7 +31,7 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "a wavelength": ("nm", "um", "µm"),
     "a share": ("%",),
 }
-"""What is measured → the units it may be written in, the most usual first; `spelled` says how else."""
+"""Quantity → the units it may be written in, the most usual first; `spelled` says how else."""
 FOREIGN = {"in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4, "mil": 0.0254, "thou": 0.0254, "ft": 304.8}
 """Lengths that files do not take, in mm: the complaint converts them."""
 EXAMPLES = {
@@ -67,6 +67,11 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
     return number
 
 
+def meant(value: float, least: float, most: float) -> str | None:
+    """The unit of length that a number in mm, out of these bounds, was likely meant in; None where none fits."""
+    return next((unit for unit in ("um", "nm", "m", "cm") if least <= value * NAMES[unit] <= most), None)
+
+
 def unit_of(kind: str) -> str:
     """The unit of a kind that the library computes in, or else its most usual one."""
     return next((unit for unit in SPELLINGS[kind] if NAMES[unit] == 1.0), SPELLINGS[kind][0])
@@ -98,14 +103,7 @@ SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
 
 
 def bytes_of(text: str) -> int | None:
-    """Read a size of memory.
-
-    Args:
-        text: A number and a unit, such as ``24 GB``; bytes without one.
-
-    Returns:
-        Bytes, or None where the text is no size above zero.
-    """
+    """Read a size of memory such as ``24 GB`` in bytes; None where the text is no size above zero."""
     found = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]{1,15})?)\s*([A-Za-z]*)", text.strip())
     unit = SIZES.get(found[2].upper()) if found else None
     return int(float(found[1]) * unit) or None if found and unit else None

@@ -12,7 +12,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Beam, centers, counts, positive
+from vamgpu.geometry import Beam, centers, counts
+from vamgpu.schema.quantities import Length, measured
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,11 @@ class WebGrid:
     pitch: tuple[float, float, float] | float
 
     def __post_init__(self) -> None:
-        pitch = (self.pitch,) * 3 if isinstance(self.pitch, (int, float)) else tuple(self.pitch)
+        pitch = (self.pitch,) * 3 if isinstance(self.pitch, (int, float, str)) else tuple(self.pitch)
         if len(pitch) != 3:
             raise BadInput(f"WebGrid pitch is {self.pitch!r}; expected one length or three, along l, rho and z [mm]")
         object.__setattr__(self, "shape", counts("WebGrid shape", self.shape, 3))
-        object.__setattr__(self, "pitch", tuple(positive("WebGrid pitch [mm]", p) for p in pitch))
+        object.__setattr__(self, "pitch", tuple(measured("WebGrid pitch", p, Length) for p in pitch))
 
     @property
     def edges(self) -> tuple[float, float, float]:
@@ -65,12 +66,12 @@ class WebGrid:
 
 @dataclass(frozen=True)
 class Propagation:
-    """Light of one pose in the flat film: the sparse P[r, rho, l] of a beam's columns over the window they reach.
+    """Light of one pose in the flat film: the sparse P[r, rho, l] of columns over the window they reach."""
 
-    shape: (columns r, layers rho, window columns l).  r, rho, l: indices of the entries, int32, in lexical order, none
-    twice.  weight: their values, float64: the length [mm] of the ray in the voxel times transmittance times the
-    absorbed fraction per mm, as for every projector.  middle: window coordinate l [mm] of the point nearest the light.
-    """
+    # shape: (columns r, layers rho, window columns l).  r, rho, l: indices of the entries, int32, in lexical order,
+    # none twice.  weight: float64: length [mm] of the ray in the voxel × transmittance × absorbed fraction per mm.
+    # middle: window coordinate l [mm] of the point nearest the light.  way: columns that the film moves on by while the
+    # pose is lit, half of them before its place; entries are of a film at that.
 
     shape: tuple[int, int, int]
     r: np.ndarray
@@ -78,18 +79,32 @@ class Propagation:
     l: np.ndarray  # noqa: E741 - the web's axis
     weight: np.ndarray
     middle: float = 0.0
+    way: float = 0.0
 
     @classmethod
     def gathered(
         cls, shape: tuple[int, int, int], r: np.ndarray, rho: np.ndarray, l: np.ndarray, weight: np.ndarray,  # noqa: E741
         middle: float = 0.0,
     ) -> Propagation:  # fmt: skip
-        """From entries in any order; those of one voxel and ray are summed."""
+        """Build from entries in any order; those of one voxel and ray are summed."""
         flat = np.ravel_multi_index((r, rho, l), shape)
         cells, inverse = np.unique(flat, return_inverse=True)
         total = np.bincount(inverse, weights=weight, minlength=cells.size)
         row, layer, column = (index.astype(np.int32) for index in np.unravel_index(cells, shape))
         return cls(shape, row, layer, column, total, middle)
+
+    @property
+    def moving(self) -> Propagation:
+        """The mean over the film's way, linear between whole columns; what would leave the window stays at its end."""
+        if self.way <= 0.0:
+            return self
+        way, shares = way_taps(self.way)
+        columns = np.clip(self.l + way[:, None], 0, self.shape[2] - 1)
+        count = way.size
+        weight = (shares[:, None] * self.weight).ravel()
+        return Propagation.gathered(
+            self.shape, np.tile(self.r, count), np.tile(self.rho, count), columns.ravel(), weight, self.middle
+        )
 
     def dense(self) -> np.ndarray:
         """P itself, (r, rho, l), float64."""
@@ -98,14 +113,27 @@ class Propagation:
         return matrix
 
 
+def way_taps(width: float, share: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Columns about a place and the share of each, while the film moves by a width [columns] about it."""
+    reach = int(np.ceil(0.5 * width)) + 1
+    columns = np.arange(-reach, reach + 2)
+    if width <= 0.0:
+        shares = np.maximum(1.0 - np.abs(columns - share), 0.0)
+    else:
+        ends = [np.clip(columns - share + side * width, -1.0, 1.0) for side in (0.5, -0.5)]
+        high, low = (0.5 + end - 0.5 * end * np.abs(end) for end in ends)  # integrals of the line between columns
+        shares = (high - low) / width
+    kept = shares > 0.0
+    return columns[kept], shares[kept]
+
+
 @dataclass(frozen=True)
 class WebRays:
-    """Light of one pose ray by ray, where a sum over rays will not do: things in the film shade what is behind them.
+    """Light of one pose ray by ray: things in the film shade what is behind them."""
 
-    shape: (columns r, layers rho, window columns l).  ray: of every piece, in the order of the rays, and the pieces of
-    one in the order in which it runs.  r, rho, l: the column that sent it, the voxel it crosses.  length: of the way
-    in it [mm].  weight: what it leaves there, as in `Propagation`.  absorption: of the film [1/mm].  middle: as there.
-    """
+    # shape: (columns r, layers rho, window columns l).  ray: of every piece, in the order of the rays, and the pieces
+    # of one in the order in which it runs.  r, rho, l: the column that sent it, the voxel it crosses.  length: of the
+    # way in it [mm].  weight, middle: as of `Propagation`.  absorption: of the film [1/mm].
 
     shape: tuple[int, int, int]
     ray: np.ndarray
@@ -118,17 +146,13 @@ class WebRays:
     middle: float = 0.0
 
     def summed(self) -> Propagation:
-        """The light that all rays of a column leave in a voxel of a film with nothing in it.
-
-        Returns:
-            The sparse matrix P[r, rho, l].
-        """
+        """The sparse light P[r, rho, l] of all rays in a film with nothing in it."""
         return Propagation.gathered(self.shape, self.r, self.rho, self.l, self.weight, self.middle)
 
 
 @runtime_checkable
 class Wrap(Protocol):
-    """What a web projector asks of the machine that carries the film."""
+    """The machine that carries the film, as a web projector sees it."""
 
     @property
     def advance(self) -> float:
@@ -141,28 +165,10 @@ class Wrap(Protocol):
 
 
 def light_of_pose(wrap: Wrap, grid: WebGrid, beam: Beam, device: object) -> Propagation:
-    """Light of one pose, computed on a device where the machine says that it ``marched`` it there.
-
-    Args:
-        wrap: The machine.
-        grid: Voxels of the film.
-        beam: Pixels of the light.
-        device: A name or a device.
-
-    Returns:
-        The sparse matrix P[r, rho, l].
-    """
+    """The sparse light P[r, rho, l] of one pose, computed on a device where the machine says so."""
     return wrap.propagation(grid, beam, **where_marched(wrap, device))
 
 
 def where_marched(wrap: object, device: object) -> dict[str, Any]:
-    """The device as an argument, where a machine says that it ``marched`` its light on one.
-
-    Args:
-        wrap: The machine.
-        device: A name or a device.
-
-    Returns:
-        ``device=`` that; nothing for other machines.
-    """
+    """``device=`` for a machine that says it ``marched`` its light on a device; nothing for others."""
     return {"device": device} if getattr(wrap, "marched", False) else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from vamgpu.calibration.axis import RollerAxis, find_axis
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrating.machines import CalibrationMachines
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, over_patterns, silent
 
 TABLES = ("photodiode",)  # what it needs of a rig's file
 DARK = 8  # readings without light
@@ -20,15 +20,9 @@ DARK = 8  # readings without light
 def axis(
     machines: CalibrationMachines, *, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
     radius: float | None = None, flip_r: bool = False, projector: int = 0,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Scan a lit column over the roller and find its axis from both edges of the shadow.
-
-    first, stop, every: columns that are lit.  repeats: readings of each.  radius: of the roller in columns, where only
-    one edge is in reach.  flip_r: as patterns are packed.
-
-    Raises `JobError` for a rig without photodiode, `BadInput` for a scan without edges, `InterlockOpen`.
-    """
+    """Find the roller's axis and radius [columns]; BadInput for a scan that sees no edge of its shadow."""
     screen = machines.screen(projector)
     last = screen.shape[1] if stop is None else stop
     if every < 1 or repeats < 1 or not 0 <= first < last <= screen.shape[1]:
@@ -37,14 +31,8 @@ def axis(
             f"0 to {screen.shape[1]}, and 1 or more of both others"
         )
     columns = np.arange(first, last, every)
-    read = np.empty((columns.size, repeats))
-    with CalibrationLight(machines, projector) as light:
-        dark = machines.read(light, DARK)
-        light.on()
-        for number, column in enumerate(columns):
-            screen.show(patterns.line(screen.shape, int(column)))
-            read[number] = machines.read(light, repeats)
-            progress((number + 1) / columns.size)
+    lit = (patterns.line(screen.shape, int(column)) for column in columns)
+    dark, read = over_patterns(machines, projector, lit, columns.size, machines.read, repeats, progress, darks=DARK)
     found = find_axis(read.mean(axis=1), columns, radius=radius)
     return _found(found, found.shift(screen.shape[1], flip_r=flip_r), columns, read, dark)
 

@@ -1,8 +1,7 @@
-"""How evenly full-on mirrors shine: one block of them after another is lit, of each projector."""
+"""Flat field of each projector: one block of mirrors after another is lit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from vamgpu.calibration.flat import FlatReading, cuts, fit_flat
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrating.machines import CalibrationMachines
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, over_patterns, part_of, silent
 
 TABLES = ("photodiode",)  # what it needs of a rig's file
 BLOCKS = (8, 12)
@@ -19,30 +19,25 @@ BLOCKS = (8, 12)
 
 def flat(
     machines: CalibrationMachines, blocks: tuple[int, int] = BLOCKS, *, repeats: int = 4,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the flat field of each projector with a photodiode that takes in all of its light, past no roller.
-
-    blocks: of mirrors along rows and columns.  repeats: readings of each. The readings ``flat_0``, ``flat_1``, … are
-    fields [row, column] that `pack` takes as its ``flat_field``.
-
-    Raises `JobError` for a rig without photodiode, `BadInput` for too few blocks or too little light, `InterlockOpen`.
-    """
+    """Measure each projector's flat field with a photodiode that takes in all of its light, past no roller."""
     if repeats < 2:
         raise BadInput(f"{repeats} readings of each block; expected 2 or more, which tell their error")
     found: list[FlatReading] = []
     readings: dict[str, np.ndarray] = {}
     for projector, screen in enumerate(machines.screens):
         down, across = (cuts(length, count) for length, count in zip(screen.shape, blocks, strict=True))
-        read = np.empty((*blocks, repeats))
-        with CalibrationLight(machines, projector) as light:
-            light.on()
-            screen.show(patterns.block(screen.shape, (0, 0), (0, 0)))
-            dark = machines.read(light, repeats)  # what mirrors that are off leave to the meter
-            for number, (row, column) in enumerate(np.ndindex(*blocks)):
-                screen.show(patterns.block(screen.shape, down[row : row + 2], across[column : column + 2]))
-                read[row, column] = machines.read(light, repeats)
-                progress((projector + (number + 1) / read[..., 0].size) / len(machines.screens))
+        lit = (
+            patterns.block(screen.shape, down[row : row + 2], across[column : column + 2])
+            for row, column in np.ndindex(*blocks)
+        )
+        part = part_of(progress, projector, len(machines.screens))
+        black = patterns.block(screen.shape, (0, 0), (0, 0))  # mirrors that are off leave some light to the meter
+        dark, read = over_patterns(
+            machines, projector, lit, blocks[0] * blocks[1], machines.read, repeats, part, black=black
+        )
+        read = read.reshape(*blocks, repeats)
         found.append(fit_flat(read, dark, screen.shape))
         readings |= {f"dark_{projector}": dark, f"readings_{projector}": read, f"flat_{projector}": found[-1].field}
     return _found(found, readings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,9 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
 from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, over_positions, silent
 
 TABLES = ("lens", "camera", "camera_stage")  # what it needs of a rig's file
-Progress = Callable[[float], None]
 
 
 def steps(reach: float, step: float) -> tuple[float, ...]:
@@ -34,46 +34,24 @@ def sweep(low: float, high: float, count: int) -> tuple[float, ...]:
 
 def focus(
     machines: CalibrationMachines, positions: Sequence[float], powers: Sequence[float], *, half_period: int = 10,
-    projector: int = 0, progress: Progress = lambda share: None,
+    projector: int = 0, progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the line of focus over lens power with a Ronchi grating.
+    """Measure the line of focus over lens powers [dpt] at camera positions [mm] with a Ronchi grating."""
 
-    positions: of the camera [mm], from its stage's middle.  powers: of the lens [dpt], rising.  half_period: of the
-    grating [mirrors].  progress: hears what share is done.
+    def swept(light: CalibrationLight, place: float) -> tuple[Peak, float, np.ndarray, np.ndarray, np.ndarray]:
+        true, sharp, best = [], [], np.zeros((0, 0))
+        for power in powers:
+            true.append(machines.focus(power, light))
+            image = machines.image(light)
+            sharp.append(float(tenengrad(image)))
+            if sharp[-1] == max(sharp):
+                best = image
+        return fit_peak(np.array(true), np.array(sharp)), place, np.array(true), np.array(sharp), best
 
-    Raises `JobError` for a rig without lens, camera or its stage, `BadInput` where nothing is sharp or too much light
-    comes, `InterlockOpen`.
-    """
-    screen, peaks, rows = machines.screen(projector), [], []
-    pattern = patterns.grating(screen.shape, half_period)
-    with CalibrationLight(machines, projector) as light:
-        for number, position in enumerate(positions):
-            light.off()
-            place = machines.move(position)
-            light.on()
-            screen.show(pattern)
-            rows.append((place, *_swept(machines, powers, light)))
-            try:
-                peaks.append(fit_peak(*rows[-1][1:3]))
-            except BadInput as error:
-                raise BadInput(f"position {place:g} mm: {error}") from error
-            progress((number + 1) / len(positions))
+    pattern = patterns.grating(machines.screen(projector).shape, half_period)
+    peaks, *rows = zip(*over_positions(machines, projector, positions, pattern, swept, progress), strict=True)
     names = ("positions", "powers", "sharpness", "images")
-    return _found(peaks, {name: np.array(part) for name, part in zip(names, zip(*rows, strict=True), strict=True)})
-
-
-def _swept(
-    machines: CalibrationMachines, powers: Sequence[float], light: CalibrationLight
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Powers that the lens took [dpt], how sharp the images were, and the sharpest."""
-    true, sharp, best = [], [], np.zeros((0, 0))
-    for power in powers:
-        true.append(machines.focus(power, light))
-        image = machines.image(light)
-        sharp.append(float(tenengrad(image)))
-        if sharp[-1] == max(sharp):
-            best = image
-    return np.array(true), np.array(sharp), best
+    return _found(list(peaks), {name: np.array(part) for name, part in zip(names, rows, strict=True)})
 
 
 def _found(peaks: list[Peak], readings: dict[str, np.ndarray]) -> CalibrationResult:

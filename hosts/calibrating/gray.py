@@ -1,8 +1,8 @@
-"""What gray levels are worth in light: all mirrors show one level after another, of each projector."""
+"""Gray curve of each projector: all mirrors show one level after another."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,8 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
 from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines, need
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, over_patterns, part_of, silent
 from vamgpu.printing.gray import GrayCurve
-
-PHOTODIODE, CAMERA = ("photodiode",), ("camera",)  # what it needs of a rig's file, by what reads the light
 
 
 def levels(every: int) -> tuple[int, ...]:
@@ -26,69 +25,29 @@ def levels(every: int) -> tuple[int, ...]:
 
 def gray(
     machines: CalibrationMachines, steps: Sequence[int], *, repeats: int = 4, camera: bool = False,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the gray curve of each projector's light.
-
-    steps: levels, rising from 0 to 255.  repeats: readings of each.  camera: read the camera's mean instead of the
-    photodiode, exposed for whole frames; its rounding hides what is below half a level. The table ``gray`` of the
-    result, and ``gray_1``, … of further projectors, are curves that `pack` takes.
-
-    Raises `JobError` for a rig without photodiode or camera, `BadInput` for too little light or light that saturates,
-    `InterlockOpen`.
-    """
+    """Measure the gray curve of each projector's light, with the photodiode or the camera's mean."""
     if repeats < 2:
         raise BadInput(f"{repeats} readings of each level; expected 2 or more, which tell their error")
     curves, readings = [], {"levels": np.asarray(steps)}
-    for projector in range(len(machines.screens)):
-        part = lambda share, number=projector: progress((number + share) / len(machines.screens))  # noqa: E731
-        dark, read, before = _scan(machines, projector, steps, repeats, camera, part)
-        curves.append((fit_gray(steps, read, dark), _drift(read[-1], before, dark)))
-        readings |= {f"dark_{projector}": dark, f"readings_{projector}": read, f"before_{projector}": before}
+
+    def mean(light: CalibrationLight, count: int) -> np.ndarray:
+        return np.array([float(machines.image(light).mean()) for _ in range(count)])
+
+    for projector, screen in enumerate(machines.screens):
+        if camera:  # for a whole number of frames, as levels are made of planes one after the other
+            frames = max(1, round(need(machines.rig.camera, "camera").exposure / screen.period))
+            need(machines.camera, "camera").expose(1e6 * frames * screen.period)
+        lit = (patterns.flat(screen.shape, level) for level in (TOP, *steps))
+        part = part_of(progress, projector, len(machines.screens))
+        dark, (before, *read) = over_patterns(
+            machines, projector, lit, len(steps) + 1, mean if camera else machines.read, repeats, part
+        )
+        drift = float((read[-1].mean() - dark.mean()) / (before.mean() - dark.mean()) - 1.0)  # of full light
+        curves.append((fit_gray(steps, np.array(read), dark), drift))
+        readings |= {f"dark_{projector}": dark, f"readings_{projector}": np.array(read), f"before_{projector}": before}
     return _found(curves, readings)
-
-
-def _scan(
-    machines: CalibrationMachines,
-    projector: int,
-    steps: Sequence[int],
-    repeats: int,
-    camera: bool,
-    progress: Callable[[float], None],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Readings in the dark, of the levels, and of full light before them, for the drift."""
-    screen, read = machines.screen(projector), []
-
-    def one(light: CalibrationLight) -> np.ndarray:
-        if camera:
-            return np.array([float(machines.image(light).mean()) for _ in range(repeats)])
-        return machines.read(light, repeats)
-
-    if camera:
-        whole_frames(machines, projector)
-    with CalibrationLight(machines, projector) as light:
-        dark = one(light)
-        light.on()
-        screen.show(patterns.flat(screen.shape, TOP))
-        before = one(light)
-        for number, level in enumerate(steps):
-            screen.show(patterns.flat(screen.shape, level))
-            read.append(one(light))
-            progress((number + 1) / len(steps))
-    return dark, np.array(read), before
-
-
-def whole_frames(machines: CalibrationMachines, projector: int) -> float:
-    """Expose the camera for a whole number of frames [s], as levels are made of planes one after the other."""
-    section, frame = need(machines.rig.camera, "camera"), machines.screen(projector).period
-    exposure = max(1, round(section.exposure / frame)) * frame
-    need(machines.camera, "camera").expose(1e6 * exposure)
-    return exposure
-
-
-def _drift(last: np.ndarray, before: np.ndarray, dark: np.ndarray) -> float:
-    """Share by which full light changed from before the levels to their end."""
-    return float((last.mean() - dark.mean()) / (before.mean() - dark.mean()) - 1.0)
 
 
 def _found(curves: list[tuple[GrayReading, float]], readings: dict[str, np.ndarray]) -> CalibrationResult:
@@ -101,16 +60,13 @@ def _found(curves: list[tuple[GrayReading, float]], readings: dict[str, np.ndarr
     for number, (curve, drift) in enumerate(curves):
         kept = GrayCurve(curve.levels, curve.intensity)
         tables["gray" if number == 0 else f"gray_{number}"] = kept.describe()
+        half = float(np.interp(0.5, kept.intensity, kept.levels))
         lines += [
-            (f"projector {number}", f"black {100 * kept.black:.3f} %, half of the light at level {_half(kept):.1f}"),
+            (f"projector {number}", f"black {100 * kept.black:.3f} %, half of the light at level {half:.1f}"),
             ("  error, drift", f"{100 * max(curve.error) / curve.intensity[-1]:.2g} %, {100 * drift:+.2g} %"),
         ]
     lines.append(("for the job", '[frames] gray = "result.toml"'))
     return CalibrationResult("gray", numbers, readings, tuple(lines), lambda axes: _draw(axes, curves), tables)
-
-
-def _half(curve: GrayCurve) -> float:
-    return float(np.interp(0.5, curve.intensity, curve.levels))
 
 
 def _draw(axes: Any, curves: list[tuple[GrayReading, float]]) -> None:

@@ -26,6 +26,7 @@ SATURATED = 1e-3  # share of pixels at the camera's top from which an image is o
 SETTLINGS = 4.0  # Times of settling that a calibration waits for the lens
 POLL = 5_000_000  # between two questions to the turntable [ns]
 PATIENCE = 30.0  # for it to change its speed [s]
+STEPS = 8  # signs of work in a lease
 ARRIVED = 0.005  # how near the camera's stage must come to where it was sent [mm]
 
 
@@ -69,17 +70,9 @@ class SteppedTurntable:
         self._clock.sleep_until(self._clock.now() + POLL)
 
 
-class Waits(Protocol):
-    """What keeps light while a reading is waited for."""
-
-    def wait(self, seconds: float) -> None: ...  # let time pass
-    def alive(self) -> None: ...  # A sign of work
-
-
 @dataclass
 class CalibrationMachines:
-    """Opened machines. screens, channels: of each projector.  lens, camera, stage, meter, turntable: None where there
-    is none."""
+    """Opened machines of a calibration, with the screen and channel of light of each projector."""
 
     rig: RigFile
     clock: Clock
@@ -109,10 +102,6 @@ class CalibrationMachines:
             raise BadInput(f"the camera's stage went to {found:g} mm, {position:g} mm was asked; check its travel")
         return found
 
-    def angle(self) -> float:
-        """Where the turntable is [deg]."""
-        return need(self.turntable, "motion").position()
-
     def turn(self, angle: float, speed: float) -> float:
         """Turn forward to an angle [deg] or past it, in the dark; where it says it is then."""
         table = need(self.turntable, "motion")
@@ -120,7 +109,7 @@ class CalibrationMachines:
         table.wait()
         return table.position()
 
-    def focus(self, power: float, light: Waits) -> float:
+    def focus(self, power: float, light: CalibrationLight) -> float:
         """Set the lens's power [dpt] and wait for it; the power it has, which is a whole number of its steps."""
         section, lens = need(self.rig.lens, "lens"), need(self.lens, "lens")
         if not section.lowest <= power <= section.highest:
@@ -132,7 +121,7 @@ class CalibrationMachines:
         light.wait(SETTLINGS * section.settle)
         return lens.power()
 
-    def image(self, light: Waits) -> np.ndarray:
+    def image(self, light: CalibrationLight) -> np.ndarray:
         """An image of the camera that began after now. Raises `BadInput` where it is overexposed."""
         section, camera = need(self.rig.camera, "camera"), need(self.camera, "camera")
         for _ in range(section.discard):
@@ -148,7 +137,7 @@ class CalibrationMachines:
             )
         return image
 
-    def read(self, light: Waits, repeats: int) -> np.ndarray:
+    def read(self, light: CalibrationLight, repeats: int) -> np.ndarray:
         """Readings of the photodiode [mW] after it has followed the light; shape (repeats,)."""
         section, meter = need(self.rig.photodiode, "photodiode"), need(self.meter, "photodiode")
         light.wait(section.settle)
@@ -168,22 +157,15 @@ def need(part: T | None, table: str) -> T:
     """A machine that a run cannot do without. Raises `JobError` naming the table of the rig's file."""
     if part is None:
         driver = {"photodiode": "power meter", "camera": "camera"}.get(table)
-        wanted = f"[{table}]" if driver is None else f'[[feedback]] with driver = "{driver}"'
+        entry = f"[{table}]" if driver is None else f'[[feedback]] with driver = "{driver}"'
         raise JobError(
-            f"the rig has no {table.replace('_', ' ')}, which this calibration needs; add {wanted} to the rig's file"
+            f"the rig has no {table.replace('_', ' ')}, which this calibration needs; add {entry} to the rig's file"
         )
     return part
 
 
-STEPS = 8  # signs of work in a lease
-
-
 class CalibrationLight:
-    """The light of one projector; entered dark, left dark whatever happens.
-
-    Nothing moves while it shines: whoever moves a stage turns it off before. A wait here renews the lease, and a
-    controller that has closed the light ends the calibration with `InterlockOpen`.
-    """
+    """The light of one projector, dark while a stage moves; a wait renews its lease."""
 
     clock: Clock
     controller: Controller
@@ -193,9 +175,8 @@ class CalibrationLight:
         self.clock, self.controller, self._power = machines.clock, machines.controller, machines.rig.light.power
         lamp = LampGate(machines.controller, (machines.channels[projector],), steady=True)
         self.lease: Lease = Lease(machines.clock, lamp.renew, round(safety.lease * 1e9))
-        self.guard: LightGuard = LightGuard(
-            lamp, self.lease, tolerance=1.0, others={"mirrors": machines.screen(projector)}
-        )
+        others = {"mirrors": machines.screen(projector)}
+        self.guard: LightGuard = LightGuard(lamp, self.lease, tolerance=1.0, others=others)
         camera = machines.rig.camera
         if camera is not None and camera.exposure > 0.5 * safety.lease:
             raise BadInput(

@@ -1,8 +1,8 @@
-"""How fine the image is along the light: a slanted edge, seen at several places."""
+"""Modulation along the light: a slanted edge, seen at several positions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,23 +12,17 @@ from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.calibrating import patterns
 from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines, need
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, over_positions, silent
 
-TABLES = ("camera", "camera_stage")  # what it needs of a rig's file; the lens too, where it is told a power
+TABLES = ("camera", "camera_stage")  # what it needs of a rig's file; the lens too, where its power is set
 POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)  # places along the light [mm], from the middle of the camera's stage
 
 
 def mtf(
     machines: CalibrationMachines, positions: Sequence[float] = POSITIONS, *, powers: Sequence[float] | None = None,
-    angle: float = 5.0, repeats: int = 4, projector: int = 0, progress: Callable[[float], None] = lambda share: None,
+    angle: float = 5.0, repeats: int = 4, projector: int = 0, progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the modulation transfer function at several places with an edge slanted by ``angle`` [deg].
-
-    positions: of the camera [mm], from its stage's middle.  powers: of the lens [dpt] at each; None leaves the lens as
-    it is.  repeats: images that are averaged.
-
-    Raises `JobError` for a rig without camera, the size of its pixels or its stage, `BadInput` for too little contrast
-    or too much light, `InterlockOpen`.
-    """
+    """Measure the modulation at camera positions [mm] and lens powers [dpt] by an edge slanted by an angle [deg]."""
     pixel = need(machines.rig.camera, "camera").pixel
     if pixel is None:
         raise JobError(
@@ -36,19 +30,16 @@ def mtf(
         )
     if repeats < 1 or (powers is not None and len(powers) != len(positions)):
         raise BadInput(f"{repeats} images and {powers!r} for {len(positions)} positions; expected one power for each")
-    screen = machines.screen(projector)
-    edge, places, true, images = patterns.slanted(screen.shape, angle), [], [], []
-    with CalibrationLight(machines, projector) as light:
-        for number, position in enumerate(positions):
-            light.off()
-            places.append(machines.move(position))
-            light.on()
-            screen.show(edge)
-            if powers is not None:
-                true.append(machines.focus(powers[number], light))
-            images.append(np.mean([machines.image(light) for _ in range(repeats)], axis=0))
-            progress((number + 1) / len(positions))
-    return _found(places, true, images, pixel)
+    ahead = iter(powers or ())
+
+    def averaged(light: CalibrationLight, place: float) -> tuple[float, list[float], np.ndarray]:
+        true = [] if powers is None else [machines.focus(next(ahead), light)]
+        return place, true, np.mean([machines.image(light) for _ in range(repeats)], axis=0)
+
+    edge = patterns.slanted(machines.screen(projector).shape, angle)
+    seen = over_positions(machines, projector, positions, edge, averaged, progress)
+    places, images = [place for place, _, _ in seen], [image for _, _, image in seen]
+    return _found(places, [power for _, true, _ in seen for power in true], images, pixel)
 
 
 def _found(places: list[float], powers: list[float], images: list[np.ndarray], pixel: float) -> CalibrationResult:

@@ -1,4 +1,4 @@
-"""What mirrors show while they are measured, and mirrors that show it for as long as is wanted."""
+"""Patterns for calibrations, and mirrors that show one for as long as it is needed."""
 
 from __future__ import annotations
 
@@ -52,10 +52,7 @@ def flat(shape: Shape, level: int) -> np.ndarray:
 
 
 class PatternScreen:
-    """One pattern at a time on an array of mirrors, again and again. pattern: time of one of gray levels [s].
-
-    It is a switch too: `off` lets the mirrors go dark.
-    """
+    """An array of mirrors that repeats one pattern, whose gray levels take a time [s]; `off` makes it dark."""
 
     def __init__(self, dmd: Dmd, pattern: float) -> None:
         self.dmd = dmd

@@ -1,9 +1,8 @@
-"""What a calibration found, on the disk: numbers that are read back, all readings, and a figure."""
+"""Results of calibrations on the disk: numbers that are read back, all readings, and a figure."""
 
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -13,37 +12,29 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.hosts.rigs.calibrations import MEASURED, STAMP, Calibration, place_of, read
+from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.storage.atomic import replacing
-from vamgpu.storage.reading import parse_toml, read_text
 
 Line = tuple[str, str]
-MEASURED = "measured"  # table of a result that holds its numbers
 
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A calibration's outcome.
+    """A calibration's outcome."""
 
-    kind: focus, axis, gray, flat, mtf or runout.  numbers: plain values by name.  readings: all that was read, by
-    name.  lines: name and value, for people.  draw: draws a figure on axes of matplotlib.  tables: further tables of
-    plain values.
-    """
-
-    kind: str
-    numbers: Mapping[str, Any]
+    kind: str  # focus, axis, gray, flat, mtf or runout
+    numbers: Mapping[str, Any]  # plain values by name
     readings: Mapping[str, np.ndarray]
-    lines: tuple[Line, ...]
-    draw: Callable[[Any], None]
-    tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    lines: tuple[Line, ...]  # name and value, for people
+    draw: Callable[[Any], None]  # draws a figure on axes of matplotlib
+    tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # further plain values
 
 
 def save(
     found: CalibrationResult, folder: str | Path, rig: str, *, overwrite: bool = False, taken: datetime | None = None
 ) -> Path:
-    """Write ``result.toml``, ``readings.npz``, ``figure.png`` and the rig's file into a new folder.
-
-    Raises `StorageError`; nothing half-written is left.
-    """
+    """Write ``result.toml``, ``readings.npz``, ``figure.png`` and the rig's file into a new folder, or nothing."""
     tables = {MEASURED: found.numbers, **found.tables}
     text = f'calibration = "{found.kind}"\ntaken = {(taken or datetime.now()).isoformat(timespec="seconds")}\n'
     for name, table in tables.items():
@@ -58,24 +49,20 @@ def save(
     return Path(folder)
 
 
-def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
-    """The tables of a result. Raises `StorageError` for none, `BadInput` for a calibration of another kind."""
-    file = Path(folder) / "result.toml" if Path(folder).is_dir() else Path(folder)
-    try:
-        data = parse_toml(read_text(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise StorageError(f"cannot read the calibration {str(folder)!r}: {error}; check the path") from error
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
-    if "calibration" not in data or (kind is not None and data["calibration"] != kind):
-        raise BadInput(
-            f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; expected one of {kind or 'any'}"
-        )
-    return data
+def keep(found: CalibrationResult, rig: RigConfig, now: datetime | None = None) -> Calibration:
+    """Add a measurement to those of a rig; none is ever replaced. Raises `BadInput` for a rig without a file."""
+    place = place_of(rig)
+    taken = (now or datetime.now()).replace(microsecond=0)
+    name, again = f"{found.kind}-{taken.strftime(STAMP)}", 1
+    while (place / name).exists():
+        again += 1
+        name = f"{found.kind}-{taken.strftime(STAMP)}-{again}"
+    place.mkdir(parents=True, exist_ok=True)
+    return Calibration(found.kind, taken, save(found, place / name, rig.text, taken=taken))
 
 
 def free(folder: str | Path, overwrite: bool) -> None:
-    """Raises `StorageError` where a result may not be written; better told before anything is measured."""
+    """Raises `StorageError` where a result may not be written, before anything is measured."""
     if Path(folder).exists() and not overwrite:
         raise StorageError(f"{str(folder)!r} exists; choose another path, or allow overwriting it")
 

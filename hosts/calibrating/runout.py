@@ -1,8 +1,7 @@
-"""How a vial runs out: a pin on the turntable shades the lit mirrors' image, and a camera sees it all around a turn."""
+"""Runout of a vial: a camera sees the shadow of a pin on the turntable over a turn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from vamgpu.calibration.runout import LEAST_POSES, CameraMap, Runout, find_pin, fit_runout
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrating import patterns
-from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrating.machines import CalibrationLight, CalibrationMachines, need
 from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrating.scans import Progress, silent
 
 TABLES = ("camera", "camera_stage", "motion")  # what it needs of a rig's file
 LINES = 24  # columns, and rows, of mirrors that are lit alone, to find them in the camera's images
@@ -19,18 +19,12 @@ LINES = 24  # columns, and rows, of mirrors that are lit alone, to find them in 
 
 def runout(
     machines: CalibrationMachines, *, poses: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure how far a pin on the turntable runs out over a turn, apart from where the axis is.
-
-    poses: of the turn.  repeats: images of each.  speed: of the turntable between poses [deg/s].
-
-    Raises `JobError` for a rig without camera or its stage, from whose middle it sees the pin sharply, `BadInput` where
-    no pin is seen or too much light comes, `InterlockOpen`.
-    """
+    """Measure how far a pin on the turntable runs out over a turn, apart from where the axis is."""
     if poses < LEAST_POSES or repeats < 1 or not speed > 0:
         raise BadInput(
-            f"{poses} poses, {repeats} images of each, at {speed:g} deg/s; expected {LEAST_POSES} poses or more, an "
+            f"{poses} angles, {repeats} images of each, at {speed:g} deg/s; expected {LEAST_POSES} angles or more, an "
             "image or more, and a speed above 0"
         )
     screen = machines.screen(projector)
@@ -39,7 +33,7 @@ def runout(
         light.on()
         place = _map(machines, light, projector)
         angles, images = np.empty(poses), []
-        start = machines.angle()
+        start = need(machines.turntable, "motion").position()
         for number in range(poses):
             light.off()
             angles[number] = machines.turn(start + 360.0 * number / poses, speed)
@@ -76,18 +70,14 @@ def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int)
     return CameraMap.of(*seen)
 
 
-def numbers_of(found: Runout, shape: tuple[int, int], projector: int) -> dict[str, Any]:
-    """As the store keeps it."""
-    return {
+def _found(
+    found: Runout, readings: dict[str, np.ndarray], shape: tuple[int, int], projector: int
+) -> CalibrationResult:  # fmt: skip
+    numbers = {
         "column": found.axis, "error_columns": found.axis_error, "lean": found.lean, "lean_error": found.lean_error,
         "across": found.across, "across_error": found.across_error, "tilt": found.tilt, "tilt_error": found.tilt_error,
         "left": found.left, "rows": shape[0], "columns": shape[1], "projector": projector,
     }  # fmt: skip
-
-
-def _found(
-    found: Runout, readings: dict[str, np.ndarray], shape: tuple[int, int], projector: int
-) -> CalibrationResult:  # fmt: skip
     edge = 0.5 * shape[0]
     lines = (
         ("axis", f"column {found.axis:.3f} ± {found.axis_error:.2g} at the middle row"),
@@ -97,7 +87,7 @@ def _found(
         ("left", f"{found.left:.2g} columns about the sine"),
     )
     return CalibrationResult(
-        "runout", numbers_of(found, shape, projector), readings, lines,
+        "runout", numbers, readings, lines,
         lambda axes: _draw(axes, found, readings["angles"], readings["columns"]),
     )  # fmt: skip
 

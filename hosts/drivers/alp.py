@@ -12,22 +12,16 @@ from ctypes import POINTER, Structure, byref, c_int32, c_uint32, c_void_p
 from pathlib import Path
 from typing import Any
 
-from vamgpu.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused, OutOfMemory
+from vamgpu.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused, OutOfMemory, VamError
 
 DEFAULT = 0
 DEVICE_NUMBER, AVAILABLE_MEMORY, TRIGGER_EDGE, TRIGGER_TIME_OUT = 2000, 2003, 2005, 2014
 EDGE_FALLING, EDGE_RISING, TIME_OUT_DISABLE = 2008, 2009, 1
-DMD_TYPE, DISPLAY_HEIGHT, DISPLAY_WIDTH, DMD_MODE, DMD_RESUME, DMD_FLOAT = 2021, 2057, 2058, 2064, 0, 1
-SEQUENCE_REPEAT, FIRST_FRAME, LAST_FRAME, BIT_NUMBER = 2100, 2101, 2102, 2103
-BINARY_MODE, BINARY_NORMAL, BINARY_UNINTERRUPTED = 2104, 2105, 2106
-DATA_FORMAT, DATA_MSB_ALIGN, DATA_BINARY_TOPDOWN = 2110, 0, 2
-PICTURE_TIME, ILLUMINATE_TIME, TRIGGER_IN_DELAY = 2203, 2204, 2207
-MAX_TRIGGER_IN_DELAY, MIN_PICTURE_TIME, MIN_ILLUMINATE_TIME, MAX_PICTURE_TIME = 2210, 2211, 2212, 2213
-ON_TIME, OFF_TIME = 2214, 2215
+DISPLAY_HEIGHT, DISPLAY_WIDTH, DMD_MODE, DMD_FLOAT = 2057, 2058, 2064, 1
+LAST_FRAME, BINARY_MODE, BINARY_UNINTERRUPTED, DATA_FORMAT, DATA_BINARY_TOPDOWN = 2102, 2104, 2106, 2110, 2
+MAX_TRIGGER_IN_DELAY, MIN_PICTURE_TIME, MIN_ILLUMINATE_TIME, MAX_PICTURE_TIME, ON_TIME = 2210, 2211, 2212, 2213, 2214
 PROJECTION_MODE, MASTER, SLAVE = 2300, 2301, 2302
-PROJECTION_STATE, PROJECTION_ACTIVE, PROJECTION_IDLE = 2400, 1200, 1201
-QUEUE_MODE, QUEUE_SEQUENCES, QUEUE_ID, QUEUE_AVAILABLE, PROGRESS, RESET_QUEUE = 2314, 1, 2315, 2317, 2318, 2319
-FLAG_QUEUE_IDLE, FLAG_ABORTING, FLAG_INDEFINITE, FLAG_FRAME_FINISHED = 1, 2, 4, 8
+QUEUE_MODE, QUEUE_SEQUENCES, QUEUE_AVAILABLE, PROGRESS, FLAG_QUEUE_IDLE = 2314, 1, 2317, 2318, 1
 
 NOT_ONLINE, NOT_IDLE, NOT_AVAILABLE, NOT_READY, INVALID, BAD_ADDRESS, MEMORY_FULL = range(1001, 1008)
 IN_USE, HALTED, INIT_FAILED, COMMUNICATION, REMOVED, NOT_CONFIGURED = range(1008, 1014)
@@ -50,22 +44,20 @@ REASONS = {
     1019: "the installed driver is too old for this device: update it",
     1020: "the device's memory did not start: switch it off and on",
 }
+KINDS: dict[int, type[VamError]] = {
+    NOT_ONLINE: DeviceNotFound, NOT_AVAILABLE: DeviceNotFound, NOT_READY: DeviceBusy, REMOVED: DeviceLost,
+    COMMUNICATION: DeviceLost, MEMORY_FULL: OutOfMemory,
+}  # fmt: skip
 
 
 class Progress(Structure):
     """Where the queue is: nine numbers of 32 bits."""
 
     _fields_ = [
-        ("queue_id", c_uint32),
-        ("sequence", c_uint32),
-        ("waiting", c_uint32),
-        ("iterations_left", c_uint32),
-        ("iterations_underflow", c_uint32),
-        ("frames_left", c_uint32),
-        ("picture_us", c_uint32),
-        ("frames_per_iteration", c_uint32),
-        ("flags", c_uint32),
-    ]
+        (name, c_uint32)
+        for name in ("queue_id", "sequence", "waiting", "iterations_left", "iterations_underflow", "frames_left",
+                     "picture_us", "frames_per_iteration", "flags")
+    ]  # fmt: skip
 
 
 _LONG, _ID = c_int32, c_uint32
@@ -121,14 +113,8 @@ class Alp:
         if result == 0:
             return
         text = f"{name} failed ({result}): {REASONS.get(result, 'an unknown reason; see the maker’s manual')}"
-        if result in (NOT_ONLINE, NOT_AVAILABLE):
-            raise DeviceNotFound(text)
-        if result == NOT_READY:
-            raise DeviceBusy(text)
-        if result in (REMOVED, COMMUNICATION):
-            raise DeviceLost(text)
-        if result == MEMORY_FULL:
-            raise OutOfMemory(text)
+        if kind := KINDS.get(result):
+            raise kind(text)
         raise DeviceRefused(text, str(result))
 
     def number(self, name: str, *arguments: Any) -> int:

@@ -1,18 +1,16 @@
-"""Cameras: GenICam devices through the harvesters package, and files in their place."""
+"""Cameras: GenICam devices through the harvesters package."""
 
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.errors import DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.closing import closed_on_error, extra
 from vamgpu.hosts.run_all import Closing
-from vamgpu.storage.images import read_image
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -33,18 +31,12 @@ class GenicamCamera(Closing):
     gain: float | None = None
 
     def __init__(
-        self,
-        harvester: Any,
-        serial: str | None = None,
-        timeout_s: float = 2.0,
-        exposure_us: float | None = None,
-        gain: float | None = None,
-        pixels: str | None = None,
-        trigger: str | None = None,
-    ) -> None:
+        self, harvester: Any, serial: str | None = None, timeout_s: float = 2.0, exposure_us: float | None = None,
+        gain: float | None = None, pixels: str | None = None, trigger: str | None = None,
+    ) -> None:  # fmt: skip
         self._harvester, self._timeout = harvester, timeout_s
         self._acquirer: Any = None
-        try:
+        with closed_on_error(self):
             harvester.update()
             found = [str(info.serial_number) for info in harvester.device_info_list]
             if not found or (serial is not None and serial not in found):
@@ -55,48 +47,17 @@ class GenicamCamera(Closing):
             self._acquirer = harvester.create({"serial_number": serial or found[0]})
             self._settle(exposure_us, gain, pixels, trigger)
             self._acquirer.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
-    def open(
-        cls,
-        producer: str | Path,
-        serial: str | None = None,
-        timeout_s: float = 2.0,
-        exposure_us: float | None = None,
-        gain: float | None = None,
-        pixels: str | None = None,
-        trigger: str | None = None,
-    ) -> Self:
-        """Open a camera through the producer file of its maker; each setting is read back.
-
-        Args:
-            producer: The maker's ``.cti`` file.
-            serial: The camera's serial number; None takes the first.
-            timeout_s: How long an image may take [s].
-            exposure_us: The time of exposure [us]; None leaves the camera's.
-            gain: The gain, in the camera's unit (mostly dB); None leaves it.
-            pixels: The format of pixels, such as ``Mono8`` or ``Mono12``; None leaves it.
-            trigger: The input whose edge takes an image, such as ``Line0``; empty for free-running, None leaves it.
-
-        Returns:
-            The camera.
-
-        Raises:
-            DeviceNotFound: The package, the producer or the camera is missing.
-            DeviceRefused: The camera does not take a setting, or keeps another.
-        """
-        try:
+    def open(cls, producer: str | Path, serial: str | None = None, **settings: Any) -> Self:
+        """Open a camera through the producer file of its maker; each setting is read back."""
+        with extra("camera", "GenICam cameras need harvesters"):
             from harvesters.core import Harvester  # type: ignore[import-not-found]
-        except ImportError as error:
-            raise DeviceNotFound('GenICam cameras need harvesters: pip install "vamgpu[camera]"') from error
         if not Path(producer).is_file():
             raise DeviceNotFound(f"there is no producer file {producer}; install the camera maker's package")
         harvester = Harvester()
         harvester.add_file(str(producer))
-        return cls(harvester, serial, timeout_s, exposure_us, gain, pixels, trigger)
+        return cls(harvester, serial, **settings)
 
     def _set(self, name: str, value: float | str) -> float | str:
         """Set a feature and return what it reads back as."""
@@ -165,50 +126,3 @@ class GenicamCamera(Closing):
                     getattr(part, name)()
                 except Exception as error:  # a camera that is gone must not keep the rest from closing
                     log.warning("closing the camera: %s", error)
-
-
-def _natural(path: Path) -> list[tuple[int, int | str]]:
-    """A key that puts 2 before 10."""
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", path.name) if part]
-
-
-class FilePlayer(Closing):
-    """Images of a folder, in the order of the numbers in their names, one for each ``grab``.
-
-    It is a camera by configuration, for records to be looked at again; after the last image it raises DeviceError,
-    or begins again if ``loop``.
-    """
-
-    def __init__(self, folder: str | Path, pattern: str = "*", loop: bool = False) -> None:
-        kinds = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg"}
-        try:
-            names = [path for path in Path(folder).glob(pattern) if path.suffix.lower() in kinds]
-        except OSError as error:
-            raise BadInput(f"{folder} cannot be read ({error})") from error
-        self.paths: list[Path] = sorted(names, key=_natural)
-        if not self.paths:
-            raise DeviceNotFound(f"there are no images {pattern} in {folder}; check the folder")
-        self._loop = loop
-        self._next = self._play()
-
-    def _play(self) -> Iterator[Path]:
-        while True:
-            yield from self.paths
-            if not self._loop:
-                return
-
-    def expose(self, exposure_us: float) -> None:
-        """Images of the past keep their exposure."""
-
-    def grab(self) -> np.ndarray:
-        """Read the next image as gray levels."""
-        path = next(self._next, None)
-        if path is None:
-            raise DeviceError(f"all {len(self.paths)} images have been played")
-        try:
-            return read_image(path)
-        except OSError as error:
-            raise BadInput(f"{path} is no image that can be read ({error})") from error
-
-    def close(self) -> None:
-        """Nothing is held."""

@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import controller as protocol
 from vamgpu.hosts.protocols.controller import ControllerRow, Reply, Status
@@ -30,21 +31,17 @@ REASONS = {
     "range": "a value is outside what it can do",
     "state": "it is not in a state to do so",
     "verb": "it does not know the command: check its firmware",
-    "stall": "its encoder is not where the motor was stepped to: look at motor and load, then home it or begin anew",
-    "index": "its index mark was not where it should be: look at motor and belt, then home it or begin anew",
+    "stall": "its encoder is not where the motor was stepped to: check motor and load, then home it or begin anew",
+    "index": "its index mark was not where it should be: check motor and belt, then home it or begin anew",
 }
 
 
 @dataclass(frozen=True)
 class Encoder:
-    """Measures where the motion is.
+    """An encoder that measures the motion; beyond its tolerance the controller closes the light."""
 
-    counts: quadrature edges in a mm or degree of the motion; below 0 where it counts down.  tolerance: the greatest
-    distance from where the motor was stepped to [mm] or [deg]; what is beyond closes the light. Raises `BadInput`.
-    """
-
-    counts: float
-    tolerance: float
+    counts: float  # quadrature edges a mm or degree, below 0 where it counts down
+    tolerance: float  # from where the motor was stepped to [mm] or [deg]
 
     def __post_init__(self) -> None:
         exact("counts", abs(fraction("counts", self.counts)))
@@ -53,14 +50,10 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Index:
-    """A mark that comes round, such as once a turn.
+    """A mark that comes round; where it is off its place the controller closes the light."""
 
-    distance: from mark to mark [mm] or [deg].  tolerance: how far from its place the motor may be when it comes [mm]
-    or [deg]; what is beyond closes the light. Raises `BadInput`.
-    """
-
-    distance: float
-    tolerance: float
+    distance: float  # from mark to mark [mm] or [deg]
+    tolerance: float  # from its place [mm] or [deg]
 
     def __post_init__(self) -> None:
         exact("distance", self.distance)
@@ -75,11 +68,7 @@ def _in_range(ratio: Fraction) -> Fraction:
 
 
 class Controller(Closing):
-    """The controller; every command is answered, and repeated if the answer does not come or is garbled.
-
-    ``microsteps_per_mm`` turns the web's distances into microsteps. Opening it ends what an earlier host let it play.
-    What the controller says by itself is collected in ``events`` as words.
-    """
+    """The controller: it answers every command, and is asked again where its answer is lost or malformed."""
 
     capacity: int
     longest_lease_ms: int
@@ -95,11 +84,8 @@ class Controller(Closing):
         self._measuring: tuple[Encoder | None, Index | None] = (None, None)
         self.events: deque[tuple[str, ...]] = deque(maxlen=1000)
         self.repeated: int = 0
-        try:
+        with closed_on_error(wire):
             self._start()
-        except BaseException:
-            wire.close()
-            raise
 
     @classmethod
     def open(cls, url: str, microsteps_per_mm: float = 1.0, baud: int = 115200, timeout_s: float = 0.1) -> Self:
@@ -123,10 +109,7 @@ class Controller(Closing):
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
 
     def revive(self) -> None:
-        """Open the port again where the controller does not answer, as when it was unplugged and is back.
-
-        Raises DeviceLost, WrongDevice.
-        """
+        """Open the port again where the controller does not answer, as when it was unplugged and is back."""
         try:
             self.status()
         except DeviceLost:
@@ -138,10 +121,7 @@ class Controller(Closing):
                 self.feedback(*self._measuring)
 
     def ask(self, verb: str, *arguments: object) -> tuple[str, ...]:
-        """Send a command and return the words of its answer.
-
-        Raises DeviceRefused (``code`` is the controller's reason), DeviceLost when nothing comes back.
-        """
+        """Send a command and return the words of its answer; DeviceRefused or DeviceLost without one."""
         with self._wire.lock:
             self._number = (self._number + 1) % protocol.NUMBERS
             line = protocol.encode(self._number, verb, *arguments)
@@ -225,7 +205,7 @@ class Controller(Closing):
         self.ask("power", channel, round(fraction * 65535))
 
     def mode(self, mode: str) -> None:
-        """What rows count: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
+        """Set what rows count: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
         self.ask("mode", mode)
 
     def row(self, row: ControllerRow) -> int:
@@ -257,7 +237,7 @@ class Controller(Closing):
         self.ask("move", round(speed_mm_s * self.microsteps_per_mm * 1000))
 
     def ramp(self, acceleration_mm_s2: float) -> None:
-        """How fast the web changes its speed [mm/s2]."""
+        """Set how fast the web changes its speed [mm/s2]."""
         if not acceleration_mm_s2 > 0:
             raise BadInput(f"the web changes its speed by {acceleration_mm_s2:g} mm/s2; expected more than 0")
         self._within("change of speed", acceleration_mm_s2, "mm/s2", protocol.STEEPEST)
@@ -276,19 +256,16 @@ class Controller(Closing):
         self.ask("zero", number)
 
     def feedback(self, encoder: Encoder | None = None, index: Index | None = None) -> None:
-        """Tell what measures the motion; `None`: nothing does. What is there is taken to be right here.
-
-        Raises `BadInput` for what the controller cannot count.
-        """
+        """Tell what measures the motion; None: nothing does. Its present position is taken to be right."""
         per_unit = fraction("microsteps", self.microsteps_per_mm)
         edges = Fraction(0) if encoder is None else fraction("counts", encoder.counts) / per_unit
         marks = Fraction(0) if index is None else 1 / (fraction("distance", index.distance) * per_unit)
-        for verb, wanted, found in (("encoder", edges, encoder), ("index", marks, index)):
-            ratio = _in_range(wanted)
+        for verb, per_step, found in (("encoder", edges, encoder), ("index", marks, index)):
+            ratio = _in_range(per_step)
             limit = 0 if found is None else int(fraction("tolerance", found.tolerance) * per_unit)
-            if abs(ratio - wanted) > CLOSE * abs(wanted) or limit > protocol.LONGEST_RATIO:
+            if abs(ratio - per_step) > CLOSE * abs(per_step) or limit > protocol.LONGEST_RATIO:
                 raise BadInput(
-                    f"{found} is {float(wanted):.6g} a microstep, {limit} microsteps allowed; the controller takes "
+                    f"{found} is {float(per_step):.6g} a microstep, {limit} microsteps allowed; the controller takes "
                     f"ratios of whole numbers up to {protocol.LONGEST_RATIO}: check counts, distance and microsteps"
                 )
             if found is not None and (limit < 1 or (found is encoder and limit * abs(ratio) < 2)):
@@ -301,7 +278,7 @@ class Controller(Closing):
 
     @property
     def index(self) -> Index | None:
-        """The index mark that it was told of."""
+        """The index mark that is set."""
         return self._measuring[1]
 
     def home(self, number: int, speed_mm_s: float) -> None:
@@ -310,7 +287,7 @@ class Controller(Closing):
         self.ask("home", number, round(speed_mm_s * self.microsteps_per_mm * 1000))
 
     def status(self) -> Status:
-        """What the controller does now."""
+        """The controller's state."""
         return protocol.parse_status(self.ask("stat"))
 
     def position_mm(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -29,7 +30,7 @@ class SlotTiming:
 
 @dataclass(frozen=True)
 class SequenceLimits:
-    """What the device allows at a sequence's bit depth [us]."""
+    """Limits of the device at a sequence's bit depth [us]."""
 
     least_picture_us: int
     greatest_picture_us: int
@@ -45,16 +46,13 @@ class Dmd(Closing):
         self._alp = Alp(library)
         self.device: int = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
         self._open = True
-        try:
+        with closed_on_error(self):
             self.width: int = self.inquire(alp.DISPLAY_WIDTH)
             self.height: int = self.inquire(alp.DISPLAY_HEIGHT)
             self.serial: int = self.inquire(alp.DEVICE_NUMBER)
             self.memory_planes: int = self.inquire(alp.AVAILABLE_MEMORY)
             if size is not None and size != (self.height, self.width):
                 raise WrongDevice(f"the array has {self.height} x {self.width} mirrors; expected {size[0]} x {size[1]}")
-        except BaseException:
-            self.close()
-            raise
         log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
 
     @classmethod
@@ -81,7 +79,7 @@ class Dmd(Closing):
         return self._alp.number("AlpDevInquire", self.device, kind)
 
     def free_planes(self) -> int:
-        """How many bit planes fit now."""
+        """Bit planes that fit now."""
         return self.inquire(alp.AVAILABLE_MEMORY)
 
     def slave(self, rising: bool = True) -> None:
@@ -103,7 +101,7 @@ class Dmd(Closing):
         return answer
 
     def queue_places(self) -> int:
-        """How many more sequences the queue takes now."""
+        """Sequences that the queue takes now."""
         return self.number("AlpProjInquire", alp.QUEUE_AVAILABLE)
 
     def sequence(self, count: int, bits: int, timing: SlotTiming = SlotTiming()) -> PlaneSequence:
@@ -167,7 +165,7 @@ class PlaneSequence:
         return self.dmd.number("AlpSeqInquire", self.id, kind)
 
     def limits(self) -> SequenceLimits:
-        """What the device allows for these frames, and how long each is lit now."""
+        """The device's limits for these frames, and how long each is lit now."""
         kinds = (
             alp.MIN_PICTURE_TIME,
             alp.MAX_PICTURE_TIME,
@@ -188,10 +186,10 @@ class PlaneSequence:
 
     def put(self, planes: np.ndarray, first: int = 0) -> None:
         """Upload packed frames ``[frame, plane, row, byte]`` (uint8) from frame ``first`` on, without a copy."""
-        wanted = (self.bits, *self.dmd.plane_shape)
-        if planes.dtype != np.uint8 or planes.shape[1:] != wanted or not planes.flags.c_contiguous:
+        expected = (self.bits, *self.dmd.plane_shape)
+        if planes.dtype != np.uint8 or planes.shape[1:] != expected or not planes.flags.c_contiguous:
             raise BadInput(
-                f"packed frames are a contiguous uint8 array [frame, {wanted[0]}, {wanted[1]}, {wanted[2]}], "
+                f"packed frames are a contiguous uint8 array [frame, {expected[0]}, {expected[1]}, {expected[2]}], "
                 f"not {planes.dtype}{list(planes.shape)}"
             )
         if first < 0 or first + len(planes) > self.count:

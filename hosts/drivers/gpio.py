@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from vamgpu.errors import DeviceNotFound
 from vamgpu.hosts.clock import Clock, RealClock
+from vamgpu.hosts.drivers.closing import extra
 from vamgpu.hosts.run_all import Closing
 
 MOST = 1000  # edges that wait to be asked for; a mark comes once a turn
@@ -22,22 +23,9 @@ class GpioIndex(Closing):
 
     @classmethod
     def open(cls, pin: int, clock: Clock | None = None) -> Self:
-        """Open a pin.
-
-        Args:
-            pin: Its number, as the board's maker counts them (BCM on a Raspberry Pi).
-            clock: The clock that edges are timed by; None for the machine's own.
-
-        Returns:
-            The input; a mark is its rising edge.
-
-        Raises:
-            DeviceNotFound: There is no such pin, another program uses it, or the package is missing.
-        """
-        try:
+        """Open a pin by its number (BCM on a Raspberry Pi); a mark is its rising edge."""
+        with extra("gpio", "an index at a pin needs gpiozero"):
             from gpiozero import DigitalInputDevice  # type: ignore[import-not-found]
-        except ImportError as error:
-            raise DeviceNotFound('an index at a pin needs gpiozero: pip install "vamgpu[gpio]"') from error
         try:
             device = DigitalInputDevice(pin)
         except Exception as error:  # each of its ways to the pins has errors of its own

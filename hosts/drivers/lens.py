@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.protocols import optotune as ld4
 from vamgpu.hosts.run_all import Closing
@@ -16,24 +15,16 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 class LensDriver(Closing):
-    """A lens driver: handshake once, then settings that are not answered.
-
-    Nothing here waits for a reply to a setting, and inside ``streaming()`` nothing is asked at all: a handshake would
-    reset the current, and an answer costs time that the schedule does not have.
-    """
+    """A lens driver: one handshake, then settings without answers, so that no schedule waits."""
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire
-        self._streaming = False
         self._power_mode = False
         self.firmware: str = ""
         self.version: str = ""
         self.full_current_ma: float = 0.0
-        try:
+        with closed_on_error(wire):
             self._start(firmware)
-        except BaseException:
-            wire.close()
-            raise
 
     @classmethod
     def open(cls, url: str, firmware: str | None = None, baud: int = 115200, timeout_s: float = 0.25) -> Self:
@@ -61,9 +52,7 @@ class LensDriver(Closing):
         log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
 
     def ask(self, request: ld4.Request) -> bytes:
-        """Send a request that is answered, and return what the answer carries; `DeviceError` while streaming."""
-        if self._streaming:
-            raise DeviceError("the lens driver cannot be asked while it streams; ask before or after the print")
+        """Send a request that is answered, and return what the answer carries."""
         with self._wire.lock:
             self._wire.send(request.frame)
             received = b""
@@ -104,26 +93,6 @@ class LensDriver(Closing):
         """The code of a focal power [1/m], for a controller that sends it by itself."""
         return ld4.power_code(diopters, self.firmware)
 
-    @contextmanager
-    def streaming(self) -> Iterator[None]:
-        """Within, the lens only takes settings; after, a setting it refused is raised as DeviceRefused."""
-        self.refusals()
-        self._streaming = True
-        try:
-            yield
-        finally:
-            self._streaming = False
-        self.refusals()
-
-    def refusals(self) -> None:
-        """Raise DeviceRefused if the driver complained about a setting since it was last asked."""
-        waiting = self._wire.waiting()
-        if waiting:
-            complaint = self._wire.receive(waiting)
-            ld4.parse(ld4.Request(b"a setting", b"E", 6), complaint[-6:])
-            code = complaint[-5] if len(complaint) >= 6 else 0
-            raise DeviceRefused(f"a setting was refused: {ld4.REFUSALS.get(code, f'reason {code}')}", f"E{code}")
-
     def power(self) -> float:
         """The focal power set [1/m]."""
         return ld4.power_of(ld4.signed(self.ask(ld4.GET_POWER)), self.firmware)
@@ -136,7 +105,7 @@ class LensDriver(Closing):
         return raw / 16
 
     def status(self) -> tuple[str, ...]:
-        """What is not as it should be; empty when all is well."""
+        """Faults of the lens; empty when all is well."""
         answer = self.ask(ld4.GET_STATUS)
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.closing import closed_on_error, extra
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
 from vamgpu.hosts.protocols import dlpc350
 from vamgpu.hosts.run_all import Closing, close_all
@@ -16,40 +17,21 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 class LightCrafter(Closing):
-    """The projector's controller: patterns from the video cable, LEDs off until `on`.
-
-    ``device`` has ``write``, ``read(size, timeout_ms)`` and ``close`` of hidapi's device.
-    """
+    """The projector's controller on hidapi's device: patterns from the video cable, LEDs off until `on`."""
 
     def __init__(
         self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 5.0
     ) -> None:
         self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
         self._number, self._lit, self._open = 0, False, True
-        try:
+        with closed_on_error(device):
             self.off()
-        except BaseException:
-            device.close()
-            raise
 
     @classmethod
     def open(cls, serial: str | None = None, timeout_s: float = 1.0) -> Self:
-        """Open the projector; its LEDs are off after.
-
-        Args:
-            serial: Its serial number; None takes the first.
-            timeout_s: How long an answer may take [s].
-
-        Returns:
-            The projector.
-
-        Raises:
-            DeviceNotFound: There is none, another program holds it, or the package is missing.
-        """
-        try:
+        """Open the projector with a serial number, or the first; its LEDs are off."""
+        with extra("lightcrafter", "LightCrafters need hidapi"):
             import hid  # type: ignore[import-not-found]
-        except ImportError as error:
-            raise DeviceNotFound('LightCrafters need hidapi: pip install "vamgpu[lightcrafter]"') from error
         device = hid.device()
         try:
             device.open(dlpc350.VENDOR, dlpc350.PRODUCT, serial)
@@ -75,28 +57,10 @@ class LightCrafter(Closing):
         return dlpc350.parse_reply(answer, self._number, what)
 
     def show_video(
-        self,
-        channels: tuple[int, ...],
-        bits: int,
-        exposure_us: int,
-        period_us: int,
-        leds: str | tuple[str, ...],
+        self, channels: tuple[int, ...], bits: int, exposure_us: int, period_us: int, leds: str | tuple[str, ...],
         refresh_hz: float = 60.0,
-    ) -> None:
-        """Show patterns of each video frame in turn, checked by the projector before they start.
-
-        Args:
-            channels: The channel (0 red, 1 green, 2 blue) of each pattern, in the order they are shown.
-            bits: Bits of a pattern, 7 or 8.
-            exposure_us: How long each is lit [us].
-            period_us: From pattern to pattern [us]; equal to the exposure, or at least 230 us more.
-            leds: Which LEDs light them: ``red``, ``green``, ``blue``.
-            refresh_hz: Video frames a second.
-
-        Raises:
-            BadInput: The patterns do not fit a video frame.
-            DeviceRefused: The projector finds the settings invalid; the message says which.
-        """
+    ) -> None:  # fmt: skip
+        """Show patterns of each video frame in turn, checked by the projector before they start."""
         chosen = (leds,) if isinstance(leds, str) else leds
         if not chosen or not set(chosen) <= set(dlpc350.COLORS):
             raise BadInput(f"LEDs {chosen}; expected some of {', '.join(dlpc350.COLORS)}")
@@ -122,23 +86,17 @@ class LightCrafter(Closing):
 
     def _checked(self) -> int:
         waited = 0.0
-        while (status := self._byte(dlpc350.VALIDATE, "the check's result")) & dlpc350.BUSY:
+        while not (data := self._ask(dlpc350.VALIDATE, b"", "the check's result", read=True)) or data[0] & dlpc350.BUSY:
+            if not data:
+                raise DeviceRefused("the projector has no answer to the check's result", "empty")
             if waited > self._wait:
                 raise DeviceLost(f"the projector still checks after {self._wait} s; turn it off and on")
             self._pause(0.05)
             waited += 0.05
-        return status
-
-    def _byte(self, command: int, what: str) -> int:
-        if not (data := self._ask(command, b"", what, read=True)):
-            raise DeviceRefused(f"the projector has no answer to {what}", "empty")
         return data[0]
 
     def drive(self, red: float = 0.0, green: float = 0.0, blue: float = 0.0) -> None:
-        """Set the LEDs' currents as fractions of their greatest; 0..1 each.
-
-        The code of a current falls as the current grows, as the projector's LED drivers expect it.
-        """
+        """Set the LEDs' currents as shares of their greatest; the code of a current falls as the current grows."""
         if not all(0 <= each <= 1 for each in (red, green, blue)):
             raise BadInput(f"LEDs cannot be driven at {red}, {green}, {blue} of their greatest current; give 0..1")
         codes = bytes(255 - round(each * 255) for each in (red, green, blue))
@@ -153,10 +111,6 @@ class LightCrafter(Closing):
         """Dark: no LED is enabled; again does no harm."""
         self._ask(dlpc350.LED_ENABLE, b"\0", "light off")
         self._lit = False
-
-    def is_on(self) -> bool:
-        """Whether the projector says that its LEDs are enabled."""
-        return self._byte(dlpc350.LED_ENABLE, "the LEDs' state") != 0
 
     def close(self) -> None:
         """Dark, stop, and let go; more than once does no harm."""

@@ -57,29 +57,20 @@ class FairLock:
 
 
 @dataclass(eq=False)
-class _Held:
-    """A sequence of the device. home: where it waits for its next use, those first that were shown longest ago.
-
-    name: of the frames in it, where they may be shown again.  promised: how often they will be.
-    """
+class _Stored:
+    """A sequence of the device."""
 
     sequence: PlaneSequence
-    home: deque[_Held]
-    name: bytes | None = None
-    promised: int = 0
+    home: deque[_Stored]  # where it waits, those shown longest ago first
+    name: bytes | None = None  # of its frames, which may be shown again
+    promised: int = 0  # how often they will be
 
 
 class MirrorMemory:
-    """Sequences in turn: one is shown while others are filled.
+    """Sequences in turn, one shown while others are filled; spares hold one frame each."""
 
-    length: frames of a sequence.  sequences: how many there are; enough for all frames make them resident.  spares:
-    sequences of one frame, for those that are to be shown alone.  Frames that are put with a name may be queued again
-    without an upload, see `keep`.  The device is asked how many places its queue has.  ``shown`` counts frames by the
-    device's own progress, so it is right whatever the host's time does. Whether a frame counts when it begins or when
-    it ends is the device's to say: compare with the count of triggers before there is light.
-
-    One thread may put while another asks: uploads go in pieces of `PIECE` bytes, and nobody waits longer than for one.
-    """
+    # One thread may put while another asks: uploads go in pieces of `PIECE` bytes. `shown` follows the device's own
+    # progress; whether it counts a frame at its begin or end is the device's: compare with the triggers in the dark.
 
     dmd: Dmd
     length: int
@@ -91,19 +82,19 @@ class MirrorMemory:
         if sequences < 2:
             raise BadInput(f"{sequences} sequences; expected 2 or more, one to show and one to fill")
         self.dmd, self.length, self.bits = dmd, length, bits
-        self._free: deque[_Held] = deque()
-        self._spare: deque[_Held] = deque()
+        self._free: deque[_Stored] = deque()
+        self._spare: deque[_Stored] = deque()
         for home, count, frames in ((self._free, sequences, length), (self._spare, spares, 1)):
-            home.extend(_Held(dmd.sequence(frames, bits, timing), home) for _ in range(count))
-        self._all: tuple[_Held, ...] = (*self._free, *self._spare)
-        self._queue: deque[tuple[_Held, int]] = deque()  # and how many of its frames are shown
+            home.extend(_Stored(dmd.sequence(frames, bits, timing), home) for _ in range(count))
+        self._all: tuple[_Stored, ...] = (*self._free, *self._spare)
+        self._queue: deque[tuple[_Stored, int]] = deque()  # and how many of its frames are shown
         self.queued: int = 0
         self._turns = FairLock()
         self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
-        self._ceased = False
+        self._cancelled = False
 
     def limits(self) -> SequenceLimits:
-        """What the device allows for these frames."""
+        """The device's limits for these frames."""
         with self._turns:
             return self._all[0].sequence.limits()
 
@@ -111,70 +102,64 @@ class MirrorMemory:
         """Whether so many frames can be put now, or those of a name that was kept be shown again."""
         with self._turns:
             self._progress()
-            return (self._idle(frames) if name is None else self._named(name, idle=True)) is not None and self._place()
+            found = self._idle(frames) if name is None else self._named(name, idle=True)
+            return found is not None and self.dmd.queue_places() > 0
 
-    def _idle(self, frames: int) -> _Held | None:
+    def _idle(self, frames: int) -> _Stored | None:
         """A sequence for so many frames, none of which is to be shown again."""
         home = self._spare if frames == 1 and self._spare else self._free
-        return next((held for held in home if not held.promised), None)
+        return next((stored for stored in home if not stored.promised), None)
 
-    def _named(self, name: bytes, idle: bool = False) -> _Held | None:
+    def _named(self, name: bytes, idle: bool = False) -> _Stored | None:
         """The sequence that begins with the frames of a name."""
         among = self._free if idle else self._all
-        return next((held for held in among if held.name is not None and held.name.startswith(name)), None)
-
-    def _place(self) -> bool:
-        return self.dmd.queue_places() > 0
+        return next((stored for stored in among if stored.name is not None and stored.name.startswith(name)), None)
 
     def keep(self, name: bytes) -> bool:
         """Promise to show the frames of a name again; False where they are not at the mirrors any more."""
         with self._turns:
-            held = self._named(name)
-            if held is not None:
-                held.promised += 1
-            return held is not None
+            stored = self._named(name)
+            if stored is not None:
+                stored.promised += 1
+            return stored is not None
 
     def again(self, name: bytes, frames: int) -> None:
         """Queue the frames of a name that was kept; they are not uploaded. Needs `room` for the name."""
         with self._turns:
-            held = self._named(name, idle=True)
-            if held is None or not held.promised:
+            stored = self._named(name, idle=True)
+            if stored is None or not stored.promised:
                 raise DeviceError("these frames were not kept, or are being shown; wait for room() before showing them")
-            held.promised -= 1
-            held.home.remove(held)
-            self._show(held, frames)
+            stored.promised -= 1
+            stored.home.remove(stored)
+            self._show(stored, frames)
 
     def put(self, planes: np.ndarray, name: bytes | None = None) -> None:
-        """Upload up to ``length`` frames ``[frame, plane, row, byte]`` and queue them; none once it ceased.
-
-        name: by which they may be shown again: a few bytes a frame, so that what a name begins with names the first of
-        them.
-        """
+        """Upload frames ``[frame, plane, row, byte]`` and queue them, under a name to show them again."""
         with self._turns:
             self._progress()
-            held = self._idle(len(planes))
-            if held is None or not self._place():
+            stored = self._idle(len(planes))
+            if stored is None or not self.dmd.queue_places():
                 raise DeviceError("all sequences are in the queue; wait for room() before the next frames")
-            held.home.remove(held)
-            held.name = None
+            stored.home.remove(stored)
+            stored.name = None
         for first in range(0, len(planes), self._piece):
             with self._turns:
-                if not self._ceased:
-                    held.sequence.put(planes[first : first + self._piece], first)
+                if not self._cancelled:
+                    stored.sequence.put(planes[first : first + self._piece], first)
         with self._turns:
-            if self._ceased:
-                held.home.append(held)
+            if self._cancelled:
+                stored.home.append(stored)
                 return
-            held.name = name
-            self._show(held, len(planes))
+            stored.name = name
+            self._show(stored, len(planes))
 
-    def _show(self, held: _Held, frames: int) -> None:
-        held.sequence.start(frames)
-        self._queue.append((held, frames))
+    def _show(self, stored: _Stored, frames: int) -> None:
+        stored.sequence.start(frames)
+        self._queue.append((stored, frames))
         self.queued += frames
 
     def shown(self) -> int:
-        """How many frames have begun to show since the start."""
+        """Frames that have begun to show since the start."""
         with self._turns:
             return self._progress()
 
@@ -187,17 +172,17 @@ class MirrorMemory:
         waiting = sum(frames for _, frames in list(self._queue)[1:])
         return self.queued - waiting - (0 if idle else progress.frames_left)
 
-    def cease(self) -> None:
+    def cancel(self) -> None:
         """Upload no further piece, so that who uploads may end soon; waits for nobody."""
-        self._ceased = True
+        self._cancelled = True
 
     def close(self, hung: bool = False) -> None:
         """Halt, and give the memory back; not where an upload hangs in it."""
         self.dmd.halt()
         if hung:
             return
-        for held in self._all:
-            held.sequence.free()
+        for stored in self._all:
+            stored.sequence.free()
         self._all = ()
         self._free.clear()
         self._spare.clear()

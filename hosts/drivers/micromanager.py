@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.stages import wait_for_rest
+from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
+from vamgpu.hosts.drivers.closing import extra
+from vamgpu.hosts.drivers.stages import PolledStage, above_zero
 from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -20,21 +20,9 @@ UM_IN_MM = 1000.0
 
 
 def open_core(configuration: str | Path) -> Any:
-    """A core with the devices of a configuration file, as Micro-Manager's wizard writes it.
-
-    Args:
-        configuration: The ``.cfg`` file.
-
-    Returns:
-        The ``CMMCorePlus``.
-
-    Raises:
-        DeviceNotFound: The package, its adapters, the file or a device is missing.
-    """
-    try:
+    """Open a core with the devices of a configuration file, as Micro-Manager's wizard writes it."""
+    with extra("micromanager", "Micro-Manager devices need pymmcore-plus"):
         from pymmcore_plus import CMMCorePlus
-    except ImportError as error:
-        raise DeviceNotFound('Micro-Manager devices need pymmcore-plus: pip install "vamgpu[micromanager]"') from error
     if not Path(configuration).is_file():
         raise DeviceNotFound(f"there is no configuration {configuration}; write one with Micro-Manager's wizard")
     core = CMMCorePlus()
@@ -57,10 +45,10 @@ class _Device(Closing):
         self._core, self.label, self._owned = core, label, owned
         labels = list(core.getLoadedDevices())
         if label not in labels:
-            self._let_go()
+            self.release()
             raise DeviceNotFound(f"there is no device {label!r} among {', '.join(labels)}; correct its label")
         if (found := core.getDeviceType(label).name) != kind:
-            self._let_go()
+            self.release()
             raise WrongDevice(f"the device {label!r} is of the kind {found}, expected {kind}; correct its label")
 
     def _call(self, name: str, *arguments: Any, lost: type[DeviceError] = DeviceRefused) -> Any:
@@ -69,49 +57,28 @@ class _Device(Closing):
         except Exception as error:
             raise lost(f"{self.label} failed in {name} ({error}); check its plug, its power and the value") from error
 
-    def _let_go(self) -> None:
+    def release(self) -> None:
         owned, self._owned = self._owned, False
         if owned:
             self._core.unloadAllDevices()
 
 
-class MicroManagerStage(_Device):
-    """A stage of one axis of length; it moves at the speed of its property ``speed_property``, if it has one.
+class MicroManagerStage(_Device, PolledStage):
+    """A stage of one axis of length; it goes to positions and cannot run at a speed."""
 
-    Micro-Manager has no motion for good: `run` is refused, so such a stage homes and goes to places.
-    """
-
-    unit = "mm"
     measured = True
 
     def __init__(
-        self,
-        core: Any,
-        label: str,
-        speed_property: str | None = None,
-        patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep,
-        owned: bool = False,
-    ) -> None:
-        super().__init__(core, label, "StageDevice", owned)
-        self._speed_property, self._patience, self._pause = speed_property, patience_s, pause
+        self, core: Any, label: str, speed_property: str | None = None, patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep, owned: bool = False,
+    ) -> None:  # fmt: skip
+        _Device.__init__(self, core, label, "StageDevice", owned)
+        PolledStage.__init__(self, label, "mm", patience_s, pause)
+        self._speed_property = speed_property
 
     @classmethod
     def open(cls, configuration: str | Path, label: str, speed_property: str | None = None) -> Self:
-        """Open the stage.
-
-        Args:
-            configuration: The ``.cfg`` file.
-            label: The stage's label in it.
-            speed_property: The property that holds its speed [mm/s]; None moves at the stage's own speed.
-
-        Returns:
-            The stage.
-
-        Raises:
-            DeviceNotFound: The package, the file, or the device is missing.
-            WrongDevice: The label is of another kind of device.
-        """
+        """Open the device of a label in a ``.cfg`` file."""
         return cls(open_core(configuration), label, speed_property, owned=True)
 
     def position(self) -> float:
@@ -125,8 +92,7 @@ class MicroManagerStage(_Device):
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position [mm]."""
-        if not speed > 0:
-            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        above_zero(speed)
         if self._speed_property is not None:
             self._call("setProperty", self.label, self._speed_property, speed)
         self._call("setPosition", self.label, position * UM_IN_MM)
@@ -141,22 +107,13 @@ class MicroManagerStage(_Device):
             )
         self.stop()
 
-    def wait(self) -> None:
-        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        busy = partial(self._call, "deviceBusy", self.label, lost=DeviceLost)
-        wait_for_rest(busy, self._patience, self._pause, self.label)
+    def busy(self) -> bool:
+        """Whether the axis moves."""
+        return self._call("deviceBusy", self.label, lost=DeviceLost)
 
     def stop(self) -> None:
         """Begin to come to rest."""
         self._call("stop", self.label)
-
-    def close(self) -> None:
-        """Stop, and let go of the core; more than once does no harm."""
-        try:
-            self.stop()
-        except DeviceError as error:
-            log.warning("closing a stage: %s", error)
-        self._let_go()
 
 
 class MicroManagerCamera(_Device):
@@ -167,24 +124,12 @@ class MicroManagerCamera(_Device):
         try:
             self._call("setCameraDevice", label)
         except BaseException:
-            self._let_go()
+            self.release()
             raise
 
     @classmethod
     def open(cls, configuration: str | Path, label: str) -> Self:
-        """Open the camera.
-
-        Args:
-            configuration: The ``.cfg`` file.
-            label: The camera's label in it.
-
-        Returns:
-            The camera.
-
-        Raises:
-            DeviceNotFound: The package, the file, or the device is missing.
-            WrongDevice: The label is of another kind of device.
-        """
+        """Open the device of a label in a ``.cfg`` file."""
         return cls(open_core(configuration), label, owned=True)
 
     def expose(self, exposure_us: float) -> None:
@@ -204,4 +149,4 @@ class MicroManagerCamera(_Device):
 
     def close(self) -> None:
         """Let go of the core; more than once does no harm."""
-        self._let_go()
+        self.release()

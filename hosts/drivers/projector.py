@@ -9,20 +9,17 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, VamError, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error, extra
 from vamgpu.hosts.run_all import Closing
 
 
 @dataclass(frozen=True)
 class SlotLayout:
-    """Which channel of a video frame carries which frame, in the order they are shown, and with how many bits.
+    """Which channel of a video frame carries which frame, in the order they are shown."""
 
-    ``channels`` are 0 red, 1 green, 2 blue; frames of fewer than 8 bits lie in the high bits. With ``gray`` all
-    channels carry the one frame.
-    """
-
-    channels: tuple[int, ...]
-    bits: int
-    gray: bool = False
+    channels: tuple[int, ...]  # 0 red, 1 green, 2 blue
+    bits: int  # fewer than 8 lie in the high bits
+    gray: bool = False  # all channels carry the one frame
 
     @property
     def slots(self) -> int:
@@ -36,10 +33,7 @@ ONE_GRAY = SlotLayout((1,), 8, gray=True)
 
 
 def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
-    """A video frame ``[row, column, 3]`` (uint8) of as many 8-bit frames ``[row, column]`` as the layout holds.
-
-    Levels are rounded to the layout's bits; where it holds 7, level 255 becomes 127 of 127.
-    """
+    """Compose a video frame ``[row, column, 3]`` of 8-bit frames; level 255 becomes 127 where it holds 7 bits."""
     if len(frames) != layout.slots:
         raise BadInput(f"{len(frames)} frames for the {layout.slots} slots of a video frame")
     shape = frames[0].shape
@@ -72,19 +66,14 @@ class Window(Protocol):
 
 
 class PygletWindow:
-    """A window of the pyglet package on one screen, in step with its refresh, without scaling.
-
-    ``rate_hz`` is needed where the system does not tell the screen's.
-    """
+    """A pyglet window on one screen, in step with its refresh, without scaling."""
 
     size: tuple[int, int]
     rate_hz: float
 
     def __init__(self, screen: int, size: tuple[int, int], rate_hz: float | None = None) -> None:
-        try:
+        with extra("window", "a projector window needs pyglet"):
             import pyglet  # type: ignore[import-not-found]
-        except ImportError as error:
-            raise DeviceNotFound('a projector window needs pyglet: pip install "vamgpu[window]"') from error
         try:
             screens = pyglet.display.get_display().get_screens()
         except Exception as error:
@@ -107,11 +96,8 @@ class PygletWindow:
         self._window: Any = pyglet.window.Window(fullscreen=True, screen=found, vsync=True)
         self._window.set_mouse_visible(False)
         self._refresh = 0
-        try:
+        with closed_on_error(self._window):
             self.show(np.zeros((*size, 3), np.uint8))
-        except BaseException:
-            self._window.close()
-            raise
 
     def show(self, video_frame: np.ndarray, /) -> int:
         """Show a video frame from the next refresh on; returns when it is on the screen."""
@@ -135,11 +121,7 @@ class PygletWindow:
 
 
 class HdmiProjector(Closing):
-    """Frames on a projector that shows several of them in each video frame.
-
-    A controller in video pattern mode shows a video frame one refresh after it has received it; ``latency_refreshes``
-    says how many, so that ``show`` can tell when the light of its frames comes.
-    """
+    """A projector that shows several frames of each video frame, so many refreshes after it was sent."""
 
     window: Window
     layout: SlotLayout
@@ -160,10 +142,7 @@ class HdmiProjector(Closing):
         return self.layout.slots * self.window.rate_hz
 
     def show(self, frames: list[np.ndarray]) -> int:
-        """Show the next video frame's frames ``[row, column]`` (uint8); the number of the first slot they are lit in.
-
-        Raises `DeviceLost` where the screen is gone.
-        """
+        """Show the next video frame's frames ``[row, column]``; the number of the first slot they are lit in."""
         if any(frame.shape != self.size for frame in frames):
             raise BadInput(f"frames must have {self.size[0]} x {self.size[1]} pixels, as the projector has")
         refresh = self._send(compose(frames, self.layout))

@@ -1,4 +1,4 @@
-"""Instruments that speak SCPI, as text in lines: photodiode meters."""
+"""Photodiode meters that speak SCPI, as text in lines."""
 
 from __future__ import annotations
 
@@ -6,25 +6,28 @@ import math
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.run_all import Closing
 
 MILLI = 1000.0
 
 
-class Instrument(Closing):
-    """Asks and tells; ``maker`` is what its identification must contain (None: anything)."""
+class PowerMeter(Closing):
+    """A photodiode's meter that speaks SCPI, such as Thorlabs' PM100 and PM400, of any maker or of one."""
 
     def __init__(self, wire: Wire, maker: str | None = None) -> None:
         self._wire = wire
-        try:
+        with closed_on_error(wire):
             self.identity: str = self._identify()
             if maker is not None and maker.lower() not in self.identity.lower():
                 raise WrongDevice(f"{self.identity!r} answers at {wire.name}, not one of {maker!r}; check the port")
             self.tell("*CLS")
-        except BaseException:
-            wire.close()
-            raise
+
+    @classmethod
+    def open(cls, url: str, maker: str | None = None, baud: int = 115200, timeout_s: float = 2.0) -> Self:
+        """Open the meter at an address, such as ``usbtmc:/dev/usbtmc0``."""
+        return cls(open_wire(url, "the power meter", baud, timeout_s), maker)
 
     def _identify(self) -> str:
         """Maker, model, serial number and version, as every such instrument answers."""
@@ -71,19 +74,6 @@ class Instrument(Closing):
         if code.strip().lstrip("+") != "0":
             raise DeviceRefused(f"{self._wire.name} refused a command: {text.strip()}", code.strip())
 
-    def close(self) -> None:
-        """Let go of the port."""
-        self._wire.close()
-
-
-class PowerMeter(Instrument):
-    """A photodiode's meter, such as Thorlabs' PM100 and PM400."""
-
-    @classmethod
-    def open(cls, url: str, maker: str | None = None, baud: int = 115200, timeout_s: float = 2.0) -> Self:
-        """Open the meter at an address, such as ``usbtmc:/dev/usbtmc0``."""
-        return cls(open_wire(url, "the power meter", baud, timeout_s), maker)
-
     def wavelength(self, nanometers: float) -> None:
         """Set the wavelength the reading is corrected for [nm]."""
         if not 100 < nanometers < 3000:
@@ -99,3 +89,7 @@ class PowerMeter(Instrument):
     def power_mw(self) -> float:
         """The optical power now [mW]."""
         return self.number("MEAS:POW?") * MILLI
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._wire.close()

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.protocols import zaber
 from vamgpu.hosts.run_all import Closing
@@ -35,18 +36,52 @@ log: logging.Logger = logging.getLogger(__name__)
 POLL = 0.02  # between two questions whether an axis moves [s]
 
 
-def wait_for_rest(busy: Callable[[], bool], patience_s: float, pause: Callable[[float], None], name: str) -> None:
-    """Return when an axis rests. Raises `DeviceError` where it does not within its patience."""
-    waited = 0.0
-    while busy():
-        if waited > patience_s:
-            raise DeviceError(f"{name} still moves after {patience_s} s; check what it should do")
-        pause(POLL)
-        waited += POLL
+class PolledStage(Closing):
+    """An axis that is asked whether it still moves; closed, it stops and lets go of its line."""
+
+    unit: str
+
+    def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
+        self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
+
+    def busy(self) -> bool:
+        """Whether the axis moves."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Begin to come to rest."""
+        raise NotImplementedError
+
+    def release(self) -> None:
+        """Let go of the line."""
+        raise NotImplementedError
+
+    def wait(self) -> None:
+        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
+        waited = 0.0
+        while self.busy():
+            if waited > self._patience:
+                raise DeviceError(f"{self._name} still moves after {self._patience} s; check what it should do")
+            self._pause(POLL)
+            waited += POLL
+
+    def close(self) -> None:
+        """Stop, and let go of the line; more than once does no harm."""
+        try:
+            self.stop()
+        except DeviceError as error:
+            log.warning("closing a stage: %s", error)
+        self.release()
+
+
+def above_zero(speed: float) -> None:
+    """Raise `BadInput` for a move whose speed is not above 0."""
+    if not speed > 0:
+        raise BadInput(f"a move needs a speed above 0, not {speed}")
 
 
 class ZaberLink(Protocol):
-    """How commands reach Zaber devices: through the maker's package, or by lines."""
+    """A link to Zaber devices: the maker's package, or lines on a wire."""
 
     name: str
 
@@ -87,11 +122,9 @@ class ZaberConnection:
     name: str
 
     def __init__(self, url: str, name: str, timeout_s: float = 0.5) -> None:
-        try:
+        with extra("zaber", "Zaber stages need zaber-motion"):
             import zaber_motion
             from zaber_motion.ascii import Connection
-        except ImportError as error:
-            raise DeviceNotFound('Zaber stages need zaber-motion: pip install "vamgpu[zaber]"') from error
         self.name, self._library, self._timeout = f"{name} at {url}", zaber_motion, round(timeout_s * 1000)
         try:
             if url.startswith("socket://"):
@@ -126,59 +159,30 @@ class ZaberConnection:
         self._connection.close()
 
 
-class ZaberStage(Closing):
-    """One axis of one device; ``microsteps`` is how many make a unit, ``unit`` is ``mm`` or ``deg``.
-
-    ``pause`` waits a number of seconds between questions about motion.
-    """
+class ZaberStage(PolledStage):
+    """One axis of one Zaber device, with so many microsteps a unit, ``mm`` or ``deg``."""
 
     microsteps: float
     measured = True
 
     def __init__(
-        self,
-        link: Wire | ZaberLink,
-        microsteps: float,
-        unit: str = "deg",
-        device: int = 1,
-        axis: int = 1,
-        patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:
+        self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
+        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep,
+    ) -> None:  # fmt: skip
         if not microsteps > 0 or unit not in ("mm", "deg"):
             link.close()
             raise BadInput(f"{microsteps} microsteps a {unit!r} are no stage; give what its gear makes, in mm or deg")
-        self._wire, self.microsteps, self.unit = link, microsteps, unit
-        self._device, self._axis, self._patience, self._pause = device, axis, patience_s, pause
-        try:
+        super().__init__(f"stage {device}", unit, patience_s, pause)
+        self.microsteps, self._device, self._axis = microsteps, device, axis
+        with closed_on_error(link):
             self._link = ZaberLines(link) if isinstance(link, Wire) else link
             self.kind: int = self._start()
-        except BaseException:
-            link.close()
-            raise
 
     @classmethod
     def open(
         cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5
     ) -> Self:
-        """Open a stage through the maker's package.
-
-        Args:
-            url: The serial port, or ``socket://host:port``.
-            microsteps: How many make a unit.
-            unit: ``mm`` or ``deg``.
-            device: The device's number in its chain.
-            axis: The axis's number on its device.
-            timeout_s: How long an answer may take [s].
-
-        Returns:
-            The stage.
-
-        Raises:
-            DeviceNotFound: Nothing is at the address, or the package is missing.
-            DeviceBusy: Another program uses the port.
-            WrongDevice: What answers is no Zaber device.
-        """
+        """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
         return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis)
 
     def _start(self) -> int:
@@ -215,8 +219,7 @@ class ZaberStage(Closing):
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position at most at a speed."""
-        if not speed > 0:
-            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        above_zero(speed)
         self.ask(f"set maxspeed {self._speed(speed)}")
         self.ask(f"move abs {round(position * self.microsteps)}")
 
@@ -233,27 +236,12 @@ class ZaberStage(Closing):
         zaber.accept(message, "")
         return message.busy
 
-    def wait(self) -> None:
-        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        wait_for_rest(self.busy, self._patience, self._pause, f"stage {self._device}")
-
     def stop(self) -> None:
         """Begin to come to rest."""
         self.ask("stop")
 
     def trigger_every(self, distance: float, output: int = 1) -> None:
-        """Give a rising edge on a digital output each time the axis has travelled a distance.
-
-        The device toggles the output each half distance, from low: the first edge comes after half a distance.
-
-        Args:
-            distance: From edge to edge, in the stage's unit; 0 ends the edges.
-            output: The number of the digital output; the trigger of the same number is used.
-
-        Raises:
-            BadInput: The distance is below two microsteps.
-            DeviceRefused: The device has no such output or trigger.
-        """
+        """Raise a digital output each time the axis has travelled a distance, first after half of it; 0 ends it."""
         half = round(distance * self.microsteps / 2)
         if distance != 0 and half < 1:
             raise BadInput(
@@ -272,12 +260,8 @@ class ZaberStage(Closing):
         for text in texts:
             zaber.accept(self._exchange(text, axis=0), text)
 
-    def close(self) -> None:
-        """Stop, and let go of the line."""
-        try:
-            self.stop()
-        except DeviceError as error:
-            log.warning("closing a stage: %s", error)
+    def release(self) -> None:
+        """Let go of the line."""
         self._link.close()
 
 
@@ -297,10 +281,7 @@ def _axis(uri: str) -> Any:
 
 
 class StandaStage(Closing):
-    """One axis; ``steps`` is how many full steps make a ``unit``, ``fraction`` the microsteps of a step.
-
-    ``axis`` has the methods of libximc's ``highlevel.Axis``.
-    """
+    """One axis of libximc's ``highlevel.Axis``, with so many full steps a unit, each of ``fraction`` microsteps."""
 
     steps: float
     measured = True
@@ -346,8 +327,7 @@ class StandaStage(Closing):
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position."""
-        if not speed > 0:
-            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        above_zero(speed)
         self._speed(speed)
         self._call("command_move", *self._split(position))
 

@@ -67,11 +67,7 @@ class SysfsPwm(Closing):
 
 
 class StepperStage(Closing):
-    """A `Stage` that turns forward only, by pulses. microsteps: pulses of a ``unit``.  ramp: change of speed [unit/s2].
-
-    Its position is the pulses that were given. An index, seen once a turn, is at 0 and corrects it and its rate; one
-    that is overdue raises `DeviceError`.  marks: how often it was seen; None without one.
-    """
+    """A `Stage` by so many pulses a unit, forward only; an index, at 0 each turn, corrects position and rate."""
 
     microsteps: float
     measured = False

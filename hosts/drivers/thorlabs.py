@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, WrongDevice
-from vamgpu.hosts.drivers.stages import wait_for_rest
+from vamgpu.errors import BadInput, DeviceLost, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error, extra
+from vamgpu.hosts.drivers.stages import PolledStage, above_zero
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
 UNIT, HOST, CHANNEL = 0x50, 0x01, 1
@@ -32,21 +33,8 @@ SERVO, BRUSHLESS, STEPPER = Cube(65536 * 2048 / 6e6, True), Cube(65536 * 102.4e-
 CUBES = {"KDC": SERVO, "TDC": SERVO, "KBD": BRUSHLESS, "TBD": BRUSHLESS, "KST": STEPPER, "TST": STEPPER}
 
 
-class _Reader:
-    """A wire as a file of bytes."""
-
-    def __init__(self, wire: Wire) -> None:
-        self._wire = wire
-
-    def read(self, size: int) -> bytes:
-        return self._wire.receive(size)
-
-
-class ThorlabsStage(Closing):
-    """One axis; ``counts`` is how many make a ``unit``: of the encoder, or microsteps on a stepper's cube.
-
-    ``measured`` follows from the cube. ``pause`` waits a number of seconds between questions about motion.
-    """
+class ThorlabsStage(PolledStage):
+    """One axis, with so many counts a unit: of its encoder, or microsteps on a stepper's cube."""
 
     counts: float
     unit: str
@@ -56,46 +44,24 @@ class ThorlabsStage(Closing):
         self, wire: Wire, counts: float, unit: str = "deg", patience_s: float = 60.0,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:  # fmt: skip
-        self._wire, self.counts, self.unit, self._patience, self._pause = wire, counts, unit, patience_s, pause
-        self._ended = True
-        try:
+        super().__init__("the Thorlabs stage", unit, patience_s, pause)
+        self._wire, self.counts, self._ended = wire, counts, True
+        with closed_on_error(wire):
             if not counts > 0 or unit not in ("mm", "deg"):
                 raise BadInput(f"{counts} counts a {unit!r} are no stage; give what its maker says, in mm or deg")
             self._start()
-        except BaseException:
-            wire.close()
-            raise
 
     @classmethod
     def open(cls, port: str, counts: float, unit: str = "deg", timeout_s: float = 0.5) -> Self:
-        """Open a stage.
-
-        Args:
-            port: The serial port of the cube.
-            counts: How many make a unit: a PRM1-Z8 has 1919.6418578623391 a degree.
-            unit: ``mm`` or ``deg``.
-            timeout_s: How long an answer may take [s].
-
-        Returns:
-            The stage, its motor enabled.
-
-        Raises:
-            DeviceNotFound: Nothing is at the port, or the package is missing.
-            DeviceBusy: Another program uses the port.
-            WrongDevice: What answers is no motion cube by Thorlabs.
-        """
+        """Open a stage and enable its motor; a PRM1-Z8 has 1919.6418578623391 counts a degree."""
         # cubes hold bytes back by RTS and CTS
         return cls(open_wire(port, "the Thorlabs stage", 115200, timeout_s, rtscts=True), counts, unit)
 
     def _start(self) -> None:
-        try:
+        with extra("thorlabs", "Thorlabs stages need thorlabs-apt-protocol"):
             import thorlabs_apt_protocol as apt  # type: ignore[import-untyped]
-        except ImportError as error:
-            raise DeviceNotFound(
-                'Thorlabs stages need thorlabs-apt-protocol: pip install "vamgpu[thorlabs]"'
-            ) from error
         self._apt: Any = apt
-        self._messages = apt.Unpacker(_Reader(self._wire))
+        self._messages = apt.Unpacker(SimpleNamespace(read=self._wire.receive))
         self._wire.drain()
         try:
             said = self._ask("hw_req_info", "hw_get_info")
@@ -105,7 +71,7 @@ class ThorlabsStage(Closing):
         cube = CUBES.get(self.kind[:3])
         if cube is None:
             raise WrongDevice(f"{self._wire.name} is a {self.kind}; expected a motion cube: {', '.join(CUBES)}")
-        self._cube, self.measured = cube, cube.encoder
+        self._cube, self.measured, self._name = cube, cube.encoder, f"the {self.kind}"
         self._send("mod_set_chanenablestate", CHANNEL, 1)
 
     def _send(self, name: str, *arguments: int) -> None:
@@ -138,11 +104,11 @@ class ThorlabsStage(Closing):
 
     def _speed(self, speed: float) -> None:
         """Set the greatest speed, and leave the rest of its profile."""
-        wanted = self._whole(abs(speed) * self._cube.speed, "speed", speed)
-        if wanted == 0:
+        units = self._whole(abs(speed) * self._cube.speed, "speed", speed)
+        if units == 0:
             raise BadInput(f"a speed of {speed:g} {self.unit}/s is below what the {self.kind} tells apart; go faster")
         profile = self._ask("mot_req_velparams", "mot_get_velparams", CHANNEL)
-        self._send("mot_set_velparams", CHANNEL, profile.min_velocity, profile.acceleration, wanted)
+        self._send("mot_set_velparams", CHANNEL, profile.min_velocity, profile.acceleration, units)
 
     def _whole(self, units: float, what: str, value: float) -> int:
         found = round(units * self.counts)
@@ -152,8 +118,7 @@ class ThorlabsStage(Closing):
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position at most at a speed."""
-        if not speed > 0:
-            raise BadInput(f"a move needs a speed above 0, not {speed}")
+        above_zero(speed)
         goal = self._whole(position, "position", position)
         self._speed(speed)
         self._ended = False
@@ -172,19 +137,11 @@ class ThorlabsStage(Closing):
         said = self._status()
         return not self._ended or any(getattr(said, name) for name in MOVING)
 
-    def wait(self) -> None:
-        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
-        wait_for_rest(self.busy, self._patience, self._pause, f"the {self.kind}")
-
     def stop(self) -> None:
         """Begin to come to rest."""
         self._ended = True
         self._send("mot_move_stop", CHANNEL, PROFILED)
 
-    def close(self) -> None:
-        """Stop, and let go of the port."""
-        try:
-            self.stop()
-        except DeviceError as error:
-            log.warning("closing a stage: %s", error)
+    def release(self) -> None:
+        """Let go of the port."""
         self._wire.close()

@@ -15,13 +15,14 @@ import threading
 from typing import Any, Protocol
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
+from vamgpu.hosts.drivers.closing import extra
 from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
 
 
 class Port(Protocol):
-    """What a wire needs of an open port; pyserial's ports have it."""
+    """An open port, such as pyserial's."""
 
     def write(self, data: bytes, /) -> Any: ...  # send
     # receive ``size`` bytes, or fewer if they do not come in the port's own time
@@ -54,7 +55,7 @@ class _MessagePort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes of the message are left."""
+        """Bytes of the message that are left."""
         return len(self._pending)
 
 
@@ -112,10 +113,8 @@ class VisaPort(_MessagePort):
 
 
 def _visa() -> Any:
-    try:
+    with extra("visa", "VISA addresses need PyVISA"):
         import pyvisa
-    except ImportError as error:
-        raise DeviceNotFound('VISA addresses need PyVISA: pip install "vamgpu[visa]"') from error
     return pyvisa
 
 
@@ -184,7 +183,7 @@ class Wire(Closing):
         return taken
 
     def waiting(self) -> int:
-        """How many bytes have come in and are not read."""
+        """Bytes that have come in and are not read."""
         try:
             return len(self._ahead) + self.port.in_waiting
         except OSError as error:
@@ -203,7 +202,7 @@ class Wire(Closing):
         self.close()
         self._ahead.clear()
         try:
-            self.port.open()  # type: ignore[attr-defined] - ports that cannot be opened again are told below
+            self.port.open()  # type: ignore[attr-defined] - ports that cannot be opened again raise below
         except (OSError, AttributeError) as error:
             raise self._lost(error) from error
 
@@ -221,12 +220,7 @@ class Wire(Closing):
 def open_wire(
     url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, lines_low: bool = False, rtscts: bool = False
 ) -> Wire:
-    """Open the port of a machine.
-
-    ``timeout_s`` is how long a read waits; ``lines_low`` opens with the control lines RTS and DTR low, ``rtscts`` lets
-    them hold bytes back.
-    Raises DeviceNotFound where nothing is at the address, DeviceBusy where another program holds it.
-    """
+    """Open a machine's port; reads wait for ``timeout_s``. DeviceNotFound, or DeviceBusy where another has it."""
     if "::" in url:
         return Wire(_visa_port(url, name, timeout_s), f"{name} at {url}")
     if url.startswith("usbtmc:"):
@@ -234,7 +228,8 @@ def open_wire(
             return Wire(UsbtmcPort(url.removeprefix("usbtmc:")), f"{name} at {url}")
         except OSError as error:
             raise _unopened(url, name, error) from error
-    serial = _pyserial()
+    with extra("hardware", "ports need pyserial"):
+        import serial
     try:
         port = serial.serial_for_url(
             url, do_not_open=True, baudrate=baud, timeout=timeout_s, write_timeout=2.0, exclusive=True, rtscts=rtscts
@@ -247,14 +242,6 @@ def open_wire(
     except OSError as error:
         raise _unopened(url, name, error) from error
     return Wire(port, f"{name} at {url}")
-
-
-def _pyserial() -> Any:
-    try:
-        import serial
-    except ImportError as error:
-        raise DeviceNotFound('ports need pyserial: pip install "vamgpu[hardware]"') from error
-    return serial
 
 
 def _unopened(url: str, name: str, error: OSError) -> DeviceNotFound | DeviceBusy:

@@ -1,8 +1,7 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
 ``EmulatedAlp.library`` has real C functions, made with declarations of their own, so the driver crosses a true C
-border: wrong widths of integers or bad pointers fail here as they would there. ``on_shown`` hears of each frame when it
-is over.
+border: wrong widths of integers or bad pointers fail here as they would there.
 """
 
 from __future__ import annotations
@@ -17,22 +16,91 @@ import numpy as np
 from vamgpu.hosts.emulators.array import MICRO, ArrayModel, EmulatedArray, Queued, Stored
 from vamgpu.hosts.emulators.clock import VirtualClock
 
-INVALID, FULL, IN_USE = 1005, 1007, 1008
+NOT_ONLINE, NOT_IDLE, NOT_READY, INVALID, FULL, IN_USE, FAILED, REMOVED = 1001, 1002, 1004, 1005, 1007, 1008, 1011, 1012
+N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
+LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
+ENTRIES: dict[str, tuple[Any, ...]] = {
+    "AlpDevAlloc": (N, N, IDS),
+    "AlpDevInquire": (U, N, LONGS),
+    "AlpDevControl": (U, N, N),
+    "AlpDevHalt": (U,),
+    "AlpDevFree": (U,),
+    "AlpSeqAlloc": (U, N, N, IDS),
+    "AlpSeqFree": (U, U),
+    "AlpSeqControl": (U, U, N, N),
+    "AlpSeqTiming": (U, U, N, N, N, N, N),
+    "AlpSeqInquire": (U, U, N, LONGS),
+    "AlpSeqPut": (U, U, N, N, P),
+    "AlpProjStart": (U, U),
+    "AlpProjStartCont": (U, U),
+    "AlpProjHalt": (U,),
+    "AlpProjControl": (U, N, N),
+    "AlpProjInquire": (U, N, LONGS),
+    "AlpProjInquireEx": (U, N, P),
+}
 
 
-class EmulatedSequences(EmulatedArray):
-    """The memory: sequences by their numbers, with limits, times and data."""
+class EmulatedAlp(EmulatedArray):
+    """The device; a driver is given its ``library``. ``removed`` is a pulled plug, ``crash`` an error in a call."""
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
         super().__init__(clock, model)
         self._stored: dict[int, Stored] = {}
-        self._next_id = 1
+        self._next_id = self._next_queue = 1
+        self.allocated: bool = False
+        self.floating: bool = False
+        self.rising: bool = True
+        self.crash: BaseException | None = None
+        entries = {name: self._entry(name, types) for name, types in ENTRIES.items()}
+        self.library: SimpleNamespace = SimpleNamespace(**entries)
+
+    def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
+        """A C function that calls the method of its name."""
+
+        def called(*arguments: Any) -> int:
+            if self.removed:
+                return REMOVED
+            if name != "AlpDevAlloc" and not self.allocated:
+                return NOT_ONLINE
+            try:
+                with self.clock.lock:
+                    self.advance(self.clock.now())
+                    return self._call(name, *arguments)
+            except BaseException as error:  # C code cannot pass it on, a key that was pressed as little
+                self.crash = error
+                return FAILED
+
+        return ctypes.CFUNCTYPE(N, *types)(called)
+
+    def _call(self, name: str, device: int, *arguments: Any) -> int:
+        """Call a method, with the sequence of a number where there is one, and answer inquiries by its table."""
+        if "Seq" in name and name != "AlpSeqAlloc":
+            stored = self._stored.get(arguments[0])
+            if stored is None:
+                return INVALID
+            if name != "AlpSeqInquire" and any(entry.sequence == arguments[0] for entry in self._queue):
+                return IN_USE
+            if name == "AlpSeqFree":
+                del self._stored[arguments[0]]
+                return 0
+            arguments = (stored, *arguments[1:])
+        method = getattr(self, "_" + name)
+        if not name.endswith("Inquire"):
+            return method(*((device, *arguments) if name == "AlpDevAlloc" else arguments)) or 0
+        *given, kind, answer = arguments
+        known = method(*given)
+        if kind not in known:
+            return INVALID
+        answer[0] = known[kind]
+        return 0
+
+    # sequences
 
     def free_planes(self) -> int:
-        """How many bit planes fit now."""
+        """Bit planes that fit now."""
         return self.model.planes - sum(stored.bits * stored.count for stored in self._stored.values())
 
-    def _AlpSeqAlloc(self, _: int, bits: int, count: int, answer: Any) -> int:  # noqa: N802
+    def _AlpSeqAlloc(self, bits: int, count: int, answer: Any) -> int:  # noqa: N802
         if not 1 <= bits <= 8 or count < 1:
             return INVALID
         if bits * count > self.free_planes():
@@ -42,23 +110,7 @@ class EmulatedSequences(EmulatedArray):
         self._next_id += 1
         return 0
 
-    def _in_use(self, sequence: int) -> bool:
-        return any(entry.sequence == sequence for entry in self._queue)
-
-    def _AlpSeqFree(self, _: int, sequence: int) -> int:  # noqa: N802
-        if sequence not in self._stored:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
-        del self._stored[sequence]
-        return 0
-
-    def _AlpSeqControl(self, _: int, sequence: int, kind: int, value: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None:
-            return INVALID
-        if self._in_use(sequence):
-            return IN_USE
+    def _AlpSeqControl(self, stored: Stored, kind: int, value: int) -> int:  # noqa: N802
         if kind == 2100 and value >= 1:
             stored.repeat = value
         elif kind == 2102 and 0 <= value < stored.count:
@@ -73,42 +125,28 @@ class EmulatedSequences(EmulatedArray):
             return INVALID
         return 0
 
-    def _AlpSeqTiming(self, _: int, sequence: int, lit: int, frame: int, *rest: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None or min(lit, frame, *rest) < 0:
+    def _AlpSeqTiming(self, stored: Stored, lit: int, frame: int, *rest: int) -> int:  # noqa: N802
+        if min(lit, frame, *rest) < 0:
             return INVALID
-        if self._in_use(sequence):
-            return IN_USE
         least = self.model.least_picture_us(stored.shown_bits)
-        if frame == 0:
-            frame = max(lit + 1, least) if lit else max(33334, least)
-        if lit == 0:
-            lit = frame
+        frame = frame or (max(lit + 1, least) if lit else max(33334, least))
+        lit = lit or frame
         if frame < least or lit > frame or lit < least - 1 or frame > 10_000_000 or rest[2] > 130_000:
             return INVALID
         stored.picture_us, stored.illuminate_us, stored.delay_us = frame, lit, rest[2]
         return 0
 
-    def _AlpSeqInquire(self, _: int, sequence: int, kind: int, answer: Any) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None:
-            return INVALID
-        least = self.model.least_picture_us(stored.shown_bits)
-        lit_us = self._lit_ns(stored) // MICRO
-        known = {2200: stored.bits, 2201: stored.count, 2203: stored.picture_us, 2204: stored.illuminate_us}
-        known |= {2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1), 2213: 10_000_000}
-        known |= {2214: lit_us, 2215: stored.picture_us - lit_us, 2103: stored.shown_bits}
-        if kind not in known:
-            return INVALID
-        answer[0] = known[kind]
-        return 0
+    def _AlpSeqInquire(self, stored: Stored) -> dict[int, int]:  # noqa: N802
+        least, lit_us = self.model.least_picture_us(stored.shown_bits), self._lit_ns(stored) // MICRO
+        return {
+            2103: stored.shown_bits, 2200: stored.bits, 2201: stored.count, 2203: stored.picture_us,
+            2204: stored.illuminate_us, 2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1),
+            2213: 10_000_000, 2214: lit_us, 2215: stored.picture_us - lit_us,
+        }  # fmt: skip
 
-    def _AlpSeqPut(self, _: int, sequence: int, first: int, count: int, address: int) -> int:  # noqa: N802
-        stored = self._stored.get(sequence)
-        if stored is None or first < 0 or first + count > stored.count or not address:
+    def _AlpSeqPut(self, stored: Stored, first: int, count: int, address: int) -> int:  # noqa: N802
+        if first < 0 or first + count > stored.count or not address:
             return INVALID
-        if self._in_use(sequence):
-            return IN_USE
         rows, row_bytes = self.model.height, self.model.row_bytes
         size = rows * (row_bytes * stored.bits if stored.format == 2 else self.model.width)
         raw = np.frombuffer(ctypes.string_at(address, size * count), np.uint8)
@@ -131,74 +169,9 @@ class EmulatedSequences(EmulatedArray):
             planes[plane, :, : lit.shape[1]] = lit
         return planes
 
+    # the device
 
-N, U, P = ctypes.c_int32, ctypes.c_uint32, ctypes.c_void_p
-LONGS, IDS = ctypes.POINTER(N), ctypes.POINTER(U)
-ENTRIES: dict[str, tuple[Any, ...]] = {
-    "AlpDevAlloc": (N, N, IDS),
-    "AlpDevInquire": (U, N, LONGS),
-    "AlpDevControl": (U, N, N),
-    "AlpDevHalt": (U,),
-    "AlpDevFree": (U,),
-    "AlpSeqAlloc": (U, N, N, IDS),
-    "AlpSeqFree": (U, U),
-    "AlpSeqControl": (U, U, N, N),
-    "AlpSeqTiming": (U, U, N, N, N, N, N),
-    "AlpSeqInquire": (U, U, N, LONGS),
-    "AlpSeqPut": (U, U, N, N, P),
-    "AlpProjStart": (U, U),
-    "AlpProjStartCont": (U, U),
-    "AlpProjHalt": (U,),
-    "AlpProjControl": (U, N, N),
-    "AlpProjInquire": (U, N, LONGS),
-    "AlpProjInquireEx": (U, N, P),
-}
-NOT_ONLINE, NOT_IDLE, NOT_READY = 1001, 1002, 1004
-FAILED, REMOVED = 1011, 1012
-
-
-class EmulatedAlp(EmulatedSequences):
-    """The device; ``library`` is what a driver is given in place of the maker's library.
-
-    ``removed`` set to True is a plug pulled: every call fails from then on, and triggers do nothing. ``crash`` keeps
-    what went wrong in Python during a call.
-    """
-
-    allocated: bool
-    floating: bool
-
-    def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
-        super().__init__(clock, model)
-        self.allocated = self.floating = False
-        self.rising: bool = True
-        self.crash: BaseException | None = None
-        self._next_queue = 1
-        self.library: SimpleNamespace = SimpleNamespace(
-            **{name: self._entry(name, types) for name, types in ENTRIES.items()}
-        )
-
-    def _entry(self, name: str, types: tuple[Any, ...]) -> Any:
-        """A C function that calls the method of its name."""
-        method = getattr(self, "_" + name)
-
-        def called(*arguments: Any) -> int:
-            if self.removed:
-                return REMOVED
-            if name != "AlpDevAlloc" and not self.allocated:
-                return NOT_ONLINE
-            try:
-                with self.clock.lock:
-                    self.advance(self.clock.now())
-                    return method(*arguments) or 0
-            except BaseException as error:  # C code cannot pass it on, a key that was pressed as little
-                self.crash = error
-                return FAILED
-
-        return ctypes.CFUNCTYPE(N, *types)(called)
-
-    # the library: devices
-
-    def forsake(self) -> None:
+    def disconnect(self) -> None:
         """The process that held it is gone, and the system took it back: dark, and all frames forgotten."""
         with self.clock.lock:
             self.advance(self.clock.now())
@@ -215,15 +188,13 @@ class EmulatedAlp(EmulatedSequences):
         answer[0] = 77
         return 0
 
-    def _AlpDevInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
-        known = {2000: self.model.serial, 2003: self.free_planes(), 2057: self.model.height, 2021: 3}
-        known |= {2058: self.model.width, 2005: 2009 if self.rising else 2008, 2064: int(self.floating)}
-        if kind not in known:
-            return INVALID
-        answer[0] = known[kind]
-        return 0
+    def _AlpDevInquire(self) -> dict[int, int]:  # noqa: N802
+        return {
+            2000: self.model.serial, 2003: self.free_planes(), 2005: 2009 if self.rising else 2008, 2021: 3,
+            2057: self.model.height, 2058: self.model.width, 2064: int(self.floating),
+        }  # fmt: skip
 
-    def _AlpDevControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+    def _AlpDevControl(self, kind: int, value: int) -> int:  # noqa: N802
         if kind == 2005 and value in (2008, 2009):
             self.rising = value == 2009
         elif kind == 2014 and value in (0, 1):
@@ -236,10 +207,10 @@ class EmulatedAlp(EmulatedSequences):
             return INVALID
         return 0
 
-    def _AlpDevHalt(self, _: int) -> None:  # noqa: N802
+    def _AlpDevHalt(self) -> None:  # noqa: N802
         self._cut()
 
-    def _AlpDevFree(self, _: int) -> int:  # noqa: N802
+    def _AlpDevFree(self) -> int:  # noqa: N802
         if self._queue:
             return NOT_IDLE
         self.allocated = False
@@ -248,15 +219,11 @@ class EmulatedAlp(EmulatedSequences):
 
     # projection
 
-    def _start(self, sequence: int, forever: bool) -> int:
-        stored = self._stored.get(sequence)
-        if stored is None or self.floating:
-            return INVALID
+    def _start(self, stored: Stored, sequence: int, iterations: int | None) -> int:
         if not self.queueing and self._queue:
             return NOT_IDLE
         if len(self._queue) >= 256:
             return NOT_READY
-        iterations = None if forever else stored.repeat
         self._queue.append(Queued(self._next_queue, sequence, stored, iterations, stored.last + 1))
         self._next_queue += 1
         now = self.clock.now()
@@ -266,16 +233,19 @@ class EmulatedAlp(EmulatedSequences):
                 self._show(now)
         return 0
 
-    def _AlpProjStart(self, _: int, sequence: int) -> int:  # noqa: N802
-        return self._start(sequence, forever=False)
+    def _AlpProjStart(self, sequence: int, forever: bool = False) -> int:  # noqa: N802
+        stored = self._stored.get(sequence)
+        if stored is None or self.floating:
+            return INVALID
+        return self._start(stored, sequence, None if forever else stored.repeat)
 
-    def _AlpProjStartCont(self, _: int, sequence: int) -> int:  # noqa: N802
-        return self._start(sequence, forever=True)
+    def _AlpProjStartCont(self, sequence: int) -> int:  # noqa: N802
+        return self._AlpProjStart(sequence, forever=True)
 
-    def _AlpProjHalt(self, _: int) -> None:  # noqa: N802
+    def _AlpProjHalt(self) -> None:  # noqa: N802
         self._cut()
 
-    def _AlpProjControl(self, _: int, kind: int, value: int) -> int:  # noqa: N802
+    def _AlpProjControl(self, kind: int, value: int) -> int:  # noqa: N802
         if self._queue:
             return NOT_IDLE
         if kind == 2300 and value in (2301, 2302):
@@ -286,15 +256,13 @@ class EmulatedAlp(EmulatedSequences):
             return INVALID
         return 0
 
-    def _AlpProjInquire(self, _: int, kind: int, answer: Any) -> int:  # noqa: N802
-        known = {2300: 2302 if self.slave else 2301, 2400: 1200 if self._queue else 1201, 2314: int(self.queueing)}
-        known |= {2317: 256 - len(self._queue), 2315: self._next_queue - 1}
-        if kind not in known:
-            return INVALID
-        answer[0] = known[kind]
-        return 0
+    def _AlpProjInquire(self) -> dict[int, int]:  # noqa: N802
+        return {
+            2300: 2302 if self.slave else 2301, 2400: 1200 if self._queue else 1201, 2314: int(self.queueing),
+            2315: self._next_queue - 1, 2317: 256 - len(self._queue),
+        }  # fmt: skip
 
-    def _AlpProjInquireEx(self, _: int, kind: int, address: int) -> int:  # noqa: N802
+    def _AlpProjInquireEx(self, kind: int, address: int) -> int:  # noqa: N802
         if kind != 2318 or not address:
             return INVALID
         words = (0,) * 8 + (1,)

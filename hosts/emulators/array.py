@@ -15,19 +15,15 @@ MICRO = 1000
 
 @dataclass(frozen=True)
 class ArrayModel:
-    """The device: its size, its memory, and its least times [us] at 1 and 8 bits.
-
-    The time of a frame of b bits is one load of all rows, or the 8-bit time over 255 for each step of gray, whichever
-    is longer. ``bytes_per_s`` is how fast uploads go (0: at once); ``dark_us`` is lost of every lit time.
-    """
+    """Size, memory and least frame times of a mirror array: one load of all rows, or the steps of gray."""
 
     height: int = 1080
     width: int = 1920
-    planes: int = 31069
-    load_us: int = 44
-    gray_us: int = 3760
-    dark_us: int = 0
-    bytes_per_s: float = 0.0
+    planes: int = 31069  # bit planes that fit
+    load_us: int = 44  # of all rows
+    gray_us: int = 3760  # of 8 bits
+    dark_us: int = 0  # lost of every lit time
+    bytes_per_s: float = 0.0  # of uploads; 0: at once
     serial: int = 1001
     time_out_ns: int = 1_000_000_000
 
@@ -43,13 +39,10 @@ class ArrayModel:
 
 @dataclass(frozen=True)
 class DisplayedFrame:
-    """One frame as the mirrors made it: planes ``[plane, row, byte]``, and when each began and ended [ns].
+    """A displayed frame: planes ``[plane, row, byte]``, and when each began and ended [ns]."""
 
-    ``number`` counts frames since the device was opened; ``sequence`` and ``frame`` are where it was stored.
-    """
-
-    number: int
-    sequence: int
+    number: int  # since the device was opened
+    sequence: int  # where it was stored, with ``frame``
     frame: int
     planes: np.ndarray
     starts: tuple[int, ...]
@@ -86,10 +79,7 @@ class Queued:
 
 
 class EmulatedArray:
-    """The mirrors; ``trigger`` is their input, ``on_shown`` hears of each frame when it is over.
-
-    ``counts`` tells triggers that came while a frame still showed (``missed``) or with nothing to show (``empty``).
-    """
+    """The mirrors: ``trigger`` is their input, ``on_shown`` gets each frame that is over."""
 
     clock: VirtualClock
     model: ArrayModel
@@ -112,18 +102,13 @@ class EmulatedArray:
         self._last_trigger = now
         if not self.slave or self.removed:
             return
-        if self._current is not None and now < self._next_ready():
+        if self._current is not None and now < self._current[1]:
             self.counts["missed"] += 1
         elif not self._queue:
             self.counts["empty"] += 1
         else:
             self._finish()
             self._show(now + self._queue[0].stored.delay_us * MICRO)
-
-    def _next_ready(self) -> int:
-        """When the next frame may begin."""
-        assert self._current is not None
-        return self._current[1]
 
     def _show(self, start: int) -> None:
         """Begin the next frame of the queue at a time [ns]."""

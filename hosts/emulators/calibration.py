@@ -35,41 +35,30 @@ PARTS = 4  # of a column that a pin shades, each evenly
 
 @dataclass(frozen=True)
 class Optics:
-    """The truth that calibrations look for.
+    """The truth that calibrations look for; the focus is at middle + slope · power."""
 
-    slope, middle: focus at middle + slope · power [mm/dpt], [mm], from the middle of the camera's stage.  waist: blur
-    in focus, a standard deviation [mm].  depth: from where to where it is √2 times as wide [mm].  mirrors: rows and
-    columns.  pitch: of a mirror in the image [mm].  view: rows and columns of the camera.  electrons: a pixel and
-    second in full light.  axis, radius, shadow: of the roller, and its edges' blur [columns].  leak: light of a mirror
-    that is off, over one that is on.  turn: dark time at the begin of each plane [us].  full: light of all mirrors on
-    the photodiode [mW].  pin: half the width of a pin on the turntable [columns], 0 for none; at the
-    axis ± ``across`` · (cos, sin) of its angle [columns], and with the slope ``lean`` ± ``wobble`` · (cos, sin)
-    [columns a row].  tilt, falloff: how much dimmer mirrors at the right edge, and in the corners, are than in the
-    middle.  ambient, noise: on it [mW].  seed: of all noise.
-    """
-
-    slope: float = -40.6
-    middle: float = 0.35
-    waist: float = 0.0138
-    depth: float = 3.8
-    mirrors: tuple[int, int] = (96, 192)
-    pitch: float = 0.0144
-    view: tuple[int, int] = (104, 208)
-    electrons: float = 4.0e6
-    axis: float = 98.3
-    radius: float = 55.2
-    shadow: float = 1.3
-    leak: float = 0.002
-    turn: float = 4.0
-    full: float = 20.0
-    pin: float = 0.0
-    across: tuple[float, float] = (2.4, -1.3)
-    lean: float = 0.006
-    wobble: tuple[float, float] = (0.010, 0.014)
-    tilt: float = 0.0
-    falloff: float = 0.0
-    ambient: float = 0.02
-    noise: float = 0.001
+    slope: float = -40.6  # [mm/dpt]
+    middle: float = 0.35  # [mm], from the middle of the camera's stage
+    waist: float = 0.0138  # standard deviation of the blur in focus [mm]
+    depth: float = 3.8  # where it is √2 times as wide, end to end [mm]
+    mirrors: tuple[int, int] = (96, 192)  # rows and columns
+    pitch: float = 0.0144  # of a mirror in the image [mm]
+    view: tuple[int, int] = (104, 208)  # rows and columns of the camera
+    electrons: float = 4.0e6  # a pixel and second in full light
+    axis: float = 98.3  # of the roller [columns]
+    radius: float = 55.2  # of the roller [columns]
+    shadow: float = 1.3  # blur of the roller's edges [columns]
+    leak: float = 0.002  # light of a mirror that is off, over one that is on
+    turn: float = 4.0  # dark time at the begin of each plane [us]
+    full: float = 20.0  # light of all mirrors on the photodiode [mW]
+    pin: float = 0.0  # half the width of a pin on the turntable [columns]; 0 for none
+    across: tuple[float, float] = (2.4, -1.3)  # of the pin from the axis, times (cos, sin) of its angle [columns]
+    lean: float = 0.006  # slope of the pin [columns a row]
+    wobble: tuple[float, float] = (0.010, 0.014)  # added to it, times (cos, sin)
+    tilt: float = 0.0  # how much dimmer mirrors at the right edge are
+    falloff: float = 0.0  # how much dimmer those in the corners are
+    ambient: float = 0.02  # [mW]
+    noise: float = 0.001  # of the photodiode [mW]
     seed: int = 0
 
     def blur(self, position: float, power: float) -> float:
@@ -118,8 +107,7 @@ class Optics:
         return np.where(weights > FAINT, weights, 0.0)  # subnormal numbers would cost more than all others
 
     def image(self, light: np.ndarray, pixel: float, blur: float, angle: float = 0.0) -> np.ndarray:
-        """What the camera sees of light on the mirrors [row, column], past the pin at an angle [rad]: electrons a
-        second."""
+        """Image [electrons/s] of light on the mirrors [row, column], past the pin at an angle [rad]."""
         parts = PARTS if self.pin else 1
         light = self.pinned(light, angle) if self.pin else light
         down = self.spread(light.shape[0], self.view[0], pixel, blur)
@@ -271,14 +259,14 @@ class EmulatedCalibrationRig:
             sight.lamp(channels, self.box.powers, now)
 
     def blur(self, now: int) -> float:
-        """Of what the camera sees at a time [mm]."""
+        """Blur of the camera's image at a time [mm]."""
         section = self.rig.camera_stage
         middle = 0.0 if section is None else section.middle
         position = self.axis.true_position(now) / self._microsteps() - middle
         return self.optics.blur(position, self.glass.power(now))
 
     def angle(self, now: int) -> float:
-        """Of the turntable at a time [rad]."""
+        """Angle of the turntable at a time [rad]."""
         return float(np.radians(self.box.web.position(now) / self.rig.motion.microsteps))
 
     def controller(self) -> Controller:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vamgpu.hosts.emulators.chamber import Chamber
 from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.dose import DoseRecorder
 
 MICRO = 1000
 Scene = Callable[[int], np.ndarray]  # electrons a second ``[row, column]`` at a time [ns]
@@ -26,16 +26,12 @@ class Sensor:
 
 @dataclass(eq=False)
 class EmulatedCamera:
-    """Looks at a scene; ``blur`` is the standard deviation of its optics' spot [pixel], or a function of time of it.
-
-    The exposure is split in ``samples`` looks at the scene, at their middles, so that motion and settling smear.
-    Noise comes from a generator with a seed: the same run makes the same images.
-    """
+    """A camera of a scene, seen ``samples`` times in an exposure; repeatable noise by its seed."""
 
     clock: VirtualClock
     scene: Scene
     sensor: Sensor = Sensor()
-    blur: float | Callable[[int], float] = 0.0
+    blur: float | Callable[[int], float] = 0.0  # standard deviation of the spot [pixel], or a function of time
     samples: int = 4
     seed: int = 0
 
@@ -56,12 +52,12 @@ class EmulatedCamera:
         for sample in range(self.samples):
             middle = start + round((sample + 0.5) * part)
             self.clock.sleep_until(middle)
-            electrons = electrons + self._look(middle) * (part * 1e-9)
+            electrons = electrons + self._sample(middle) * (part * 1e-9)
         self.clock.sleep_until(start + round(self.samples * part))
         self.grabbed += 1
         return self._digitize(np.asarray(electrons))
 
-    def _look(self, now: int) -> np.ndarray:
+    def _sample(self, now: int) -> np.ndarray:
         seen = np.asarray(self.scene(now), float)
         spot = self.blur(now) if callable(self.blur) else self.blur
         if spot <= 0:
@@ -84,10 +80,7 @@ class EmulatedCamera:
 
 
 class RunningCamera(EmulatedCamera):
-    """Takes an image each ``period`` [ns] by itself, as cameras do; nobody who asks for one holds the clock up by it.
-
-    ``grab`` gives the newest image that was not given yet, and waits where there is none.
-    """
+    """A camera that takes an image each ``period`` [ns] by itself; `grab` waits for one that was not given yet."""
 
     grabbed: int
 
@@ -115,14 +108,14 @@ class RunningCamera(EmulatedCamera):
             self._begin(self.clock.now())
 
     def due(self) -> int | None:
-        """When it looks next, or has an image [ns]."""
+        """When it samples next, or has an image [ns]."""
         return self._polls[0] if self._polls else self._end
 
     def advance(self, now: int) -> None:
-        """Look, and begin again where the image is whole."""
+        """Sample, and begin again where the image is whole."""
         if self._polls:
             part = self.exposure_us * MICRO * 1e-9 / self.samples
-            self._electrons = self._electrons + self._look(self._polls.pop(0)) * part
+            self._electrons = self._electrons + self._sample(self._polls.pop(0)) * part
             return
         self._ready = np.asarray(self._electrons)
         self._begin(now)
@@ -145,15 +138,12 @@ class RunningCamera(EmulatedCamera):
 
 @dataclass(frozen=True)
 class ResinModel:
-    """How resin scatters as it gels: little before ``critical`` [mJ/mm3], up to ``gain`` times more within ``width``.
+    """Scattering of gelling resin: a logistic curve of dose."""
 
-    The signal rises along a logistic curve of dose, which is what an automatic exposure watches.
-    """
-
-    critical: float = 50.0
-    width: float = 5.0
-    base: float = 1.0
-    gain: float = 8.0
+    critical: float = 50.0  # [mJ/mm3]
+    width: float = 5.0  # [mJ/mm3]
+    base: float = 1.0  # of liquid resin
+    gain: float = 8.0  # of gelled resin, beside base
 
     def scattering(self, dose: np.ndarray | float) -> np.ndarray:
         """Scattered light over that of liquid resin."""
@@ -162,11 +152,7 @@ class ResinModel:
 
 
 class ResinScene:
-    """A camera's view of resin that is being printed: collected dose makes it scatter the light of an observing lamp.
-
-    ``deposit(rate, start, end)`` adds dose: a rate [mW/mm3] as an array ``[row, column]`` or a number, from ``start``
-    to ``end`` [ns]. Called, it is a scene.
-    """
+    """A scene of resin, whose collected dose [mJ/mm3] scatters the light of an observing lamp."""
 
     model: ResinModel
 
@@ -190,19 +176,15 @@ LIQUID = 1000.0  # electrons of an image's pixel where the resin is liquid: the 
 
 
 def resin_camera(
-    chamber: Chamber, clock: VirtualClock, exposure: float = 0.01, bits: int = 8, rate: float = RATE
+    recorder: DoseRecorder, clock: VirtualClock, exposure: float = 0.01, bits: int = 8, rate: float = RATE
 ) -> RunningCamera:
-    """A camera that sees the resin of a chamber, a pixel for each mirror; its ``scene`` is a `ResinScene`.
-
-    A pixel gets the light of its mirror from all sides, which is what a part looks like in the mean over a turn.
-    exposure: [s].  bits: of the camera.  rate: dose of full drive [mW/mm3].
-    """
-    scene = ResinScene(chamber.mirrors, electrons_per_s=LIQUID / exposure)
+    """Watch the resin, a pixel for each mirror, which gets its mirror's light from all sides; exposure [s]."""
+    scene = ResinScene(recorder.mirrors, electrons_per_s=LIQUID / exposure)
 
     def lit(mirrors: np.ndarray, start: int, end: int) -> None:
-        scene.deposit(rate * mirrors[: chamber.mirrors[0]], start, end)
+        scene.deposit(rate * mirrors[: recorder.mirrors[0]], start, end)
 
-    chamber.hears.append(lit)
+    recorder.listeners.append(lit)
     camera = RunningCamera(clock, scene, Sensor(bits=bits))
     camera.expose(1e6 * exposure)
     return camera

@@ -18,12 +18,7 @@ class Timed(Protocol):
 
 
 class VirtualClock:
-    """A clock that stands until somebody sleeps on it, and then jumps.
-
-    While it jumps, attached machines act in order of time, those attached first first, so a run is exactly
-    repeatable. Any thread may sleep: time then passes for everybody, as far as the sleeper asked. ``lock`` guards all
-    that is attached: whoever reaches a machine by another way than the clock must hold it.
-    """
+    """A clock that jumps when somebody sleeps on it; attached machines act in order of time, under ``lock``."""
 
     real = False
 
@@ -66,10 +61,7 @@ class VirtualClock:
 
 
 class PacedClock(VirtualClock):
-    """A virtual clock that goes with the machine's own: for rehearsals that people watch, and for threads.
-
-    Emulated machines are carried along whenever somebody asks the time. A run on it does not repeat exactly.
-    """
+    """A virtual clock that keeps pace with real time, for people who watch, and for threads."""
 
     real = True
 

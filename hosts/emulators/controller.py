@@ -26,10 +26,16 @@ GREATEST = 10**15  # the greatest count of microseconds or microsteps, some thir
 LONGEST_US = 2**31 - 1
 LONGEST_RATIO = 10**6
 NUMBER = re.compile(r"-?[0-9]{1,18}")
-ARGUMENTS = {
-    "hello": 0, "lease": 1, "arm": 0, "disarm": 0, "power": 2, "light": 1, "mode": 1, "row": 6, "end": 1, "go": 1,
-    "move": 1, "ramp": 1, "zero": 1, "stop": 0, "stat": 0, "encoder": 3, "index": 3, "home": 2,
+ANY, NUMBERED, SPEED = (-GREATEST * 1000, GREATEST * 1000), (1, 65535), 1000 * FASTEST
+RANGES: dict[str, tuple[tuple[int, int], ...]] = {
+    "hello": (), "arm": (), "disarm": (), "stop": (), "stat": (), "lease": ((1, LONGEST_LEASE_MS),),
+    "power": (ANY, (0, 65535)), "light": (ANY,), "row": (ANY,) * 6, "end": ((0, GREATEST * 1000),),
+    "go": (NUMBERED,), "zero": (NUMBERED,), "home": (NUMBERED, (1, SPEED)), "move": ((-SPEED, SPEED),),
+    "ramp": ((1, STEEPEST),), "encoder": ((-LONGEST_RATIO, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
+    "index": ((0, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
 }  # fmt: skip
+"""Least and greatest of each argument."""
+AT_REST = ("go", "zero", "encoder", "index", "home")  # refused while rows are played
 
 
 class EmulatedController(RowPlayer, LineDevice):
@@ -80,18 +86,22 @@ class EmulatedController(RowPlayer, LineDevice):
         self._last = (line, self._send(f"{words[0]} {self._do(words[1], words[2:], now)}", now))
 
     def _do(self, verb: str, words: list[str], now: int) -> str:
-        if verb not in ARGUMENTS:
-            return "no verb"
-        if len(words) != ARGUMENTS[verb]:
+        if verb == "mode" and len(words) == 1:
+            return self._do_mode(words[0])
+        if verb not in RANGES:
+            return "no range" if verb == "mode" else "no verb"
+        if len(words) != len(RANGES[verb]):
             return "no range"
-        if verb == "mode":
-            return self._do_mode(now, words[0])
         lens = verb == "row" and words[2] == "-"
         numbers = ["0" if lens and place == 2 else word for place, word in enumerate(words)]
         if not all(NUMBER.fullmatch(word) for word in numbers):
             return "no range"
-        values = [None if lens and place == 2 else int(word) for place, word in enumerate(numbers)]
-        return getattr(self, f"_do_{verb}")(now, *values)
+        if (self.running and verb in AT_REST) or (verb == "home" and not self.senses.index[0]):
+            return "no state"
+        values = [int(word) for word in numbers]
+        if not all(least <= value <= most for value, (least, most) in zip(values, RANGES[verb], strict=True)):
+            return "no range"
+        return getattr(self, f"_do_{verb}")(now, *values[:2], *((None, *values[3:]) if lens else values[2:])) or "ok"
 
     def _do_hello(self, now: int) -> str:
         self.close("hello", now)
@@ -101,15 +111,12 @@ class EmulatedController(RowPlayer, LineDevice):
         self.senses.forget()
         return f"ok vam-controller 3 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
-    def _do_lease(self, now: int, milliseconds: int) -> str:
-        if not 1 <= milliseconds <= LONGEST_LEASE_MS:
-            return "no range"
+    def _do_lease(self, now: int, milliseconds: int) -> None:
         self.lease_end: int = now + milliseconds * MILLI
         if self.on_lease is not None:
             self.on_lease(self.lease_end, now)
-        return "ok"
 
-    def _do_arm(self, now: int) -> str:
+    def _do_arm(self, now: int) -> str | None:
         if not self.interlock_closed:
             return "no interlock"
         if self.lease_end is None or now >= self.lease_end:
@@ -117,19 +124,16 @@ class EmulatedController(RowPlayer, LineDevice):
         if reason := self.senses.wrong(self.microsteps(now)):
             return f"no {reason}"
         self.armed, self.fault = True, "none"
-        return "ok"
 
-    def _do_disarm(self, now: int) -> str:
+    def _do_disarm(self, now: int) -> None:
         self.close("disarm", now)
-        return "ok"
 
-    def _do_power(self, now: int, channel: int, drive: int) -> str:
-        if not 0 <= channel < self.channels or not 0 <= drive <= 65535:
+    def _do_power(self, now: int, channel: int, drive: int) -> str | None:
+        if not 0 <= channel < self.channels:
             return "no range"
         self.set_power(channel, drive, now)
-        return "ok"
 
-    def _do_light(self, now: int, on: int) -> str:
+    def _do_light(self, now: int, on: int) -> str | None:
         if on and not self.armed:
             return "no armed"
         if not 0 <= on < 2**self.channels:
@@ -138,9 +142,8 @@ class EmulatedController(RowPlayer, LineDevice):
         if self._pulse_end is None or not on:
             self._pulse_end, self._judge_at = None, now
             self.set_light(on, now)
-        return "ok"
 
-    def _do_mode(self, _: int, mode: str) -> str:
+    def _do_mode(self, mode: str) -> str:
         if self.running:
             return "no state"
         if mode not in ("time", "steps"):
@@ -165,77 +168,46 @@ class EmulatedController(RowPlayer, LineDevice):
         self.rows.append((index, at, code, delay, on, channels))
         return f"ok {self.capacity - len(self.rows)} {index + 1}"
 
-    def _do_end(self, now: int, count: int) -> str:
-        if count < 0:
-            return "no range"
+    def _do_end(self, now: int, count: int) -> None:
         self.total, self._judge_at = count, now
-        return "ok"
 
-    def _do_go(self, now: int, number: int) -> str:
-        if self.running:
-            return "no state"
-        if not 1 <= number <= 65535:
-            return "no range"
+    def _do_go(self, now: int, number: int) -> None:
         self.running, self.done, self.started, self._floor = True, False, now, now
         self.shown = self.late = 0
         self.play = number
         self._judge_at = now
-        return "ok"
 
-    def _do_move(self, now: int, speed: int) -> str:
-        if abs(speed) > 1000 * FASTEST:
-            return "no range"
+    def _do_move(self, now: int, speed: int) -> None:
         self.senses.home = 0
         self.senses.moved(now, self.microsteps(now))
         self.web.run(now, speed / 1000)
-        return "ok"
 
-    def _do_ramp(self, now: int, acceleration: int) -> str:
-        if not 1 <= acceleration <= STEEPEST:
-            return "no range"
+    def _do_ramp(self, now: int, acceleration: int) -> None:
         self.web.ramp(now, float(acceleration))
-        return "ok"
 
-    def _do_zero(self, now: int, number: int) -> str:
-        if self.running:
-            return "no state"
-        if not 1 <= number <= 65535:
-            return "no range"
+    def _do_zero(self, now: int, number: int) -> None:
         self.zero = number
         self.call_position(now, 0)
-        return "ok"
 
-    def _do_encoder(self, now: int, counts: int, steps: int, limit: int) -> str:
-        return self._sense(now, "encoder", counts, steps, limit)
-
-    def _do_index(self, now: int, marks: int, steps: int, limit: int) -> str:
-        return "no range" if marks < 0 and not self.running else self._sense(now, "index", marks, steps, limit)
-
-    def _sense(self, now: int, which: str, counts: int, steps: int, limit: int) -> str:
-        if self.running:
-            return "no state"
-        if abs(counts) > LONGEST_RATIO or not 1 <= steps <= LONGEST_RATIO:
+    def _do_encoder(self, now: int, counts: int, steps: int, limit: int) -> str | None:
+        if limit * abs(counts) < 2 * steps and counts:
             return "no range"
-        if counts and (not 1 <= limit <= LONGEST_RATIO or (which == "encoder" and limit * abs(counts) < 2 * steps)):
+        return self._do_index(now, counts, steps, limit, "encoder")
+
+    def _do_index(self, now: int, counts: int, steps: int, limit: int, which: str = "index") -> str | None:
+        if counts and not 1 <= limit <= LONGEST_RATIO:
             return "no range"
         self.senses.take(which, (counts, steps, limit), now, self.microsteps(now))
-        return "ok"
 
-    def _do_home(self, now: int, number: int, speed: int) -> str:
-        if self.running or not self.senses.index[0]:
-            return "no state"
-        if not 1 <= number <= 65535 or not 1 <= speed <= 1000 * FASTEST:
-            return "no range"
+    def _do_home(self, now: int, number: int, speed: int) -> None:
         self.senses.home = number
         self.web.run(now, speed / 1000)
-        return "ok"
 
-    def _do_stop(self, now: int) -> str:
+    def _do_stop(self, now: int) -> None:
         self.close("stop", now)
         self._drop()
         self.senses.home = 0
         self.web.run(now, 0.0)
-        return "ok"
 
     def _drop(self) -> None:
         self.rows.clear()
@@ -249,7 +221,7 @@ class EmulatedController(RowPlayer, LineDevice):
         numbers = (
             self.next_row, self.shown, self.late, self.capacity - len(self.rows), self.microsteps(now),
             round(self.web.velocity(now) * 1000), self.zero, self.play, lease, self.light,
-            int(self.armed), int(self.interlock_closed), *self.senses.told(self.microsteps(now)),
+            int(self.armed), int(self.interlock_closed), *self.senses.status(self.microsteps(now)),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])
 

@@ -1,4 +1,4 @@
-"""A vial whose resin cures by the light that fell into the chamber, and the camera that watches it turn."""
+"""A vial whose resin cures by the recorded light, and the camera that watches it turn."""
 
 from __future__ import annotations
 
@@ -6,25 +6,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vamgpu.hosts.emulators.chamber import Chamber
 from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.emulators.dose import DoseRecorder
 from vamgpu.live import VirtualPrinter
 
 
 class CuringCamera:
-    """Images through a vial of curing resin; each turn's light acts when the turn is over.
-
-    printer: the resin, and the camera's noise.  seen: light that the chamber got so far, in full-on slots [frame, row,
-    column].  light: what so many slots of one turn are, in the plan's units [angle, r, z].
-    """
+    """Images through a vial of curing resin; each turn's light acts when the turn is over."""
 
     printer: VirtualPrinter
 
     def __init__(
-        self, chamber: Chamber, clock: VirtualClock, printer: VirtualPrinter, seen: Callable[[], np.ndarray],
+        self, recorder: DoseRecorder, clock: VirtualClock, printer: VirtualPrinter, seen: Callable[[], np.ndarray],
         light: Callable[[np.ndarray], np.ndarray],
     ) -> None:  # fmt: skip
-        self._chamber, self._clock, self.printer, self._seen, self._light = chamber, clock, printer, seen, light
+        self._recorder, self._clock, self.printer, self._seen, self._light = recorder, clock, printer, seen, light
         self._before: np.ndarray | float = 0.0
         self._images: np.ndarray | None = None
         self._random = np.random.default_rng(printer.seed)
@@ -34,7 +30,7 @@ class CuringCamera:
 
     def grab(self) -> np.ndarray:
         """The image at the vial's present angle, [row, column]."""
-        turn, rest = divmod(self._chamber.pose(self._clock.now()) / self.printer.plan.motion.angles, 1.0)
+        turn, rest = divmod(self._recorder.pose(self._clock.now()) / self.printer.plan.motion.angles, 1.0)
         if turn > self.printer.turns:
             self.cure()
         if self._images is None:

@@ -1,4 +1,4 @@
-"""Emulated instruments that speak SCPI: a photodiode's meter, and a lamp's supply."""
+"""An emulated instrument that speaks SCPI: a photodiode's meter."""
 
 from __future__ import annotations
 
@@ -10,43 +10,8 @@ import numpy as np
 from vamgpu.hosts.emulators.line import LineDevice
 
 
-class _ScpiDevice(LineDevice):
-    """Text in lines, and a list of errors."""
-
-    def __init__(self, identity: str, latency_us: float) -> None:
-        self.identity = identity
-        self.errors: deque[str] = deque()
-        super().__init__(latency_us)
-
-    def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
-        for line in self.lines(data):
-            if words := line.decode("ascii", "replace").upper().split():
-                self._line(words, now)
-
-    def _line(self, words: list[str], now: int) -> None:
-        match words:
-            case ["*IDN?"]:
-                answer: str | None = self.identity
-            case ["*CLS"]:
-                self.errors.clear()
-                answer = ""
-            case ["SYST:ERR?"]:
-                answer = self.errors.popleft() if self.errors else '+0,"No error"'
-            case _:
-                answer = self.act(words, now)
-        if answer is None:
-            self.errors.append('-113,"Undefined header"')
-        elif answer:
-            self._out.put(answer.encode("ascii") + b"\n", now)
-
-    def act(self, words: list[str], now: int) -> str | None:
-        """The answer to a command ('' if it has none), or None if there is no such command."""
-        raise NotImplementedError
-
-
-class EmulatedMeter(_ScpiDevice):
-    """A meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
+class EmulatedMeter(LineDevice):
+    """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
 
     wavelength: float
     count: int
@@ -54,14 +19,32 @@ class EmulatedMeter(_ScpiDevice):
     def __init__(
         self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
     ) -> None:
-        super().__init__("Emulated,PM400,1001,1.0", 5000.0)
+        super().__init__(5000.0)
+        self.errors: deque[str] = deque()
         self._light, self._noise, self._greatest = light, noise_mw, greatest_mw
         self._random = np.random.default_rng(seed)
         self.wavelength, self.count = 405.0, 1
 
-    def act(self, words: list[str], now: int) -> str | None:
-        """Answer questions about power."""
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes."""
+        for line in self.lines(data):
+            if words := line.decode("ascii", "replace").upper().split():
+                answer = self._answer(words, now)
+                if answer is None:
+                    self.errors.append('-113,"Undefined header"')
+                elif answer:
+                    self._out.put(answer.encode("ascii") + b"\n", now)
+
+    def _answer(self, words: list[str], now: int) -> str | None:
+        """The answer to a command ('' if it has none), or None if there is no such command."""
         match words:
+            case ["*IDN?"]:
+                return "Emulated,PM400,1001,1.0"
+            case ["*CLS"]:
+                self.errors.clear()
+                return ""
+            case ["SYST:ERR?"]:
+                return self.errors.popleft() if self.errors else '+0,"No error"'
             case ["MEAS:POW?"]:
                 reading = self._light(now) + self._noise / self.count**0.5 * self._random.standard_normal()
                 return "9.91E+37" if reading > self._greatest else f"{reading / 1000:.9E}"

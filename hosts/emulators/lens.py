@@ -17,7 +17,7 @@ from vamgpu.hosts.emulators.line import SECOND, LineDevice
 
 @dataclass(frozen=True)
 class LensModel:
-    """What the lens does: a damped oscillator, a power a milliampere, and a drift with temperature."""
+    """The lens: a damped oscillator, a power a milliampere, and a drift with temperature."""
 
     natural_hz: float = 300.0
     damping: float = 0.9
@@ -36,27 +36,27 @@ class LensDynamics:
         self.model = model
         self._steps: deque[tuple[int, float, float, float]] = deque([(0, 0.0, 0.0, 0.0)], maxlen=4096)
 
-    def step(self, now: int, wanted: float) -> None:
+    def step(self, now: int, target: float) -> None:
         """Ask for another power [1/m]."""
         power, rate = self.state(now)
         while len(self._steps) > 1 and self._steps[-1][0] >= now:
             self._steps.pop()
-        self._steps.append((now, power, rate, wanted))
+        self._steps.append((now, power, rate, target))
 
     def state(self, now: int) -> tuple[float, float]:
         """Power [1/m] and its rate [1/m/s] at a time, past or future."""
         index = bisect_right(self._steps, now, key=lambda step: step[0])
-        start, power, rate, wanted = self._steps[max(index - 1, 0)]
+        start, power, rate, target = self._steps[max(index - 1, 0)]
         t = max(now - start, 0) / SECOND
         omega = 2 * pi * self.model.natural_hz
         decay = omega * self.model.damping
         ringing = omega * sqrt(max(1 - self.model.damping**2, 1e-12))
-        offset = power - wanted
+        offset = power - target
         b = (rate + decay * offset) / ringing
         fade, c, s = exp(-decay * t), cos(ringing * t), sin(ringing * t)
         moved = fade * (offset * c + b * s)
         speed = fade * ((b * ringing - decay * offset) * c - (offset * ringing + decay * b) * s)
-        return wanted + moved, speed
+        return target + moved, speed
 
 
 LENGTHS = {
@@ -84,20 +84,16 @@ def check_sum(data: bytes) -> int:
 
 @dataclass(eq=False)
 class EmulatedLens(LineDevice):
-    """The driver's firmware and the lens behind it.
-
-    ``legacy`` answers bad frames with ``N`` as old firmware does, ``stray`` sends an extra frame after the handshake
-    as some units do, ``sensor`` False is a lens without a thermometer and memory.
-    """
+    """The driver's firmware and the lens behind it."""
 
     model: LensModel = LensModel()
     firmware: str = "A"
     celsius: float = 25.0
     baud: int = 115200
     latency_us: float = 100.0
-    sensor: bool = True
-    legacy: bool = False
-    stray: bool = False
+    sensor: bool = True  # it has a thermometer and memory
+    legacy: bool = False  # answers bad frames with N, as old firmware does
+    stray: bool = False  # sends an extra frame after the handshake, as some units do
 
     def __post_init__(self) -> None:
         super().__init__(self.latency_us, round(10 * SECOND / self.baud))
@@ -238,12 +234,12 @@ class EmulatedLens(LineDevice):
     def _obey(self, now: int) -> None:
         """Ask of the lens what mode, codes and temperature make."""
         if self.mode == FOCAL_POWER:
-            wanted = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
+            target = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
         else:
             current = self.current_code * FULL_MA / FULL_CODE
             drift = self.model.drift_per_celsius * (self.celsius - self.model.reference_celsius)
-            wanted = self.model.offset + self.model.diopters_per_ma * current + drift
-        self._glass.step(now, wanted)
+            target = self.model.offset + self.model.diopters_per_ma * current + drift
+        self._glass.step(now, target)
 
     def warm(self, celsius: float, now: int) -> None:
         """Change the lens's temperature [degC]."""

@@ -1,8 +1,7 @@
 """Lines to emulated machines: a cable that takes time, and faults on it.
 
-A machine on a line takes bytes with ``receive`` and gives bytes with ``take``. It is reached in three ways:
-`plug` makes a port on a virtual clock, ``servers.PtyServer`` a pseudo terminal and ``servers.TcpServer`` a
-socket, both in real time.
+A machine on a line takes bytes with ``receive`` and gives bytes with ``take``. It is reached in two ways:
+`plug` makes a port on a virtual clock, ``servers.PtyServer`` a pseudo terminal in real time.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class LineMachine(Protocol):
 
 
 class LineDevice:
-    """What emulated machines on a line share: bytes that came in, and bytes on their way out."""
+    """An emulated machine on a line, with bytes that came in and bytes on their way out."""
 
     _buffer: bytearray
 
@@ -98,7 +97,7 @@ class Outbox:
 
 @dataclass
 class Faults:
-    """What goes wrong on a line: bytes dropped or with a bit flipped, by their number since the start; or all dead."""
+    """Faults of a line: bytes dropped or with a bit flipped, by their number since the start; or all dead."""
 
     drop_in: frozenset[int] = frozenset()
     flip_in: frozenset[int] = frozenset()
@@ -108,11 +107,11 @@ class Faults:
     _count: dict[str, int] = field(default_factory=lambda: {"in": 0, "out": 0})
 
     def to_machine(self, data: bytes) -> bytes:
-        """What arrives of what the host sent."""
+        """The bytes of the host that arrive."""
         return self._spoil(data, "in", self.drop_in, self.flip_in)
 
     def to_host(self, data: bytes) -> bytes:
-        """What arrives of what the machine sent."""
+        """The bytes of the machine that arrive."""
         return self._spoil(data, "out", self.drop_out, self.flip_out)
 
     def _spoil(self, data: bytes, way: str, drop: frozenset[int], flip: frozenset[int]) -> bytes:
@@ -167,7 +166,7 @@ class VirtualPort:
         clock.attach(self._cable)
 
     def unplug(self) -> None:
-        """From now on every use fails as when a plug is pulled."""
+        """Pull the plug: every use fails."""
         self._unplugged = self._absent = True
 
     def replug(self) -> None:
@@ -218,7 +217,7 @@ class VirtualPort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have come in."""
+        """Bytes that have come in."""
         self._check()
         self._collect()
         return len(self._received)
@@ -235,11 +234,7 @@ class VirtualPort:
 
 
 def plug(
-    machine: LineMachine,
-    clock: VirtualClock,
-    timeout_s: float = 0.25,
-    baud: int = 0,
-    faults: Faults | None = None,
-) -> VirtualPort:
+    machine: LineMachine, clock: VirtualClock, timeout_s: float = 0.25, baud: int = 0, faults: Faults | None = None,
+) -> VirtualPort:  # fmt: skip
     """A port to a machine on a virtual clock; ``baud`` 0 means that sending takes no time."""
     return VirtualPort(machine, clock, timeout_s, baud, faults or Faults())

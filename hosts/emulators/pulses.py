@@ -11,14 +11,11 @@ from vamgpu.hosts.schedules.timing import SECOND
 
 @dataclass(eq=False)
 class EmulatedStepper:
-    """Pulses and motor. off: how much quicker its clock is than the host's [ppm].  turn: pulses of a turn.
-
-    ``stalled`` keeps the motor where it is, whatever pulses come.
-    """
+    """A pulse output and its motor, which stands once it is stalled."""
 
     clock: VirtualClock
-    turn: float
-    off: float = 0.0
+    turn: float  # pulses
+    off: float = 0.0  # how much quicker its clock is than the host's [ppm]
 
     def __post_init__(self) -> None:
         self.stalled: bool = False

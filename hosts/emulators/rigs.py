@@ -1,4 +1,4 @@
-"""Whole emulated rigs, each on one virtual clock before a chamber of resin: triggered mirrors, or a video projector."""
+"""Whole emulated rigs on one virtual clock, with a recorder of the dose: triggered mirrors, or a video projector."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.chamber import Chamber
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
+from vamgpu.hosts.emulators.dose import DoseRecorder
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort, plug
 from vamgpu.hosts.emulators.pulses import EmulatedStepper
@@ -26,19 +26,43 @@ from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.players.machines import MirrorMachines, StageMachines, VideoMachines
 
 LENS_BAUD = 38400
+MICROSTEPS = 1000.0  # of the video rig's stage in a degree
+FINER = 100  # times as many in a millimeter
 
 
-class _TriggeredMirrors:
-    """Mirrors of each engine before a chamber. ``lose_triggers``: so many do not reach them."""
+class _EmulatedRig:
+    """A clock, the recorder of the dose, and the machines that are plugged in on ports of their own."""
+
+    clock: VirtualClock
+    recorder: DoseRecorder
+    controller: EmulatedController | None
+    stage: EmulatedStage
+
+    def _plug_controller(self, microsteps_per_unit: float = 1.0, faults: Faults | None = None) -> Controller | None:
+        if self.controller is None:
+            return None
+        self.port: VirtualPort = plug(self.controller, self.clock, 0.02, 0, faults)
+        return Controller(Wire(self.port, "the controller"), microsteps_per_unit)
+
+    def _plug_stage(self, microsteps: float, unit: str) -> ZaberStage:
+        self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
+        pause = lambda seconds: self.clock.sleep(round(seconds * 1e9))  # noqa: E731
+        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause)
+
+
+class _TriggeredRig(_EmulatedRig):
+    """Mirrors of each engine, shown to the recorder. ``lose_triggers``: so many do not reach them."""
 
     def __init__(self, clock: VirtualClock | None, model: ArrayModel, engines: int) -> None:
         self.clock: VirtualClock = clock or VirtualClock()
         self.alps: list[EmulatedAlp] = [EmulatedAlp(self.clock, model) for _ in range(engines)]
         self.lose_triggers: int = 0
+        self._size = (model.height, model.width)
 
-    def _show_in(self, chamber: Chamber) -> None:
+    def _record(self, recorder: DoseRecorder) -> None:
+        self.recorder: DoseRecorder = recorder
         for engine, alp in enumerate(self.alps):
-            alp.on_shown = partial(chamber.shown, engine)
+            alp.on_shown = partial(recorder.shown, engine)
 
     def _trigger(self, now: int) -> None:
         if self.lose_triggers:
@@ -47,13 +71,14 @@ class _TriggeredMirrors:
         for alp in self.alps:
             alp.trigger(now)
 
+    def _mirrors(self) -> list[Dmd]:
+        return [Dmd(alp.library) for alp in self.alps]
 
-class EmulatedMirrorRig(_TriggeredMirrors):
-    """The machines behind the drivers.
 
-    microsteps: of the motion, in a pose.  powers: of the focus planes [1/m].  clock: one that a program sets by
-    default; a `PacedClock` goes with the machine's own.
-    """
+class EmulatedMirrorRig(_TriggeredRig):
+    """Mirrors that the controller triggers, by so many microsteps a pose, and a lens with focus planes [1/m]."""
+
+    controller: EmulatedController
 
     def __init__(
         self, microsteps: float, model: ArrayModel = ArrayModel(), engines: int = 1, powers: Sequence[float] = (),
@@ -61,16 +86,15 @@ class EmulatedMirrorRig(_TriggeredMirrors):
     ) -> None:  # fmt: skip
         super().__init__(clock, model, engines)
         self.microsteps: float = float(microsteps)
-        self.controller: EmulatedController = EmulatedController(channels=max(2, engines))
+        self.controller = EmulatedController(channels=max(2, engines))
         self.lens: EmulatedLens | None = EmulatedLens(baud=LENS_BAUD) if len(powers) > 1 else None
         self.faults: Faults = Faults()
-        self.chamber: Chamber = Chamber(
-            lambda now: self.controller.web.position(now) / self.microsteps, (model.height, model.width), engines,
-            None if self.lens is None else self.lens.power, powers or (0.0,),
-        )  # fmt: skip
-        self._show_in(self.chamber)
+        self._record(DoseRecorder(
+            lambda now: self.controller.web.position(now) / self.microsteps, self._size, engines,
+            None if self.lens is None else self.lens.power, powers or (0.0,), drive=self.controller.drive,
+        ))  # fmt: skip
         self.controller.on_trigger = self._trigger
-        self.controller.on_light = self.chamber.lamp
+        self.controller.on_light = self.recorder.lamp
         if self.lens is not None:
             cable = Cable(self.lens, LENS_BAUD)
             self.clock.attach(cable)
@@ -78,61 +102,93 @@ class EmulatedMirrorRig(_TriggeredMirrors):
 
     def machines(self, microsteps_per_unit: float) -> MirrorMachines:
         """The drivers, opened as those of real machines are."""
-        self.port: VirtualPort = plug(self.controller, self.clock, 0.02, 0, self.faults)
-        controller = Controller(Wire(self.port, "the controller"), microsteps_per_unit)
+        controller = self._plug_controller(microsteps_per_unit, self.faults)
+        assert controller is not None
         lens = None
         if self.lens is not None:
             lens = LensDriver(Wire(plug(self.lens, self.clock, 0.25, LENS_BAUD), "the lens driver"))
             lens.focal_power_mode()
-        mirrors = [Dmd(alp.library) for alp in self.alps]
-        return MirrorMachines(self.clock, controller, mirrors, microsteps_per_unit, lens)
+        return MirrorMachines(self.clock, controller, self._mirrors(), microsteps_per_unit, lens)
 
 
-MICROSTEPS = 1000.0  # of the stage in a degree
-FINER = 100  # times as many in a millimeter
+class EmulatedStageRig(_TriggeredRig):
+    """Mirrors that a stage triggers, before a light that a controller or a line gates, or that always shines."""
+
+    microsteps: int
+    unit: str
+    stage: EmulatedStage
+    controller: EmulatedController | None
+
+    def __init__(
+        self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
+        lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None, power: float = 1.0,
+    ) -> None:  # fmt: skip
+        super().__init__(clock, model, engines)
+        self.microsteps, self.unit = microsteps, unit
+        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0)
+        self.controller = EmulatedController(channels=max(2, engines)) if controller else None
+        self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
+        self._record(DoseRecorder(
+            lambda now: self.stage.true_position(now) / self.microsteps, self._size, engines,
+            first=0.0, drive=(lambda engine: power) if self.controller is None else self.controller.drive,
+        ))  # fmt: skip
+        self.stage.on_trigger = self._trigger
+        if self.controller is not None:
+            self.controller.on_light = self.recorder.lamp
+        elif self.line is None:
+            self._enabled(True)
+
+    def _enabled(self, high: bool) -> None:
+        self.recorder.lamp((1 << len(self.alps)) - 1 if high else 0, self.clock.now())
+
+    def turn(self, speed: float) -> None:
+        """Something other than the host drives the stage [poses/s]."""
+        self.stage.track.run(self.clock.now(), speed * self.microsteps)
+
+    def machines(self, microsteps_per_unit: float) -> StageMachines:
+        """The drivers, opened as those of real machines are."""
+        stage, controller = self._plug_stage(microsteps_per_unit, self.unit), self._plug_controller()
+        lamp = None if self.line is None else TtlLamp(self.line)
+        return StageMachines(self.clock, stage, self._mirrors(), microsteps_per_unit, controller, lamp)
 
 
-class EmulatedVideoRig:
-    """The machines behind the drivers. images: a turn.  size: rows and columns of the projector.  bits: 8 or 7.
+class EmulatedVideoRig(_EmulatedRig):
+    """A video projector of rows and columns before a stage, or a stepper with a clock so much quicker [ppm]."""
 
-    latency: video frames from cable to light, in truth.  share: of each slot in which there is light.  scale: true
-    degrees a degree of the stage; below 0 it turns the other way.  stepper: in place of the stage, with a clock that is
-    so much quicker than the host's [ppm].  indexed: whether the stepper's turns are seen.  gated: whether a controller
-    gates the light.  slots: 1 for a projector that shows all colors at once.  pose: of a web [mm], with its unit.
-    """
+    clock: VirtualClock
+    gated: bool
+    recorder: DoseRecorder
+    stage: EmulatedStage
 
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,
         scale: float = 1.0, rate_hz: int = 60, clock: VirtualClock | None = None, stepper: float | None = None,
         indexed: bool = False, gated: bool = True, slots: int | None = None,
-        pose: float | None = None, unit: str = "deg",
+        pose: float | None = None, unit: str = "deg", power: float = 1.0,
     ) -> None:  # fmt: skip
-        self.clock: VirtualClock = clock or VirtualClock()
+        self.clock = clock or VirtualClock()
         self.stepper: EmulatedStepper | None = (
             None if stepper is None else EmulatedStepper(self.clock, 360.0 * MICROSTEPS, stepper)
         )
-        self._indexed = indexed
-        self.stage: EmulatedStage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
+        self._indexed, self.gated = indexed, gated
+        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
         self.controller: EmulatedController = EmulatedController()
-        self.gated = gated
         order = "G" if slots == 1 else "GR" if bits == 8 else "GRB"
         self.screen: EmulatedScreen = EmulatedScreen(self.clock, size, rate_hz, order, bits, latency, share)
         self.faults: Faults = Faults()
         self._unit, self._microsteps = unit, MICROSTEPS if unit == "deg" else FINER * MICROSTEPS
         self._pose = self._microsteps * (pose or 360.0 / images)
         true = self.stage.true_position if self.stepper is None else self.stepper.position
-        self.chamber: Chamber = Chamber(lambda now: true(now) / self._pose, size, first=0.0)
-        self.controller.on_light = self.chamber.lamp
+        drive = self.controller.drive if gated else lambda engine: power
+        self.recorder = DoseRecorder(lambda now: true(now) / self._pose, size, first=0.0, drive=drive)
+        self.controller.on_light = self.recorder.lamp
         if not gated:
-            self.chamber.lamp(1, self.clock.now())
+            self.recorder.lamp(1, self.clock.now())
         self.screen.on_slot = self._slot
 
     def _slot(self, slot: LitSlot) -> None:
         if slot.levels.any():
-            self.chamber.lit(0, slot.levels / slot.top, slot.start, slot.end)
-
-    def _pause(self, seconds: float) -> None:
-        self.clock.sleep(round(seconds * 1e9))
+            self.recorder.lit(0, slot.levels / slot.top, slot.start, slot.end)
 
     def slip(self, degrees: float) -> None:
         """The vial's coupling gives: from now on the stage is elsewhere, and says so."""
@@ -144,83 +200,25 @@ class EmulatedVideoRig:
         self.stage.track.run(self.clock.now(), degrees_per_s * MICROSTEPS)
 
     def machines(self, latency: int = 1) -> VideoMachines:
-        """The drivers, opened as those of real machines are. latency: video frames from cable to light, as told."""
-        controller, stage = None, None
-        if self.gated:
-            self.port: VirtualPort = plug(self.controller, self.clock, 0.02, 0, self.faults)
-            controller = Controller(Wire(self.port, "the controller"))
+        """The drivers, opened as those of real machines are, with a latency from cable to light [video frames]."""
+        controller = self._plug_controller(faults=self.faults) if self.gated else None
         if self.stepper is not None:
             index = self.stepper if self._indexed else None
             stage = StepperStage(self.stepper, self.clock, MICROSTEPS, index=index)
         else:
-            self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
-            wire = Wire(self.stage_port, "the stage")
-            stage = ZaberStage(wire, self._microsteps, self._unit, pause=self._pause)
+            stage = self._plug_stage(self._microsteps, self._unit)
         layouts = {"G": ONE_GRAY, "GR": TWO_OF_8, "GRB": THREE_OF_7}
         projector = HdmiProjector(self.screen, layouts[self.screen.order], latency)
         return VideoMachines(self.clock, controller, stage, projector)
 
 
-class EmulatedStageRig(_TriggeredMirrors):
-    """Mirrors that a stage triggers, before a light that shines while the host's line is high.
-
-    microsteps: of the motion, in a pose.  model: of the mirrors.  unit: of the stage.  lamp: whether the host has a
-    line to the light; else it always shines, and mirrors at rest are the dark.
-    """
-
-    def __init__(
-        self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
-        lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(clock, model, engines)
-        self.microsteps = microsteps
-        self.unit = unit
-        self.stage: EmulatedStage = EmulatedStage(rotary=True, acceleration=200_000.0)
-        self.controller: EmulatedController | None = (
-            EmulatedController(channels=max(2, engines)) if controller else None
-        )
-        self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
-        self.chamber: Chamber = Chamber(
-            lambda now: self.stage.true_position(now) / self.microsteps, (model.height, model.width), engines,
-            first=0.0,
-        )  # fmt: skip
-        self._channels = (1 << engines) - 1
-        self._show_in(self.chamber)
-        self.stage.on_trigger = self._trigger
-        if self.controller is not None:
-            self.controller.on_light = self.chamber.lamp
-        elif self.line is None:
-            self._enabled(True)
-
-    def _enabled(self, high: bool) -> None:
-        self.chamber.lamp(self._channels if high else 0, self.clock.now())
-
-    def turn(self, speed: float) -> None:
-        """Something other than the host drives the stage [poses/s]."""
-        self.stage.track.run(self.clock.now(), speed * self.microsteps)
-
-    def machines(self, microsteps_per_unit: float) -> StageMachines:
-        """The drivers, opened as those of real machines are."""
-        self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
-        wire = Wire(self.stage_port, "the stage")
-        pause = lambda seconds: self.clock.sleep(round(seconds * 1e9))  # noqa: E731
-        stage = ZaberStage(wire, microsteps_per_unit, self.unit, pause=pause)
-        controller = None
-        if self.controller is not None:
-            self.port: VirtualPort = plug(self.controller, self.clock, 0.02)
-            controller = Controller(Wire(self.port, "the controller"))
-        lamp = None if self.line is None else TtlLamp(self.line)
-        mirrors = [Dmd(alp.library) for alp in self.alps]
-        return StageMachines(self.clock, stage, mirrors, microsteps_per_unit, controller, lamp)
-
-
 class EmulatedLine:
-    """A serial port of which only the control lines matter. hears: whether RTS is high."""
+    """A serial port of which only the control lines matter. on_change: gets whether RTS is high."""
 
     unplugged: bool
 
-    def __init__(self, hears: Callable[[bool], None]) -> None:
-        self._hears, self._rts, self.unplugged = hears, False, False
+    def __init__(self, on_change: Callable[[bool], None]) -> None:
+        self._on_change, self._rts, self.unplugged = on_change, False, False
         self.dtr = False
 
     @property
@@ -234,7 +232,7 @@ class EmulatedLine:
             raise OSError("device disconnected")
         if high != self._rts:
             self._rts = high
-            self._hears(high)
+            self._on_change(high)
 
     def close(self) -> None:
         """Low."""

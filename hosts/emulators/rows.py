@@ -1,4 +1,4 @@
-"""What the controller's firmware does in time: rows, pulses of light, and the lease that closes it."""
+"""The timing of the controller's firmware: rows, pulses of light, and the lease that closes it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,9 @@ RAMP = 200_000.0  # how fast the web changes its speed until a host tells it oth
 
 
 class RowPlayer:
-    """Queue, web, lease and gate.
+    """Queue, web, lease and gate of the firmware; callbacks get the time [ns] last."""
 
-    What it does to the other machines goes out through functions that are given the time [ns]: ``on_trigger(now)``,
-    ``on_lens(bytes, now)`` on its second serial line, ``on_light(channels, now)`` at each change of the light,
-    ``on_lease(until, now)`` when it is allowed for longer, ``on_close(reason, now)`` when it closes it by itself or is
-    told to.
-    ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
-    """
+    # ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
 
     armed: bool
     running: bool
@@ -111,10 +106,10 @@ class RowPlayer:
                 self._act_row(at)
 
     def _sense_at(self, at: int) -> bool:
-        """Look at encoder and mark; whether that closed the light, or was all that was due."""
+        """Compare encoder and mark; whether that closed the light, or was all that was due."""
         only = at not in (self._judge_at, self._pulse_end, self.lease_end, self._row_due())
         only = only and (self._pulse is None or at < self._pulse[0])
-        reason, homed = self.senses.look(self.web, at, self.microsteps(at))
+        reason, homed = self.senses.compare(self.web, at, self.microsteps(at))
         if homed:
             self.zero = homed
             self.call_position(at, 0)
@@ -176,6 +171,10 @@ class RowPlayer:
             self.intervals.append((self._lit_at, at, self.light, tuple(self.powers)))
             self._lit_at = at
         self.powers[channel] = drive
+
+    def drive(self, channel: int) -> float:
+        """Drive of a channel's light, as a share of full."""
+        return self.powers[channel] / 65535
 
     def lit(self, now: int) -> int:
         """The channels that were lit at a time [ns]."""

@@ -26,23 +26,17 @@ class LitSlot:
 
 @dataclass(eq=False)
 class EmulatedScreen:
-    """A window and the projector behind it.
-
-    ``order`` lists the colors of a video frame whose planes are shown, as the letters of its setting, and ``bits`` how
-    many planes of each. Refresh k is at k / rate; a slot is lit for ``share`` of its length. A video frame that is not
-    replaced is shown again, as screens do: ``repeated`` counts such refreshes.  ``hitches`` maps the number of a video
-    frame, as they come, to refreshes that its host lets pass before it is there; ``unplug`` pulls the cable out.
-    """
+    """A window and the projector behind it, which repeats a video frame that is not replaced."""
 
     clock: VirtualClock
     size: tuple[int, int]
     rate_hz: float = 60.0
-    order: str = "GR"
-    bits: int = 8
-    latency: int = 1
-    share: float = 1.0
+    order: str = "GR"  # colors of a video frame whose planes are shown
+    bits: int = 8  # planes of each
+    latency: int = 1  # refreshes
+    share: float = 1.0  # of a slot that is lit
     on_slot: Callable[[LitSlot], None] | None = None
-    hitches: dict[int, int] = field(default_factory=dict)
+    hitches: dict[int, int] = field(default_factory=dict)  # video frame → refreshes that its host loses before it
 
     def __post_init__(self) -> None:
         self._rate = round(self.rate_hz)
@@ -80,7 +74,7 @@ class EmulatedScreen:
         return refresh
 
     def unplug(self) -> None:
-        """From now on nothing arrives; the projector shows its last video frame again and again."""
+        """Pull the cable: the projector repeats its last video frame."""
         self.unplugged = True
 
     def close(self) -> None:

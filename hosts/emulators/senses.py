@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from vamgpu.hosts.emulators.track import Track
 
-LOOK = 1_000_000  # after which a shaft that turns back is looked at again [ns]
+RECHECK = 1_000_000  # after which a shaft that turns back is compared again [ns]
 
 
 def _times(count: int, top: int, bottom: int) -> int:
@@ -14,18 +14,14 @@ def _times(count: int, top: int, bottom: int) -> int:
 
 
 class Senses:
-    """What measures a motor. Ratios are (counts, microsteps, limit), as a host told them; 0 counts: there is none.
-
-    edges: counts of the machine's encoder, and microsteps in which it gives them.  mark: the microstep since power came
-    at which its mark first comes, and those from mark to mark.
-    """
+    """Encoder and index mark of a motor, by ratios (counts, microsteps, limit); 0 counts: there is none."""
 
     encoder: tuple[int, int, int]
     index: tuple[int, int, int]
     home: int
     marks: int
-    edges: tuple[int, int] = (1, 8)
-    mark: tuple[int, int] = (500, 3200)
+    edges: tuple[int, int] = (1, 8)  # counts of the encoder, in so many microsteps
+    mark: tuple[int, int] = (500, 3200)  # microstep of the first mark, and microsteps from mark to mark
 
     def __init__(self) -> None:
         self.encoder = self.index = (0, 1, 0)
@@ -37,12 +33,12 @@ class Senses:
         self._stands: int | None = None  # where a shaft stands that does not turn
         self._shift = 0  # of position 0, since power came
         self._base = (0, 0)  # counts and position where they were last taken to agree
-        self._seen, self._at = 0, 0  # the shaft, and when it was looked at
-        self._back: int | None = None  # when one that turns back is looked at again
+        self._seen, self._at = 0, 0  # the shaft, and when it was compared
+        self._back: int | None = None  # when one that turns back is compared again
 
     @property
     def used(self) -> bool:
-        """Whether a host told that there is an encoder or a mark."""
+        """Whether a host set an encoder or a mark."""
         return bool(self.encoder[0] or self.index[0])
 
     def shaft(self, position: int) -> int:
@@ -65,10 +61,10 @@ class Senses:
     def moved(self, now: int, position: int) -> None:
         """A host tells another speed, which may be backwards."""
         self._here(now, position)
-        self._back = now + LOOK
+        self._back = now + RECHECK
 
     def forget(self) -> None:
-        """No host told anything yet."""
+        """Forget what a host set."""
         self.encoder = self.index = (0, 1, 0)
         self.home, self._since, self.astray = 0, None, False
 
@@ -76,7 +72,7 @@ class Senses:
         return self.shaft(position) * self.edges[0] // self.edges[1]
 
     def take(self, which: str, ratio: tuple[int, int, int], now: int, position: int) -> None:
-        """What a host told of the encoder or the mark."""
+        """Set the ratio of the encoder or the mark."""
         setattr(self, which, ratio)
         self._base, self._since, self.astray = (self._counts(position), position), None, False
         self._here(now, position)
@@ -94,7 +90,7 @@ class Senses:
         return there + _times(self._counts(position) - counts, self.encoder[1], self.encoder[0])
 
     def wrong(self, position: int) -> str | None:
-        """What does not agree with the steps."""
+        """Name the sense that disagrees with the steps."""
         if self.encoder[0] and abs(position - self.measured(position)) > self.encoder[2]:
             return "stall"
         return "index" if self.astray else None
@@ -119,12 +115,12 @@ class Senses:
                 times.append(web.reaches(self._next() + self.index[2] + 1, self._at))
         return times
 
-    def look(self, web: Track, now: int, position: int) -> tuple[str | None, int]:
-        """What does not agree, and the number of a home that was found."""
+    def compare(self, web: Track, now: int, position: int) -> tuple[str | None, int]:
+        """Name the sense that disagrees, and the number of a home that was found."""
         before = self._seen
         self._here(now, position)
         homed, back = 0, web.velocity(now) < 0
-        self._back = now + LOOK if back else None
+        self._back = now + RECHECK if back else None
         if back:
             self._since = None
         elif self.index[0] and (before - self.mark[0]) // self.mark[1] < (self._seen - self.mark[0]) // self.mark[1]:
@@ -143,7 +139,7 @@ class Senses:
         if lost:
             self.astray, self._since = True, None
 
-    def told(self, position: int) -> tuple[int, int, int]:
-        """What the status tells: which there are, the measured position, marks."""
+    def status(self, position: int) -> tuple[int, int, int]:
+        """Values of the status: which senses there are, the measured position, marks."""
         which = bool(self.encoder[0]) | bool(self.index[0]) << 1 | bool(self.home) << 2 | self.astray << 3
         return which, self.measured(position) if self.encoder[0] else 0, self.marks

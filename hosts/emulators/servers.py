@@ -1,4 +1,4 @@
-"""Emulated machines in real time, on pseudo terminals and sockets, and a controller that logs what it did."""
+"""Emulated machines in real time, on pseudo terminals, and a controller that logs what it did."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import logging
 import os
 import select
-import socket
 import threading
 import time
 from pathlib import Path
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 log: logging.Logger = logging.getLogger(__name__)
 
 
-class _Server:
+class Server:
     """A thread that carries bytes between a file descriptor and a machine, in real time."""
 
     def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
@@ -78,7 +77,7 @@ class _Server:
             self._thread.join(2.0)
 
 
-class PtyServer(_Server):
+class PtyServer(Server):
     """A machine on a pseudo terminal; ``url`` is what a driver opens."""
 
     def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
@@ -109,48 +108,6 @@ class PtyServer(_Server):
             if descriptor >= 0:
                 os.close(descriptor)
         self._master = self._slave = -1
-
-
-class TcpServer(_Server):
-    """A machine on a socket of this computer; ``url`` is what a driver opens. One caller at a time."""
-
-    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
-        super().__init__(machine, faults)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._caller: socket.socket | None = None
-        self.url: str = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
-
-    def _descriptors(self) -> list[int]:
-        return [(self._caller or self._listener).fileno()]
-
-    def _read(self) -> bytes:
-        if self._caller is None:
-            self._caller = self._listener.accept()[0]
-            self._caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b""
-        try:
-            data = self._caller.recv(4096)
-        except ConnectionError:
-            data = b""
-        if not data:
-            self._caller.close()
-            self._caller = None
-        return data
-
-    def _write(self, data: bytes) -> None:
-        if self._caller is not None:
-            try:
-                self._caller.sendall(data)
-            except ConnectionError:
-                self._caller.close()
-                self._caller = None
-
-    def close(self) -> None:
-        """Stop serving, and hang up."""
-        super().close()
-        if self._caller is not None:
-            self._caller.close()
-        self._listener.close()
 
 
 def serve(machine: EmulatedController, link: Path, log: Path) -> None:

@@ -13,17 +13,14 @@ SPEED = 1.6384  # units of speed in a microstep a second
 
 @dataclass(eq=False)
 class EmulatedStage(LineDevice):
-    """One axis in microsteps; ``track`` tells where it truly is, ``rotary`` has no end.
-
-    ``scale`` makes the true position differ from the one reported, as a slipping belt does.
-    """
+    """One axis in microsteps; ``track`` tells where it is, ``rotary`` has no end."""
 
     limit: int = 10_000_000
     rotary: bool = False
     acceleration: float = 2_000_000.0
     device: int = 1
     latency_us: float = 90.0
-    scale: float = 1.0
+    scale: float = 1.0  # of the true position over the reported one, as of a slipping belt
 
     def __post_init__(self) -> None:
         super().__init__(self.latency_us)
@@ -141,11 +138,6 @@ class EmulatedStage(LineDevice):
             case _:
                 return False, "BADDATA"
         return True, "0"
-
-    def rising_edges(self, now: int) -> int:
-        """How often the output has risen since its trigger was enabled."""
-        self.advance(now)
-        return self.edges
 
     def _go(self, target: float, now: int) -> tuple[bool, str]:
         if not self.rotary and not 0 <= target <= self.limit:

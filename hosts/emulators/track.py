@@ -13,7 +13,7 @@ FOREVER = 1e9  # what takes longer [s] never happens
 
 @dataclass(frozen=True)
 class MotionPiece:
-    """From ``start`` [ns] on: position, velocity [1/s] and acceleration [1/s2]."""
+    """A motion from ``start`` [ns] on: position, velocity [1/s] and acceleration [1/s2]."""
 
     start: int
     position: float
@@ -49,7 +49,7 @@ class Track:
         return self._piece(now).at(now)[0]
 
     def velocity(self, now: int) -> float:
-        """How fast the axis moves [1/s]."""
+        """Velocity of the axis [1/s]."""
         return self._piece(now).at(now)[1]
 
     def moving(self, now: int) -> bool:

@@ -1,1 +1,1 @@
-"""From frames to the memory of mirrors, ahead of their time."""
+"""Frames, packed and uploaded to the mirrors' memory ahead of their time."""

@@ -15,12 +15,7 @@ from vamgpu.errors import BadInput
 
 
 class PinnedBuffers(Sequence[np.ndarray]):
-    """Arrays uint8 of one shape, and what their memory belongs to.
-
-    locked: whether their pages are, so that a GPU reads and writes them itself.  owners: Warp arrays, OpenCL buffers or
-    maps of pages, one an array.  Memory is unlocked and given back once it is closed, or forgotten, and the last view
-    of it is gone: nobody is left with an array whose memory is not there.
-    """
+    """Arrays uint8 of one shape; their memory is given back once it is closed and its last view is gone."""
 
     def __init__(self, made: Sequence[tuple[np.ndarray, Any]], locked: bool) -> None:
         self._arrays: tuple[np.ndarray, ...] = tuple(array for array, _ in made)
@@ -86,16 +81,12 @@ def _by_pages(shape: tuple[int, ...]) -> tuple[np.ndarray, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Frames of slots first, first + 1, … in a buffer.
-
-    frames: a view, [frame, …]; valid until the buffer is released.  ready: when they were
-    there [ns].  kept: whether the mirrors have them already, and nothing was written into the buffer.
-    """
+    """Frames of slots first, first + 1, … in a buffer."""
 
     first: int
-    frames: np.ndarray
-    ready: int
-    kept: bool = False
+    frames: np.ndarray  # a view, [frame, …]; valid until the buffer is released
+    ready: int  # when they were there [ns]
+    kept: bool = False  # whether the mirrors have them already, and the buffer is empty
 
     @property
     def end(self) -> int:
@@ -104,10 +95,7 @@ class Batch:
 
 
 class BufferRing:
-    """Buffers that go round. ``claim`` and ``commit`` are the filler's, ``head`` and ``release`` the emptier's.
-
-    A full ring makes the filler wait, an empty one the emptier: that is the back-pressure, there is no other.
-    """
+    """Buffers that go round: one side claims and commits, the other takes the head and releases; each waits."""
 
     def __init__(self, pinned_buffers: PinnedBuffers) -> None:
         if len(pinned_buffers) < 2:
@@ -127,11 +115,6 @@ class BufferRing:
     def fill(self) -> int:
         """Buffers that wait to be emptied."""
         return self._written - self._read
-
-    @property
-    def closed(self) -> bool:
-        """Whether nobody shall wait any more."""
-        return self._closed
 
     def claim(self, timeout: float = 0.0) -> np.ndarray | None:
         """The next buffer to fill; None where all are full for ``timeout`` seconds, or the ring is closed."""

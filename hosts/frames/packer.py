@@ -1,4 +1,4 @@
-"""How frames become the bytes that mirrors are loaded with: bit planes, packed by the host or on a device."""
+"""Packers of frames to the bit planes that mirrors load, on the host or on a device."""
 
 from __future__ import annotations
 
@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 
 class PlanePacker:
-    """Packs numbered frames for mirrors; this one on the host.
-
-    source: what is packed.  shape: of one frame's bytes [plane, row, byte].  frames: how many there are.
-    """
+    """Packs numbered frames on the host. shape: of one frame's bytes [plane, row, byte]."""
 
     shape: tuple[int, ...]
     frames: int
@@ -49,9 +46,8 @@ class DevicePacker(PlanePacker):
     images: uint8 table [image, row, column or byte] on the device; or reads those of poses, in rising order, to the
     host.  frames: how many there are; number = image · planes + plane.  own: rows and columns of an image.  bits: 8 or
     1.  shown: which columns each focus plane shows, bool (planes, columns).  row_bytes: of a row in the mirrors'
-    memory, a multiple of 8 for 8 bits; None: what is needed.  batch: frames at once.  whole: leave 8 bits as bytes
-    [row, column], for a video cable.  size: rows and columns of the mirrors, in whose middle smaller images go; None
-    for those of the images. Raises `BadInput`; `WrongDevice` for images larger than the mirrors.
+    memory, a multiple of 8 for 8 bits; None: what is needed.  batch: frames at once.  size: rows and columns of the
+    mirrors, in whose middle smaller images go; None for those of the images. Raises `BadInput`, `WrongDevice`.
     """
 
     device: Device
@@ -62,17 +58,17 @@ class DevicePacker(PlanePacker):
     def __init__(
         self, device: Device, images: DeviceArray | Callable[[np.ndarray], np.ndarray], frames: int,
         own: tuple[int, int], bits: int, shown: np.ndarray, *, row_bytes: int | None = None, batch: int = 8,
-        whole: bool = False, size: tuple[int, int] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> None:  # fmt: skip
         self.device = self._device = device
         self.batch, self.planes = batch, len(shown)
         self._images, self._own = images, own
         rows, columns = size or own
         top, left = _middle(own, (rows, columns), 8 if bits == 1 else 1)
-        self.kernel, step = (split_planes, 8) if bits == 8 and not whole else (pick_frames, 1)
-        needed = columns if whole and bits == 8 else -(-columns // (8 * step)) * step
+        self.kernel, step = (split_planes, 8) if bits == 8 else (pick_frames, 1)
+        needed = -(-columns // (8 * step)) * step
         width = needed if row_bytes is None else row_bytes
-        if width < -(-columns // 8) or width % step or (whole and width != columns):
+        if width < -(-columns // 8) or width % step:
             raise BadInput(f"row_bytes is {row_bytes!r}; expected {needed} or more, in steps of {step}")
         shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last shows nothing
         masks = shown.astype(np.uint8) * np.uint8(255) if bits == 8 else np.packbits(shown, axis=1)
@@ -89,7 +85,7 @@ class DevicePacker(PlanePacker):
 
     @classmethod
     def of(cls, frames: Frames, *, masks: FocusMasks | None = None, **options: Any) -> Self:
-        """Of frames that lie on a device. masks: focus planes.  options: as above."""
+        """A packer of frames on a device. masks: focus planes.  options: as above."""
         count, *own = frames.shape
         shown = np.ones((1, own[1]), bool) if masks is None else masks.of_frames(frames)
         return cls(

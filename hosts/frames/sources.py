@@ -1,4 +1,4 @@
-"""What mirrors show: the numbered frames of a vial or a web, read or made when they are asked for."""
+"""Sources of numbered frames, of a vial or a web, read or made when they are asked for."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _Leveled:
     _mirrors: MirrorArray
 
     def levels(self, numbers: np.ndarray) -> np.ndarray:
-        """Of frames, uint8 [frame, row, column], 255 full on."""
+        """Gray levels of frames, uint8 [frame, row, column], 255 full on."""
         raise NotImplementedError
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:

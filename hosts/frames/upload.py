@@ -28,7 +28,7 @@ HELD = 2**28  # bytes of a sequence at rates so high that a second's frames are 
 
 
 def guard(rate: float) -> int:
-    """How many frames ahead of the counter a missing one is given up, at so many a second."""
+    """Frames ahead of the counter at which a missing one is given up, at so many a second."""
     return max(2, math.ceil(GUARD * rate))
 
 
@@ -53,7 +53,7 @@ class FrameMemory(Protocol):
     def again(self, name: bytes, frames: int) -> None:
         """Show the frames of a name that was kept, after those taken before."""
 
-    def cease(self) -> None:
+    def cancel(self) -> None:
         """Let an upload that is on its way end soon; waits for nobody."""
 
     def close(self, hung: bool = False) -> None:
@@ -62,13 +62,12 @@ class FrameMemory(Protocol):
 
 @dataclass(frozen=True)
 class LateFrame:
-    """A frame that came too late and was black. slot, frame: which.  missed: when it was given up [ns].  ready: when
-    it was there after all [ns]; None while it is not."""
+    """A frame that came too late and was black."""
 
     slot: int
     frame: int
-    missed: int
-    ready: int | None = None
+    missed: int  # when it was given up [ns]
+    ready: int | None = None  # when it was there after all [ns]; None while it is not
 
 
 class UploadQueue:
@@ -166,16 +165,13 @@ class UploadQueue:
         return (slot - self._preroll + (0 if self._boundaries is None else self._boundaries.first)) % turn
 
     def _look_ahead(self, shown: int) -> None:
-        """What may be packed, once so many were shown."""
+        """Move the limit of what may be packed, once so many frames were shown."""
         if (ends := self._boundaries) is not None:
             begin = ends.first - self._preroll
             self._limit = min(len(self), ends.horizon(begin + shown) - begin)
 
     def _name(self, first: int, count: int) -> bytes | None:
-        """What frames are called at the mirrors, where they come round: their place in the turn, and their numbers.
-
-        The same black frames at two places are two names: one sequence cannot wait in the queue twice.
-        """
+        """The name of frames at the mirrors, by place in the turn and numbers: no sequence waits twice in a queue."""
         if self._turn is None:
             return None
         turn = self._turn if self._boundaries is None else self._boundaries.turn
@@ -214,10 +210,7 @@ class UploadQueue:
         return True
 
     def black(self) -> int | None:
-        """Show black in the next slot in place of a frame that is not there; returns the slot, the preroll counted.
-
-        None where frames are ready, are being uploaded, or have no room: this waits for nobody.
-        """
+        """Show black in place of the next frame; its slot, or None where frames are ready or there is no room."""
         if not self._sending.acquire(blocking=False):
             return None
         try:
@@ -273,7 +266,7 @@ class UploadQueue:
             log.warning("pose %d is black: its frame is not there", pose)
             if self._policy.drop(pose) is Action.STOP:
                 raise Underrun(
-                    f"{self._policy.stopped}, the last at pose {pose}: the light is off; print slower, or make "
+                    f"{self._policy.stopped}, the last at angle {pose}: the light is off; print slower, or make "
                     "frames faster"
                 )
 
@@ -307,7 +300,7 @@ class UploadQueue:
 
     def close(self) -> None:
         """Pack no more frames and give the mirrors' memory back, unless an upload hangs in it."""
-        self._memory.cease()
+        self._memory.cancel()
         self._memory.close(hung=not self.stop())
 
     # ---- threads -------------------------------------------------------------------------------------------

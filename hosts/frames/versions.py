@@ -29,15 +29,11 @@ ROUNDING = 1e-6  # share of all light that is rounding
 
 @dataclass(frozen=True)
 class Boundaries:
-    """Where the frames of a queue may be replaced: where turns of a vial, or segments of a web, begin.
+    """Where the frames of a queue may be replaced: where turns of a vial, or segments of a web, begin."""
 
-    turn: slots of one.  first: slot of the print that the queue begins with.  lead: how many slots ahead of a
-    boundary what is beyond it may be packed.
-    """
-
-    turn: int
-    first: int
-    lead: int
+    turn: int  # slots of one
+    first: int  # slot of the print that the queue begins with
+    lead: int  # slots ahead of a boundary from which frames beyond it may be packed
 
     def horizon(self, slot: int) -> int:
         """The slot up to which frames may be packed while one is about to be shown."""
@@ -46,27 +42,22 @@ class Boundaries:
 
 @dataclass(frozen=True, eq=False)
 class FrameVersion:
-    """Frames from the beginning of a turn of a vial, or of a segment of a web, on.
+    """Frames from the beginning of a turn of a vial, or of a segment of a web, on."""
 
-    number: 1, 2, …; 0 are the job's.  sources: of each projector.  turn: the first turn, or segment, that shows them.
-    stop: the one before which the light ends; None for none.  light: of a turn, over that of the job's frames.
-    until: the one from which on all is as it was before; None for none.
-    """
-
-    number: int
-    sources: tuple[FrameSource, ...]
-    turn: int
-    stop: int | None = None
-    light: float = 1.0
-    until: int | None = None
+    number: int  # 1, 2, …; 0 is the job's
+    sources: tuple[FrameSource, ...]  # of each projector
+    turn: int  # the first turn, or segment, that shows it
+    stop: int | None = None  # the turn before which the light ends; None: no end
+    light: float = 1.0  # of a turn, over that of the job's frames
+    until: int | None = None  # the turn from which on all is as before; None: never
 
     def facts(self) -> dict[str, Any]:
-        """What a run's folder keeps of it, beside the frames."""
+        """The version as a run's folder keeps it, beside its frames."""
         told = {"version": self.number, "turn": self.turn, "stop": self.stop, "light": self.light}
         return told if self.until is None else told | {"until": self.until}
 
 
-class FramePlans:
+class FrameVersions:
     """The versions of the frames of a print: which there are, and which slot shows which.
 
     sources: the job's frames, of each projector.  count: slots of a turn, or of a segment.  turns: of the print, or its
@@ -107,22 +98,7 @@ class FramePlans:
         self, sources: Sequence[FrameSource], turn: int, *, light: float = 1.0, stop: int | None = None,
         number: int | None = None, until: int | None = None,
     ) -> int:  # fmt: skip
-        """Offer frames from the beginning of a turn, or of a segment, on.
-
-        Args:
-            sources: Frames of each projector, numbered and of as many bits as the job's.
-            turn: The first turn, or segment, that is to show them, counted from 0.
-            light: Light of a turn, or of the segments that are replaced, over that of the job's frames.
-            stop: The one before which the light ends; None shows all of the print.
-            until: The one from which on all is as it was decided before; None for none.
-            number: Of the version, above those before; None takes the next.
-
-        Returns:
-            The number of the version. The printing thread drops it where it comes too late.
-
-        Raises:
-            BadInput: They are no frames of this print, or more light than is allowed.
-        """
+        """Offer frames from a turn or segment on; returns their version's number. Raises `BadInput`, see `check`."""
         job = self._versions[0].sources
         if len(sources) != len(job) or any(new.bits != old.bits for new, old in zip(sources, job, strict=True)):
             raise BadInput(
@@ -190,7 +166,7 @@ class FramePlans:
         return min((self.stop or self.turns) * self.count, self.slots)
 
     def facts(self) -> dict[str, Any]:
-        """What a run's folder keeps with each swap: where frames may be replaced."""
+        """The boundaries of versions, as a run's folder keeps them with each swap."""
         told: dict[str, Any] = {"turns": self.turns}
         return told if self.unit == "turn" else told | {"unit": self.unit, "count": self.count}
 
@@ -201,7 +177,7 @@ class FramePlans:
             return taken
 
     def commit(self, version: FrameVersion) -> None:
-        """From its turn on, the slots show a version."""
+        """Show a version in the slots from its turn on."""
         with self._lock:
             begin, rest = version.turn * self.count, []
             if version.until is not None and (end := version.until * self.count) < self.slots:
@@ -247,11 +223,7 @@ class FramePlans:
                 source.forget(wanted)
 
     # ---- numbers -----------------------------------------------------------------------------------------------
-    def numbers(self, frames: np.ndarray, version: int) -> np.ndarray:
-        """Numbers in a queue of frames of a version; `NONE` stays."""
-        return np.where(frames == NONE, NONE, frames + version * self.frames)
-
-    def told_apart(self, number: int) -> tuple[int, int]:
+    def split_number(self, number: int) -> tuple[int, int]:
         """Version and frame of a number in a queue."""
         return (0, number) if number == NONE else divmod(number, self.frames)
 
@@ -259,7 +231,8 @@ class FramePlans:
         """Numbers of the frames of all slots, as far as is decided; black after the stop."""
         order, planned = frames.copy(), self.slots
         for begin, number in self._table:
-            order[begin:planned] = self.numbers(frames[begin:planned], number)
+            rest = frames[begin:planned]
+            order[begin:planned] = np.where(rest == NONE, NONE, rest + number * self.frames)
         order[self.end : planned] = NONE
         return order
 
@@ -269,30 +242,30 @@ class VersionedFrames:
 
     bits: int
 
-    def __init__(self, plans: FramePlans, engine: int) -> None:
-        self._plans, self._engine = plans, engine
-        self.bits = plans.source(0, engine).bits
+    def __init__(self, versions: FrameVersions, engine: int) -> None:
+        self._versions, self._engine = versions, engine
+        self.bits = versions.source(0, engine).bits
         self._packer: VersionedPacker | None = None
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
         """See `FrameSource`."""
-        versions, frames = np.divmod(np.asarray(numbers), self._plans.frames)
+        versions, frames = np.divmod(np.asarray(numbers), self._versions.frames)
         found = {
-            number: iter(self._plans.source(number, self._engine).planes(frames[versions == number]))
+            number: iter(self._versions.source(number, self._engine).planes(frames[versions == number]))
             for number in dict.fromkeys(versions.tolist())
         }
         return np.stack([next(found[number]) for number in versions.tolist()])
 
     def frame(self, number: int) -> np.ndarray:
         """See `FrameSource`."""
-        version, frame = divmod(int(number), self._plans.frames)
-        return self._plans.source(version, self._engine).frame(frame)
+        version, frame = divmod(int(number), self._versions.frames)
+        return self._versions.source(version, self._engine).frame(frame)
 
     def packer(self, batch: int) -> VersionedPacker | None:
         """The frames as a device packs them; None where it does not."""
-        packs = getattr(self._plans.source(0, self._engine), "packer", None)
+        packs = getattr(self._versions.source(0, self._engine), "packer", None)
         made = None if packs is None else packs(batch)
-        self._packer = None if made is None else VersionedPacker(self._plans, self._engine, made)
+        self._packer = None if made is None else VersionedPacker(self._versions, self._engine, made)
         return self._packer
 
     def prepare(self, version: FrameVersion) -> None:
@@ -307,16 +280,13 @@ class VersionedFrames:
 
 
 class VersionedPacker(PlanePacker):
-    """Packs the frames of all versions, each by its own packer; those of one call are of one version.
-
-    made: packs the job's.
-    """
+    """Packs the frames of all versions, each by its own packer; those of one call are of one version."""
 
     device: Device
 
-    def __init__(self, plans: FramePlans, engine: int, made: DevicePacker) -> None:
+    def __init__(self, versions: FrameVersions, engine: int, made: DevicePacker) -> None:
         super().__init__(None, made.shape, np.iinfo(np.int64).max)
-        self._plans, self._engine, self._made = plans, engine, {0: made}
+        self._versions, self._engine, self._made = versions, engine, {0: made}
         self.device, self._batch = made.device, made.batch
 
     def prepare(self, number: int, source: FrameSource) -> None:
@@ -336,7 +306,7 @@ class VersionedPacker(PlanePacker):
     def read(self, frames: np.ndarray, out: np.ndarray) -> None:
         """See `PlanePacker`."""
         lit = frames != NONE
-        number = int(frames[lit][0]) // self._plans.frames if lit.any() else 0
+        number = int(frames[lit][0]) // self._versions.frames if lit.any() else 0
         if number not in self._made:  # a run segment began since
-            self.prepare(number, self._plans.source(number, self._engine))
-        self._made[number].read(np.where(lit, frames - number * self._plans.frames, NONE), out)
+            self.prepare(number, self._versions.source(number, self._engine))
+        self._made[number].read(np.where(lit, frames - number * self._versions.frames, NONE), out)

@@ -1,25 +1,33 @@
-"""Runs a planning function: ``python -m vamgpu.hosts.live`` with one line of JSON, address, key and function."""
+"""Runs a planning function: ``python -m vamgpu.hosts.live`` with its name in one line of JSON."""
 
 from __future__ import annotations
 
-import sys
+import os
+import secrets
+import threading
 from contextlib import suppress
-from multiprocessing.connection import Client
-from typing import Any
+from multiprocessing.connection import Listener
 
-from vamgpu.hosts.live.worker import Desk, function_of
-from vamgpu.storage.reading import parse_json
+from vamgpu.hosts.live.worker import PlannerClient, function_of
+from vamgpu.hosts.realtime.child import address, ordered
+
+STARTING = 10.0  # how long it waits for the print that started it [s]
 
 
 def main() -> None:
     """Plan until the print is over."""
-    told = parse_json(sys.stdin.buffer.readline())
-    act = function_of(told["function"])
-    line: Any = Client(told["address"], authkey=bytes.fromhex(told["key"]))
+    order, answer = ordered()
+    act, key = function_of(order["function"]), secrets.token_bytes(32)
+    alone = threading.Timer(STARTING, os._exit, (1,))
+    with Listener(authkey=key) as listener:
+        alone.start()
+        answer(address(listener, key))
+        line = listener.accept()
+    alone.cancel()
     with line, suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        desk = Desk(line)
-        act(desk)
-        desk.tell({"done": True})
+        planner = PlannerClient(line)
+        act(planner)
+        planner.tell({"done": True})
 
 
 if __name__ == "__main__":

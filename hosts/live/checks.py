@@ -1,4 +1,4 @@
-"""What a planning process sends is taken only where it is frames of this print, and light that was allowed."""
+"""Checks of messages from a planning process: frames must be of this print, and their light allowed."""
 
 from __future__ import annotations
 
@@ -15,22 +15,18 @@ from vamgpu.hosts.state import Estimated
 from vamgpu.printing.frames import Frames
 
 MOST = 64  # parameters that are shown
-MAPS, WIDEST = 4, 2048  # pictures that are shown, and the longest side of one [pixels]
+MAPS, WIDEST = 4, 2048  # images that are shown, and the longest side of one [pixels]
 _JOBS: WeakKeyDictionary[Frames, float] = WeakKeyDictionary()  # light of jobs' frames
 TOP = {8: 255, 1: 1}  # the highest level of a pixel of so many bits
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Frames that a planning process wants shown.
+    """Frames that a planning process wants shown."""
 
-    levels: of each projector, numbers [frame, row, column] from 0 to 255, or to 1 for frames of 1 bit.  turn: the first
-    turn of a vial, or segment of a web, that shows them.  stop: that before which the light ends; None for none.
-    """
-
-    levels: tuple[np.ndarray, ...]
-    turn: int
-    stop: int | None = None
+    levels: tuple[np.ndarray, ...]  # [frame, row, column] of each projector: 0 to 255, or to 1 for 1 bit
+    turn: int  # the first turn, or segment, that shows them
+    stop: int | None = None  # the turn before which the light ends; None: no end
 
 
 def proposal(told: Any) -> Proposal:
@@ -40,7 +36,7 @@ def proposal(told: Any) -> Proposal:
         stop = told.get("stop")
         return Proposal(levels, _turn(told["turn"]), None if stop is None else _turn(stop))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInput(f"that is no version of the frames: {error!r}; expected levels, turn and stop") from error
+        raise BadInput(f"got no version of the frames: {error!r}; expected levels, turn and stop") from error
 
 
 def _turn(value: Any) -> int:
@@ -90,7 +86,7 @@ def parameters(told: Any) -> tuple[Estimated, ...]:
     try:
         found = tuple(_estimated(*each) for each in told)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"those are no parameters: {error}; expected name, value and error of each, and the lowest and "
+        raise BadInput(f"got no parameters: {error}; expected name, value and error of each, and the lowest and "
                        "highest usual value where they are known") from error  # fmt: skip
     numbers = [(each.value, each.error, *(each.usual or ())) for each in found]
     right = all(each.error >= 0 and (each.usual is None or each.usual[0] < each.usual[1]) for each in found)
@@ -108,12 +104,12 @@ def _estimated(name: Any, value: Any, error: Any, *usual: Any) -> Estimated:
 
 
 def maps(told: Any) -> dict[str, np.ndarray]:
-    """Pictures as a board shows them. Raises `BadInput`."""
+    """Images as a board shows them. Raises `BadInput`."""
     if not isinstance(told, Mapping) or len(told) > MAPS:
-        raise BadInput(f"those are no pictures: {type(told).__name__}; expected {MAPS} at most, by name")
+        raise BadInput(f"got no images: {type(told).__name__}; expected {MAPS} at most, by name")
     for name, image in told.items():
         shape = getattr(image, "shape", ())
         fits = len(shape) == 3 and shape[2] == 3 and 0 < min(shape) <= max(shape) <= WIDEST
         if not fits or image.dtype != np.uint8:
-            raise BadInput(f"the picture {str(name)[:80]!r} is no uint8 [row, column, color] of up to {WIDEST} pixels")
+            raise BadInput(f"the image {str(name)[:80]!r} is no uint8 [row, column, color] of up to {WIDEST} pixels")
     return {str(name): np.asarray(image) for name, image in told.items()}

@@ -22,11 +22,7 @@ LEAVE = 1.0  # how long the thread may take to end [s]
 
 
 class LiveCamera:
-    """Takes images from the first light on; a context. On a program's clock they are taken when they are asked for.
-
-    lit: whether there is light.  speed: of the vial [deg/s].  exposure: of an image [s].  patience: how old the last
-    image may be [ns].
-    """
+    """Takes images from the first light on; a context. speed: [deg/s].  exposure: [s].  patience: of an image [ns]."""
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, lit: Callable[[], bool], speed: float, *, exposure: float = 0.01,
@@ -59,10 +55,7 @@ class LiveCamera:
             self._thread.join(LEAVE)
 
     def taken(self, position: float) -> list[dict[str, Any]]:
-        """Images since this was asked, in the printing thread: ``image``, its ``angle`` [deg], and ``at`` [ns].
-
-        position: of the vial now [deg].
-        """
+        """Images since the last call: ``image``, ``angle`` [deg], ``at`` [ns]. position: of the vial now [deg]."""
         self._looked = self._clock.now(), position
         if self._thread is None and not self._gone:
             self._grab()

@@ -6,19 +6,16 @@ thread of its own. Its death, its silence and its nonsense cost the update: each
 
 from __future__ import annotations
 
-import json
 import logging
-import os
 import secrets
 import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from multiprocessing import AuthenticationError
-from multiprocessing.connection import Client, Listener
+from multiprocessing.connection import Client
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +24,16 @@ import numpy as np
 from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.frames.versions import FramePlans
+from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.live.checks import frames_of, maps, parameters, proposal, relative_light
 from vamgpu.hosts.live.images import LiveCamera
-from vamgpu.hosts.plans import boundary, keep, last_kept, replaced, sources_of
 from vamgpu.hosts.players.player import StatusPoll
+from vamgpu.hosts.realtime.child import answered, spawned
 from vamgpu.hosts.realtime.messages import receive, send
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import Board
+from vamgpu.hosts.version_store import boundary, keep, last_kept, replaced, sources_of
 
 log: logging.Logger = logging.getLogger(__name__)
 WAITING = 256  # messages that may wait for the other process; older images make room
@@ -45,12 +43,12 @@ COLUMNS = ("slot", "frame", "version", "position", "on_time", "engine", "dark")
 
 @dataclass(frozen=True)
 class LiveOrder:
-    """What plans the turns to come.
+    """An order to plan the turns to come.
 
-    function: ``package.module:function``, called with a `vamgpu.hosts.live.worker.Desk`.  allowance: light that it may
-    add over that of the job, as a share.  patience: turns after which it is told to be silent.  settings: plain values
-    that it finds in its task.  stop: the turn before which the light ends unless a version says otherwise; None for
-    all turns.  wait: how long a program's clock stands still while it plans [s]. Raises `BadInput`.
+    function: ``package.module:function``, called with a `vamgpu.hosts.live.worker.PlannerClient`.  allowance: light
+    that it may add over the job's, as a share.  patience: turns without an answer after which it counts as silent.
+    settings: plain values for its task.  stop: the turn before which the light ends unless a version says otherwise;
+    None for all turns.  wait: how long a program's clock stands still while it plans [s]. Raises `BadInput`.
     """
 
     function: str
@@ -69,7 +67,7 @@ class LiveOrder:
 
 
 def task_of(planned: PrintPlan, folder: Path) -> dict[str, Any]:
-    """What the planning process is told first."""
+    """The task that the planning process receives first."""
     table, first, count = planned.schedule, planned.jobs[0], boundary(planned)
     vial = planned.kind == "vial"
     poses, period = (table.frames, 360 / float(table.speed)) if vial else (first.segment, count / table.rate)
@@ -81,17 +79,13 @@ def task_of(planned: PrintPlan, folder: Path) -> dict[str, Any]:
 
 
 class LiveLink:
-    """A process that plans, and what goes to it and comes from it; a context.
-
-    task: of `task_of`.  plans: take its versions.  camera: whose images it is sent; None for none.  board: shows what
-    it believes.  The printing thread calls `saw` and `notices`, which wait for nothing and raise nothing.
-    """
+    """A planning process and the messages to and from it; a context. `saw` and `notices` never wait or raise."""
 
     def __init__(
-        self, order: LiveOrder, task: dict[str, Any], planned: PrintPlan, plans: FramePlans, clock: Clock,
+        self, order: LiveOrder, task: dict[str, Any], planned: PrintPlan, versions: FrameVersions, clock: Clock,
         board: Board, camera: LiveCamera | None = None,
     ) -> None:  # fmt: skip
-        self._order, self._task, self._planned, self._plans = order, task, planned, plans
+        self._order, self._task, self._planned, self._versions = order, task, planned, versions
         self._clock, self._board, self._camera = clock, board, camera
         self._folder = Path(task["folder"])
         self._patience = round(order.patience * task["period"] * SECOND)
@@ -122,11 +116,11 @@ class LiveLink:
             self._silent = True
             self._tell(
                 "live silent",
-                f"the planning process says nothing; {self._plans.unit}s go on as planned ({self._version()})",
+                f"the planning process says nothing; {self._versions.unit}s go on as planned ({self._version()})",
             )
 
     def _put(self, message: dict[str, Any]) -> None:
-        """What waits is bounded: the oldest image makes room, or the oldest message."""
+        """Queue a message; in a full queue the oldest image, or else the oldest message, makes room."""
         with self._ready:
             if len(self._waiting) >= WAITING:
                 del self._waiting[next((k for k, each in enumerate(self._waiting) if "image" in each), 0)]
@@ -145,7 +139,7 @@ class LiveLink:
         return found
 
     def _version(self) -> str:
-        number = self._plans.at(self._plans.end)
+        number = self._versions.at(self._versions.end)
         return f"version {number}" if number else "the job's frames"
 
     def _tell(self, kind: str, why: str, **facts: Any) -> None:
@@ -155,23 +149,12 @@ class LiveLink:
 
     # ---- around the print --------------------------------------------------------------------------------------
     def __enter__(self) -> LiveLink:
-        key = secrets.token_bytes(32)
-        self._listener = Listener(authkey=key)
-        told = {"address": self._listener.address, "key": key.hex(), "function": self._order.function}
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "vamgpu.hosts.live"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-                start_new_session=True, creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
-            )  # fmt: skip
-            assert self._process.stdin is not None
-            self._process.stdin.write(json.dumps(told).encode() + b"\n")
-            self._process.stdin.close()
+            self._process = spawned("vamgpu.hosts.live", {"function": self._order.function})
         except OSError as error:
             self._lost(f"it did not start: {error}")
-            return self
-        for name, act in (("live", self._serve), ("live end", self._reap)):
-            threading.Thread(target=act, args=(key,), name=name, daemon=True).start()
+        else:
+            threading.Thread(target=self._serve, args=(self._process,), name="live", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -187,16 +170,6 @@ class LiveLink:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        self._listener.close()
-
-    def _reap(self, key: bytes) -> None:
-        """Once it has ended, nobody waits for its call."""
-        assert self._process is not None
-        status = self._process.wait()
-        if self._line is None and not self._over.is_set():
-            self._lost(f"it ended with {status} before it began")
-            with suppress(OSError, EOFError, AuthenticationError):
-                Client(self._listener.address, authkey=key).close()
 
     def _lost(self, why: str) -> None:
         if not self._gone and not self._over.is_set():
@@ -205,14 +178,18 @@ class LiveLink:
                 self._ready.notify_all()
             self._tell(
                 "live lost",
-                f"the planning process is gone: {why}; {self._plans.unit}s go on as planned ({self._version()})",
+                f"the planning process is gone: {why}; {self._versions.unit}s go on as planned ({self._version()})",
             )
 
     # ---- the line ----------------------------------------------------------------------------------------------
-    def _serve(self, _: bytes) -> None:
+    def _serve(self, process: subprocess.Popen[bytes]) -> None:
         try:
-            self._line = self._listener.accept()
-            if self._over.is_set() or self._gone:
+            if (live := answered(process)) is None:
+                self._lost(f"it ended with {process.wait()} before it began")
+                return
+            self._line = Client(live["address"], authkey=bytes.fromhex(live["key"]))
+            if self._over.is_set():
+                self._line.close()
                 return
             self._say({"task": self._task | {"settings": dict(self._order.settings)}})
             threading.Thread(target=self._sending, name="live send", daemon=True).start()
@@ -265,7 +242,7 @@ class LiveLink:
                     self._ready.notify_all()
                 self._tell(
                     "live ended",
-                    f"the planning process has no more to do; the {self._plans.unit}s are {self._version()}",
+                    f"the planning process has no more to do; the {self._versions.unit}s are {self._version()}",
                 )
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
@@ -285,11 +262,11 @@ class LiveLink:
         jobs, until = replaced(self._planned, wanted.turn, len(wanted.levels[0]) if wanted.levels else 0)
         frames = frames_of(wanted.levels, jobs)
         options = {"light": relative_light(frames, jobs), "stop": wanted.stop, "until": until}
-        self._plans.check(wanted.turn, **options)
-        number = max(self._plans.last, last_kept(self._folder)) + 1
+        self._versions.check(wanted.turn, **options)
+        number = max(self._versions.last, last_kept(self._folder)) + 1
         keep(self._folder, number, frames, {"turn": wanted.turn} | options)
         sources = sources_of(frames, self._planned.mirrors, self._planned.jobs, wanted.turn)
-        return self._plans.swap(sources, wanted.turn, number=number, **options)
+        return self._versions.swap(sources, wanted.turn, number=number, **options)
 
     def _refused(self, why: str) -> None:
         self._tell("live refused", f"a version of the frames was refused: {why}")

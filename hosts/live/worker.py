@@ -1,6 +1,6 @@
-"""The planning process: it hears what was seen and shown, and proposes frames for the turns to come.
+"""The planning process: it receives what was seen and shown, and proposes frames for the turns to come.
 
-Its function is named ``package.module:function`` and is called with a `Desk`. It returns when it has no more to do.
+Its function is named ``package.module:function``, is called with a `PlannerClient`, and returns when it is done.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from vamgpu.hosts.realtime.messages import receive, send
 PIECE = 2**26  # bytes of an array in a message
 
 
-class Desk:
-    """What a planning function works with.
+class PlannerClient:
+    """The planning function's connection to the print.
 
     Attributes:
         task: What is printed: ``print``, the number of this print; ``jobs``, the folders; ``kind``, a vial or a web;
@@ -34,7 +34,7 @@ class Desk:
         self._line = line
         self.task = receive(line)["task"]
 
-    def heard(self, timeout: float | None = None) -> dict[str, Any] | None:
+    def receive(self, timeout: float | None = None) -> dict[str, Any] | None:
         """Wait for what comes next.
 
         Args:
@@ -54,7 +54,7 @@ class Desk:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         while True:
             try:
-                told = self.heard()
+                told = self.receive()
             except (EOFError, OSError):
                 return
             if told is not None:
@@ -82,7 +82,7 @@ class Desk:
         Args:
             parameters: Name with its unit, value and standard deviation of each, and the lowest and the highest value
                 that was to be expected where they are known: the page draws a bar.
-            maps: Pictures by name, uint8 [row, column, color]; those told before stay without it.
+            maps: Images by name, uint8 [row, column, color]; those told before stay without it.
         """
         told: dict[str, Any] = {"parameters": [list(each) for each in parameters]}
         self.tell(told if maps is None else told | {"maps": dict(maps)})
@@ -97,7 +97,7 @@ def _pieces(levels: np.ndarray) -> Iterator[np.ndarray]:
     return (levels[first : first + step] for first in range(0, len(levels), step))
 
 
-def function_of(name: str) -> Callable[[Desk], object]:
+def function_of(name: str) -> Callable[[PlannerClient], object]:
     """The planning function of a name. Raises `BadInput`."""
     module, _, attribute = name.partition(":")
     try:

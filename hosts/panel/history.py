@@ -15,9 +15,7 @@ REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
 def past(place: Path) -> list[dict[str, Any]]:
-    """The prints in a folder, newest first: name, job, state, message, when it began [s since 1970], duration [s],
-    dark frames, reports. What cannot be read is left out. No record of frames is read, however long.
-    """
+    """The prints in a folder, newest first, by their small files; what cannot be read is left out."""
     found = []
     try:
         folders = [(each.stat().st_mtime, each.parent) for each in place.glob("*/state.json")]

@@ -1,4 +1,4 @@
-"""What the server answers: the page, what it shows, and its buttons."""
+"""Routes of the server: the page, the print's state, and the buttons."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from starlette.routing import Route
 
 from vamgpu.errors import VamError
 from vamgpu.hosts.panel.history import past, report
-from vamgpu.hosts.panel.view import Pictures, curve, described, images, refusal, told
+from vamgpu.hosts.panel.view import ImageStore, curve, described, images, refusal, told
 from vamgpu.hosts.state import Board
 from vamgpu.storage.reading import read_bytes
 
-PERIOD = 0.25  # between two looks of a page [s]
-LOOKS = 40.0  # of all pages together in a second; more pages look less often, so that the print keeps its processor
-LONGEST = 5.0  # between two looks of a page, however many there are: what it shows is older by as much [s]
+PERIOD = 0.25  # between two polls of a page [s]
+POLLS = 40.0  # of all pages together in a second; more pages look less often, so that the print keeps its processor
+LONGEST = 5.0  # between two polls of a page, however many there are: what it shows is older by as much [s]
 FRESH = 5.0  # for how long a history that was read is told again [s]
 STOPS = 1000  # stops at a time; a line that hangs in one does not keep the next from putting out the light
 # Reports draw with their own script, which is let out of this page's reach: no cookie, no origin, no network.
@@ -37,21 +37,21 @@ FILES = {
 }
 
 
-class Pace:
-    """How long a page waits until it looks again [s], by how many looks there were in the last second."""
+class RateLimit:
+    """The pause of a page between polls [s], by the number of polls in the last second."""
 
     wait: float
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._since, self._looks, self.wait = clock, clock(), 0, PERIOD
+        self._clock, self._since, self._polls, self.wait = clock, clock(), 0, PERIOD
 
-    def look(self) -> float:
+    def count(self) -> float:
         """Count a look of a page. Programs are not counted: one that asks without a pause would blind the pages."""
         now = self._clock()
-        self._looks += 1
+        self._polls += 1
         if (passed := now - self._since) >= 1.0:
-            self.wait = min(LONGEST, max(PERIOD, self.wait * self._looks / passed / LOOKS))
-            self._since, self._looks = now, 0
+            self.wait = min(LONGEST, max(PERIOD, self.wait * self._polls / passed / POLLS))
+            self._since, self._polls = now, 0
         return self.wait
 
 
@@ -62,7 +62,7 @@ def served(board: Board, page: bool, runs: Path | None, run: str | None) -> Star
         Route("/state", answers.state),
         Route("/stop", answers.stop, methods=["POST"]),
         Route("/press/{name}", answers.press, methods=["POST"]),
-        Route("/picture/{name}", answers.picture),
+        Route("/image/{name}", answers.image),
         Route("/scatter", answers.scatter),
         Route("/history", answers.history),
         Route("/runs/{run}/{name}", answers.report),
@@ -85,15 +85,15 @@ class _Answers:
 
     def __init__(self, board: Board, runs: Path | None, run: str | None) -> None:
         self._board, self._runs, self._run = board, runs, run
-        self._pictures, self._pace = Pictures(), Pace()
+        self._store, self._rate_limit = ImageStore(), RateLimit()
         self._stops: CapacityLimiter | None = None
         self._disk: CapacityLimiter | None = None
         self._past: tuple[float, list[dict[str, Any]]] = (-FRESH, [])
 
     async def state(self, request: Request) -> Response:
-        """What the page shows."""
-        wait = self._pace.look() if "page" in request.query_params else self._pace.wait
-        return JSONResponse(told(self._board, self._pictures) | {"wait": wait, "run": self._run})
+        """The state that the page shows."""
+        wait = self._rate_limit.count() if "page" in request.query_params else self._rate_limit.wait
+        return JSONResponse(told(self._board, self._store) | {"wait": wait, "run": self._run})
 
     async def stop(self, _: Request) -> Response:
         """Emergency stop: it is dark when this answers. Waits behind nothing else that the server does."""
@@ -118,16 +118,16 @@ class _Answers:
             return PlainTextResponse(str(error), 409)
         return JSONResponse(described(self._board.now))
 
-    async def picture(self, request: Request) -> Response:
+    async def image(self, request: Request) -> Response:
         """A projector's frame, or the camera's image."""
         name = request.path_params["name"]
         image = images(self._board.now).get(name)
         if image is None:
-            return PlainTextResponse(f"there is no picture {name!r} now", 404)
-        return Response(await to_thread.run_sync(self._pictures.png, name, image), media_type="image/png")
+            return PlainTextResponse(f"there is no image {name!r} now", 404)
+        return Response(await to_thread.run_sync(self._store.png, name, image), media_type="image/png")
 
     async def scatter(self, _: Request) -> Response:
-        """How much the resin scatters."""
+        """The curve of the resin's scatter."""
         return JSONResponse(curve(self._board.now))
 
     async def history(self, _: Request) -> Response:

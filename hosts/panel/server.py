@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError
-from vamgpu.hosts.panel.door import Doorkeeper, loopback
+from vamgpu.hosts.panel.auth import TokenAuth, loopback
 from vamgpu.hosts.schedules.timing import whole
 from vamgpu.hosts.state import Board
 
@@ -89,7 +89,7 @@ class Panel:
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:
             raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
-        guarded = Doorkeeper(app, self.token, self.host, self.port)
+        guarded = TokenAuth(app, self.token, self.host, self.port)
         config = uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off", server_header=False)
         return uvicorn.Server(config)
 

@@ -1,4 +1,4 @@
-"""What the page is told of a print."""
+"""The state of a print as the page receives it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.hosts.state import Board, Snapshot
 
-WIDTH = 640  # pixels of a picture's longer side on the page
+WIDTH = 640  # pixels of an image's longer side on the page
 POINTS = 400  # of the curve
 ARRAYS = ("preview", "others", "camera", "scatter", "maps")
 ALLOWED: dict[str, tuple[str, ...]] = {"start": ("standby",), "pause": ("printing",), "resume": ("paused", "held")}
@@ -24,21 +24,21 @@ WANTED = {
 
 
 def described(now: Snapshot) -> dict[str, Any]:
-    """A snapshot as plain values, without pictures; None for what is no finite number, which JSON does not hold."""
+    """A snapshot as plain values, without images; None for what is no finite number, which JSON does not hold."""
     plain = {name: value for name, value in vars(now).items() if name not in ARRAYS}
     plain["parameters"] = [vars(each) for each in now.parameters]
     return {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in plain.items()}
 
 
-def told(board: Board, pictures: Pictures) -> dict[str, Any]:
-    """What the page shows: the snapshot, how old it is [s], why each button does nothing, numbers of its pictures."""
+def told(board: Board, store: ImageStore) -> dict[str, Any]:
+    """The snapshot, its age [s], why buttons are disabled, and numbers of its images."""
     now, names = board.now, board.buttons
     return described(now) | {
         "ended": now.state.ended,
         "waits": None if now.deadline is None else max(0.0, now.deadline - time.monotonic()),
         "ago": None if now.polled is None else max(0.0, time.monotonic() - now.polled),
         "buttons": {name: refusal(now, name) for name in names},
-        "pictures": {name: pictures.number(name, image) for name, image in images(now).items()},
+        "images": {name: store.number(name, image) for name, image in images(now).items()},
         "readings": len(now.scatter),
     }
 
@@ -56,14 +56,14 @@ def refusal(now: Snapshot, name: str) -> str | None:
 
 
 def images(now: Snapshot) -> dict[str, np.ndarray]:
-    """Pictures by name: of each projector, of the camera, and of what is estimated."""
+    """Images by name: of each projector, of the camera, and of what is estimated."""
     frames = () if now.preview is None else (now.preview, *now.others)
     named = {f"projector {n + 1}": frame for n, frame in enumerate(frames)}
     return named | ({} if now.camera is None else {"camera": now.camera}) | dict(now.maps)
 
 
 def curve(now: Snapshot) -> dict[str, Any]:
-    """How much the resin scatters over time, thinned out to what a page can show; the last reading stays."""
+    """Scatter over time, thinned to what a page can draw; the last reading stays."""
     count = len(now.scatter)
     step = max(1, -(-count // POINTS))
     kept = [now.scatter[k] for k in range((count - 1) % step, count, step)] if count else []
@@ -71,8 +71,8 @@ def curve(now: Snapshot) -> dict[str, Any]:
     return {"threshold": now.threshold, "points": points}
 
 
-class Pictures:
-    """Pictures as browsers take them. Each is encoded once, however many ask; the print is never waited for."""
+class ImageStore:
+    """Images as browsers take them. Each is encoded once, however many ask; the print is never waited for."""
 
     def __init__(self) -> None:
         self._lock, self._encoding = threading.Lock(), threading.Lock()
@@ -80,7 +80,7 @@ class Pictures:
         self._made: dict[str, tuple[np.ndarray, bytes]] = {}
 
     def number(self, name: str, image: np.ndarray) -> int:
-        """How many different images a name had; pages load one when this changes."""
+        """Number of different images of a name; pages load the image when it changes."""
         with self._lock:
             before, count = self._seen.get(name, (None, 0))
             if before is not image:

@@ -1,1 +1,1 @@
-"""What plays a schedule on machines."""
+"""Players of schedules on machines."""

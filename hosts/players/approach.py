@@ -33,14 +33,10 @@ def own_number(clock: Clock, other: int) -> int:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where pose 0 of a print is on the motor.
+    """Where pose 0 of a print is on the motor."""
 
-    at: in the schedule's unit, from the controller's position 0.  zero: the number under which the controller has it.
-    Raises `BadInput`.
-    """
-
-    at: float
-    zero: int
+    at: float  # in the schedule's unit, from the controller's position 0
+    zero: int  # the number under which the controller has it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at", float(fraction("origin", self.at)))
@@ -50,28 +46,33 @@ class Origin:
 
 
 class SpeedMonitor:
-    """Whether a motion keeps its speed: how far it is from where it should be after the last second, in poses."""
+    """A motion's error in poses over the last second. microsteps: of a unit of the schedule, as positions are given."""
 
-    def __init__(self, schedule: Schedule, microsteps: float) -> None:
+    last: float
+    span: int
+
+    def __init__(self, schedule: Schedule, microsteps: float = 1.0) -> None:
         self._per_pose = float(schedule.advance) * microsteps
         self._period = float(schedule.cadence.period)
-        self._seen: deque[tuple[int, int]] = deque()
+        self.restart()
 
-    def error(self, now: int, position: int) -> float:
-        """The error [poses] at a position [microsteps]."""
+    def restart(self) -> None:
+        """Forget what was seen."""
+        self._seen: deque[tuple[int, float]] = deque()
+        self.last, self.span = 0.0, 0
+
+    def error(self, now: int, position: float) -> float:
+        """The error [poses] at a position; kept in ``last``, and the time that it is measured over [ns] in ``span``."""
         self._seen.append((now, position))
         while now - self._seen[0][0] > WINDOW:
             self._seen.popleft()
         began, start = self._seen[0]
-        return (position - start) / self._per_pose - (now - began) / self._period
+        self.span, self.last = now - began, (position - start) / self._per_pose - (now - began) / self._period
+        return self.last
 
 
 class Approach:
-    """Brings a motor to its speed ahead of a slot's row, with ``AHEAD`` seconds to spare.
-
-    microsteps: of the motion, in a unit of the schedule's positions. A web goes back as far as it must; a vial never
-    turns back, which would stir the resin: pose 0 moves on by whole turns.  lost: see `again`.
-    """
+    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, as that stirs resin."""
 
     def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
         self._schedule, self._controller, self._clock = schedule, controller, clock
@@ -81,10 +82,7 @@ class Approach:
         self.lost: float | None = None
 
     def fresh(self, time: int, alive: Callable[[], None]) -> Origin:
-        """A zero here, with room for a run-up to a time of the schedule [ns]; at the index mark where there is one.
-
-        Pose 0 of a vial is at that mark.
-        """
+        """A zero here, with room for a run-up to a time [ns]; pose 0 of a vial is at the index mark if there is one."""
         zero = own_number(self._clock, self._controller.status().zero)
         if self._controller.index is None:
             self._controller.zero(zero)
@@ -95,11 +93,7 @@ class Approach:
         return Origin(self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time)), zero)
 
     def again(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
-        """Where pose 0 is by the index mark, of a print that goes on; where there is none, where it was.
-
-        The motor may have lost steps at rest: ``lost`` tells how far the mark was from its place, in the schedule's
-        unit, to about a status poll's tenth of motion.
-        """
+        """Where pose 0 is by the index mark, of a resumed print; ``lost`` is how far the mark was from its place."""
         if (index := self._controller.index) is None:
             return origin
         distance = index.distance * self._controller.microsteps_per_mm / self._microsteps
@@ -133,10 +127,7 @@ class Approach:
         return mark
 
     def to(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
-        """Run at the speed so that ``time`` of the schedule [ns] is still ahead; returns where pose 0 is then.
-
-        Raises `InterlockOpen` for a motion that does not come to its speed.
-        """
+        """Run at the speed so that a time [ns] is still ahead; returns where pose 0 is. Raises `InterlockOpen`."""
         run_up = self._run_up
         for _ in range(RUN_UPS):
             origin = replace(origin, at=self._back(time, origin.at, run_up, alive))
@@ -154,11 +145,11 @@ class Approach:
         return RowTable(self._schedule, self._microsteps, origin).at(time)
 
     def ahead(self, time: int, origin: float) -> float:
-        """How long it is to a time of the schedule, at the speed [s]."""
+        """Time to a time of the schedule, at the speed [s]."""
         return self._before(time, origin) / self._speed
 
     def _before(self, time: int, origin: float) -> float:
-        """How far it is to a time of the schedule, in its unit."""
+        """Distance to a time of the schedule, in its unit."""
         return (self._row(time, origin) - self._controller.status().position) / self._microsteps
 
     def _back(self, time: int, origin: float, run_up: float, alive: Callable[[], None]) -> float:

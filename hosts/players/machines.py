@@ -21,7 +21,7 @@ from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.frames.late import LatePolicy, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
 from vamgpu.hosts.players.player import Renew
-from vamgpu.hosts.run_all import run_all
+from vamgpu.hosts.run_all import close_all
 from vamgpu.hosts.safety.light import Lamp, LampGate
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -31,15 +31,14 @@ REST = 20_000  # least time from a frame's last light to the next trigger [ns]
 
 @dataclass
 class MirrorMachines:
-    """The machines of a rig, opened. microsteps: of the motion, in a unit of the schedule's positions.  camera: watches
-    the resin."""
+    """The opened machines of a rig whose controller triggers the mirrors."""
 
     clock: Clock
     controller: Controller
     mirrors: Sequence[Dmd]
-    microsteps: float
+    microsteps: float  # of the motion, in a unit of the schedule
     lens: LensDriver | None = None
-    camera: CameraDriver | None = None
+    camera: CameraDriver | None = None  # watches the resin
 
 
 class TriggeringStage(Stage, Protocol):
@@ -51,65 +50,45 @@ class TriggeringStage(Stage, Protocol):
 
 @dataclass
 class StageMachines:
-    """The machines of a rig, opened. stage: of the vial or web; its output triggers the mirrors.  microsteps: of it, in
-    a unit of the schedule's positions.  controller: that gates the light; None where none is there.  lamp: that the
-    host switches; None where the mirrors alone make the dark.  camera: watches the resin."""
+    """The opened machines of a rig whose stage triggers the mirrors."""
 
     clock: Clock
     stage: TriggeringStage
     mirrors: Sequence[Dmd]
-    microsteps: float
-    controller: Controller | None = None
-    lamp: Lamp | None = None
+    microsteps: float  # of the stage, in a unit of the schedule
+    controller: Controller | None = None  # gates the light; None: there is none
+    lamp: Lamp | None = None  # that the host switches; None: mirrors make the dark
     lens: LensDriver | None = None
     camera: CameraDriver | None = None
 
 
-class HostLamp:
-    """A light that the host alone switches: nobody closes it for a host that has died. lamp: None for one that shines,
-    and is dark where mirrors are."""
+class Lamps:
+    """Light that wants all of its lamps, each of which alone makes dark; without any, mirrors alone make the dark."""
 
-    def __init__(self, lamp: Lamp | None) -> None:
-        self._lamp = lamp
-
-    def on(self, power: float) -> None:
-        """Light."""
-        if self._lamp is not None:
-            self._lamp.on(power)
-
-    def off(self) -> None:
-        """Dark, as far as it is the lamp's to say."""
-        if self._lamp is not None:
-            self._lamp.off()
-
-
-class GatedLamp:
-    """A lamp that the host switches, on a rig whose controller has a gate: light wants both, each alone makes dark."""
-
-    def __init__(self, lamp: Lamp, gate: Lamp) -> None:
-        self._lamp, self._gate = lamp, gate
+    def __init__(self, *lamps: Lamp) -> None:
+        self._lamps = lamps
 
     def on(self, power: float) -> None:
-        """Light, once the controller allows it."""
-        self._gate.on(power)
-        self._lamp.on(power)
+        """Light, by one lamp after the other."""
+        for lamp in self._lamps:
+            lamp.on(power)
 
     def off(self) -> None:
-        """Dark by both, whatever becomes of one."""
-        if failed := run_all(self._lamp.off, self._gate.off):
-            raise failed[0]
+        """Dark by all, the last first, whatever becomes of one."""
+        close_all([lamp.off for lamp in self._lamps])
 
 
 def gate(controller: Controller | None, lamp: Lamp | None, schedule: Schedule) -> tuple[Lamp, Renew]:
-    """A steady light, and what renews its lease: the controller's, or none."""
+    """A steady light, and what renews its lease: the controller's, or none. lamp: that the host switches."""
+    own = () if lamp is None else (lamp,)
     if controller is None:
-        return HostLamp(lamp), lambda length: None
+        return Lamps(*own), lambda length: None
     found = LampGate(controller, range(schedule.engines), steady=True, shares=schedule.power[0])
-    return found if lamp is None else GatedLamp(lamp, found), found.renew
+    return Lamps(found, *own) if own else found, found.renew
 
 
 def late_policy(schedule: Schedule) -> LatePolicy:
-    """What decides on late frames: of a web or of a vial."""
+    """The policy for late frames of a web or a vial."""
     return VialLatePolicy(schedule.frames) if schedule.unit == "deg" else WebLatePolicy()
 
 
@@ -130,18 +109,14 @@ RATES = 0.01  # greatest difference between the refresh that a display should ha
 
 @dataclass
 class VideoMachines:
-    """The machines of a rig, opened. controller: gates the light and holds its lease; None where none is there.
-
-    stage: of the vial, in deg.  camera: watches the resin.  lamp: that the host switches where no controller does;
-    None where black frames alone make the dark.
-    """
+    """The opened machines of a rig with a projector on a video cable."""
 
     clock: Clock
-    controller: Controller | None
-    stage: Stage
+    controller: Controller | None  # gates the light and holds its lease; None: there is none
+    stage: Stage  # of the vial [deg] or web [mm]
     projector: HdmiProjector
     camera: CameraDriver | None = None
-    lamp: Lamp | None = None
+    lamp: Lamp | None = None  # that the host switches; None: black frames make the dark
 
     def check(self, schedule: Schedule, display: HdmiTiming) -> None:
         """Raise `BadInput` for a schedule of no vial, `WrongDevice` for one that was made for another projector."""
@@ -170,7 +145,7 @@ Machines = MirrorMachines | StageMachines | VideoMachines
 
 
 def senses(machines: Machines) -> dict[str, bool | float | None]:
-    """What machines say in the dark, as a `Snapshot` names it; None for what is not told."""
+    """Sensor values in the dark, as a `Snapshot` names them; None for unknown ones."""
     told: dict[str, bool | float | None] = {"interlock_closed": None, "lens_temperature": None}
     with suppress(DeviceError):
         if machines.controller is not None:
@@ -189,10 +164,7 @@ class VideoFrames(Protocol):
 
 
 class SourceFrames:
-    """The frames of a source in the middle of a projector's frame of (rows, columns); each is made when it is shown.
-
-    Raises `BadInput` as it shows a frame that is larger.
-    """
+    """Frames of a source in the middle of a projector's (rows, columns). Raises `BadInput` for larger ones."""
 
     def __init__(self, source: FrameSource, size: tuple[int, int]) -> None:
         self._source, self._size = source, size

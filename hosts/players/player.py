@@ -1,4 +1,4 @@
-"""What plays a schedule on machines, whatever they are, under a print that holds the light."""
+"""The interface of players: they play a schedule on machines, under a print that holds the light."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.frames.versions import FramePlans, FrameVersion
+from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
 from vamgpu.hosts.record import FrameRecord
 from vamgpu.hosts.safety.light import Lamp, Switch
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -17,38 +17,28 @@ from vamgpu.hosts.schedules.schedule import Schedule
 
 @dataclass(frozen=True)
 class StatusPoll:
-    """What the machines did up to a status poll.
+    """State of the machines at a status poll."""
 
-    running: False once the light of the last frame, or of the last that `Player.finish` lets through, is over.
-    motion: its error, in poses.  shown, scheduled: frames that the mirrors showed, and that they should have.
-    frames: those since the last poll, slots rising.  position: of the motion, in the schedule's unit, pose 0 at 0.
-    fill: of the buffers, 0..1.  margin: how long the frames at the mirrors last [s].  fault: why a machine cannot be
-    trusted; None where all can.  final: whether no print can go on after that fault.
-    """
-
-    running: bool
-    motion: float
-    shown: int
-    scheduled: int
-    frames: tuple[FrameRecord, ...]
-    position: float
-    fill: float
-    margin: float
-    fault: str | None = None
-    final: bool = False
+    running: bool  # False once the light of the last frame is over
+    motion: float  # error [poses]
+    shown: int  # frames that the mirrors showed
+    scheduled: int  # frames that they should have shown
+    frames: tuple[FrameRecord, ...]  # since the last poll, slots rising
+    position: float  # in the schedule's unit, pose 0 at 0
+    fill: float  # of the buffers, 0..1
+    margin: float  # how long the frames at the mirrors last [s]
+    fault: str | None = None  # why a machine cannot be trusted
+    final: bool = False  # whether no print can go on after that fault
 
 
 class Renew(Protocol):
-    """What renews a lease."""
+    """Renews a lease."""
 
     def __call__(self, length: int) -> None: ...  # keep the light for ``length`` [ns] more
 
 
 class Player(Protocol):
-    """Machines that play one schedule.
-
-    schedule: may grow at its end, see `add_repeats`.  lamp: the light.  switches: more ways to make it dark, by name.
-    """
+    """Machines that play one schedule."""
 
     clock: Clock
 
@@ -59,13 +49,10 @@ class Player(Protocol):
     @property
     def switches(self) -> Mapping[str, Switch]: ...  # further ways to make it dark
     @property
-    def plans(self) -> FramePlans | None: ...  # versions of the frames; None where these stay as they are
+    def versions(self) -> FrameVersions | None: ...  # versions of the frames; None where these stay as they are
     def renew(self, length: int) -> None: ...  # let the controller keep the light for ``length`` [ns] more
     def prime(self, first: int, alive: Callable[[], None]) -> int:
-        """In the dark: fill buffers, bring the motion to its speed ahead of a slot; ``alive`` is called meanwhile.
-
-        Returns how long it is from then to the slot's light [ns].
-        """
+        """In the dark: fill buffers, bring the motion to speed ahead of a slot; returns the time to its light [ns]."""
         ...
 
     # what a run's folder keeps of a run segment, so that another host can go on with it
@@ -74,18 +61,14 @@ class Player(Protocol):
     def poll(self) -> StatusPoll: ...  # see what the machines did
     def feed(self) -> None: ...  # after a poll: hand frames on to the machines. Raises `Underrun`.
     @property
-    def owed(self) -> Set[int]: ...  # versions of frames that were missed and are to be shown again
+    def pending_versions(self) -> Set[int]: ...  # versions of frames that were missed and are to be shown again
     # show a version from its turn on; False where frames of that turn are on their way already
     def swap(self, version: FrameVersion) -> bool: ...
     def wait(self) -> None: ...  # return when the next poll is due
     def finish(self) -> None: ...  # end after the frame that is on its way
 
     def doubtful(self) -> range:
-        """In the dark, before `halt`: slots that were on show when the light went off unasked.
-
-        They had all of their light, some, or none. Slots before were lit or are in the record as black, those after
-        saw none. Raises `DeviceError` where nobody knows.
-        """
+        """In the dark, before `halt`: slots that may have had a part of their light. Raises `DeviceError`."""
         ...
 
     def recover(self) -> None: ...  # before a print goes on: reach again machines that were unplugged

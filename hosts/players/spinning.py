@@ -6,7 +6,6 @@ slot showed, or did not, is known once the stage is past it: what is missing is 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,8 +13,8 @@ import numpy as np
 
 from vamgpu.errors import Underrun
 from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.frames.late import Action, LatePolicy, VialLatePolicy, WebLatePolicy
-from vamgpu.hosts.frames.versions import FramePlans, FrameVersion
+from vamgpu.hosts.frames.late import Action, Repeats, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
 from vamgpu.hosts.players.machines import ScreenBlackout, VideoFrames, VideoMachines, gate
 from vamgpu.hosts.players.player import Renew, StatusPoll
 from vamgpu.hosts.players.turning import LEAD, SlotCounter, StageTracker
@@ -33,8 +32,8 @@ STATUS = 6  # after so many video frames the controller is asked what it does; w
 class SpinningPlayer:
     """Plays the schedule of `vamgpu.hosts.schedules.video`; see `vamgpu.hosts.players.player.Player`.
 
-    display: that the schedule was made for.  turns: most that are added for what was missed.  plans: versions of the
-    frames of a vial, whose numbers ``frames`` is then asked for (`FramePlans.sources`). Pose 0 is at the stage's
+    display: that the schedule was made for.  turns: most that are added for what was missed.  versions: versions of the
+    frames of a vial, whose numbers ``frames`` is then asked for (`FrameVersions.sources`). Pose 0 is at the stage's
     zero and the vial turns on forward, so a print that is resumed, by whichever host, meets every pose at its angle.
     Raises `BadInput`, and `WrongDevice` for another projector.
     """
@@ -48,28 +47,25 @@ class SpinningPlayer:
 
     def __init__(
         self, schedule: Schedule, display: HdmiTiming, machines: VideoMachines, frames: VideoFrames, *,
-        turns: int = 1, plans: FramePlans | None = None,
+        turns: int = 1, versions: FrameVersions | None = None,
     ) -> None:  # fmt: skip
         machines.check(schedule, display)
         self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
         self.lamp, self.renew = gate(machines.controller, machines.lamp, schedule)
         self._blackout = ScreenBlackout(machines.projector)
         self.switches: Mapping[str, Switch] = {"projector": self._blackout}
-        self._pictures, self._turns, self._planned = frames, turns, len(schedule)
-        self.plans: FramePlans | None = plans
+        self._frames, self._turns, self._planned = frames, turns, len(schedule)
+        self.versions: FrameVersions | None = versions
         self._repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
         self._on = int(schedule.on[0]) // self._repeats
         self._turn = schedule.frames * self._repeats
         self._turning = StageTracker(machines.stage, machines.clock, schedule, display, self._repeats)
-        self._policy: LatePolicy = (
+        self._missed = Repeats(
             VialLatePolicy(schedule.frames * self._repeats) if schedule.unit == "deg"
             else WebLatePolicy(WINDOW * self._repeats, BORNE * self._repeats)
         )  # fmt: skip
         self._black = np.zeros(machines.projector.size, np.uint8)
-        self._pending: Counter[int] = Counter()
         self._again: dict[int, int] = {}  # slots of an added turn, and the versions that they show
-        self._missed: dict[int, list[int]] = {}  # versions of slots that were not shown, by their place in a turn
-        self.owed: set[int] = set()
         self._added = self._refreshed = 0
         self._begin(0)
 
@@ -130,7 +126,7 @@ class SpinningPlayer:
         return f"the controller closed the light: {reasons[0]}" if reasons else None
 
     def _passed(self) -> tuple[FrameRecord, ...]:
-        """What the poses showed that the stage is past."""
+        """Records of the poses that the stage is past."""
         found = []
         while self._kept < self._limit and (self._kept + 1) * self._repeats <= (self._lit.begins or 0):
             found.append(self._shown(self._kept))
@@ -141,9 +137,8 @@ class SpinningPlayer:
         wanted = self._wanted(pose)
         light = self._lit.take(wanted)
         for slot in light.missing:
-            self._stopped |= self._policy.drop(slot) is Action.STOP
-            self._missed.setdefault(slot % self._turn, []).append(version := self._version(slot))
-            self.owed.add(version)
+            self._stopped |= self._missed.policy.drop(slot) is Action.STOP
+            self._missed.miss(slot % self._turn, self._version(slot))
         dark = bool(wanted) and not light.times
         on = self._on * (len(wanted) if dark else light.times)
         frame, start = int(self.schedule.frame[pose]) if wanted else NONE, int(self.schedule.light[pose])
@@ -151,21 +146,23 @@ class SpinningPlayer:
         return FrameRecord(pose, frame, pose, start, on, late=light.late, dark=dark, version=version)
 
     def _version(self, slot: int) -> int:
-        """Of the frames that a slot of the cable shows."""
-        if self.plans is None:
+        """The version of the frames that a slot of the cable shows."""
+        if self.versions is None:
             return 0
-        return self._again[slot] if slot in self._again else self.plans.at(slot // self._repeats)
+        return self._again[slot] if slot in self._again else self.versions.at(slot // self._repeats)
 
     def _wanted(self, pose: int) -> list[int]:
         """Slots of the cable in which a pose is to be lit: in an added turn those that were missed."""
         slots = range(pose * self._repeats, (pose + 1) * self._repeats)
-        planned = self._planned if self.plans is None else self.plans.end
+        planned = self._planned if self.versions is None else self.versions.end
         return [slot for slot in slots if pose < planned or slot in self._again]
 
     def feed(self) -> None:
         """Show the frames of the next video frame; returns at its refresh. Raises `Underrun`, `DeviceLost`."""
         if self._stopped:
-            raise Underrun(f"{self._policy.stopped}: the light is off; turn slower, or look at what holds up the host")
+            raise Underrun(
+                f"{self._missed.policy.stopped}: the light is off; turn slower, or look at what holds up the host"
+            )
         slots = self._lit.next()
         frames = {slot: frame for slot in slots if (frame := self._at(slot)) is not None}
         self._show([frames.get(slot, self._black) for slot in slots])
@@ -177,16 +174,16 @@ class SpinningPlayer:
         pose = slot // self._repeats
         if slot <= self._sent or pose >= self._limit or slot not in self._wanted(pose):
             return None
-        version = 0 if self.plans is None else self.plans.frames * self._version(slot)
-        return self._pictures.frame(int(self.schedule.frame[pose]) + version)
+        version = 0 if self.versions is None else self.versions.frames * self._version(slot)
+        return self._frames.frame(int(self.schedule.frame[pose]) + version)
 
     def swap(self, version: FrameVersion) -> bool:
         """Show a version from its turn on: the frame of a slot is chosen when it is sent."""
-        assert self.plans is not None, "with plans"
-        begin = version.turn * self.plans.count
+        assert self.versions is not None, "with versions"
+        begin = version.turn * self.versions.count
         if begin < self._kept or begin * self._repeats <= self._sent:
             return False
-        self.plans.commit(version)
+        self.versions.commit(version)
         return True
 
     def _show(self, frames: list[np.ndarray]) -> None:
@@ -194,6 +191,11 @@ class SpinningPlayer:
             frames = [self._black] * len(frames)
         self.machines.projector.show(frames)
         self._refreshed = self.clock.now()
+
+    @property
+    def pending_versions(self) -> set[int]:
+        """Versions of slots that were not shown."""
+        return self._missed.missed
 
     def wait(self) -> None:
         """At once: a video frame was waited for."""
@@ -204,7 +206,7 @@ class SpinningPlayer:
         self._limit = min(self._limit, self._sent // self._repeats + 1)
 
     def doubtful(self) -> range:
-        """What was sent and not past when the light was seen last."""
+        """Slots that were sent and not past when the light was seen last."""
         self._kept = max(self._kept, self._sent // self._repeats + 1)
         return range(self._sure, max(self._sure, self._sent // self._repeats + 1))
 
@@ -221,23 +223,22 @@ class SpinningPlayer:
 
     def add_repeats(self) -> bool:
         """Add a turn that shows again what was missed. Raises `Underrun` where the added turns did not show it."""
-        self._pending += self._policy.pending_repeats()
-        if not self._pending:
+        if not (due := self._missed.collect()):
             return False
         if self._added == self._turns:
             raise Underrun(
-                f"{self._pending.total()} slots of frames were missed; {self._turns} added turns did not show them: "
+                f"{due.total()} slots of frames were missed; {self._turns} added turns did not show them: "
                 "turn slower, or look at what holds up the host"
             )
         self._added += 1
         begin = len(self.schedule) * self._repeats
-        self._again = {begin + slot: (self._missed.get(slot) or [0]).pop(0) for slot in self._pending}
-        self.schedule = self.schedule.turned_again({slot // self._repeats for slot in self._pending})
-        self._pending -= Counter(list(self._pending))
+        self._again = {begin + slot: self._missed.version(slot, 0) for slot in due}
+        self.schedule = self.schedule.turned_again({slot // self._repeats for slot in due})
+        self._missed.added()
         return True
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
         """A frame for people; there is one projector."""
-        version = 0 if self.plans is None else self.plans.frames * self.plans.at(self._kept)
-        frame = self._pictures.frame(number + version)
+        version = 0 if self.versions is None else self.versions.frames * self.versions.at(self._kept)
+        frame = self._frames.frame(number + version)
         return self._black if frame is None else frame

@@ -14,9 +14,9 @@ from typing import Any
 from vamgpu.hosts.clock import TimedQuery
 from vamgpu.hosts.frames.sources import FrameSource
 from vamgpu.hosts.players.approach import POLL, SpeedMonitor
-from vamgpu.hosts.players.machines import MirrorMachines, StageMachines, gate
+from vamgpu.hosts.players.machines import StageMachines, gate
+from vamgpu.hosts.players.mirrors import PRIMING, MirrorPlayer
 from vamgpu.hosts.players.player import Renew, StatusPoll
-from vamgpu.hosts.players.triggered import PRIMING, TriggeredPlayer
 from vamgpu.hosts.run_all import run_all
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.safety.light import Lamp
@@ -29,28 +29,21 @@ EVEN = 0.05  # greatest error of that speed, over a status poll [poses]
 STEP = 1.0  # how much farther or less far than it says a stage may be [microsteps]
 
 
-class StageClockedPlayer(TriggeredPlayer):
-    """Plays a schedule on mirrors behind a stage's trigger output; see `vamgpu.hosts.players.player.Player`.
-
-    machines: with the stage, and microsteps of a unit that are whole in a pose.  sources, options: see
-    `TriggeredPlayer`. Raises `BadInput`.
-    """
-
-    machines: StageMachines  # type: ignore[assignment]
+class StageClockedPlayer(MirrorPlayer[StageMachines]):
+    """Plays a schedule on mirrors that a stage's output triggers; microsteps are whole in a pose."""
 
     def __init__(
         self, schedule: Schedule, machines: StageMachines, sources: Sequence[FrameSource], **options: Any
     ) -> None:
         self._stage = machines.stage
-        super().__init__(schedule, machines, sources, **options)  # type: ignore[arg-type]
+        super().__init__(schedule, machines, sources, **options)
         self._pose = float(schedule.advance)
         self._zero = 0.0 if schedule.unit == "deg" else None
         self._fired_at = self._stop = 0.0
         self._ended: int | None = None
 
-    def _gate(self, machines: MirrorMachines | StageMachines) -> tuple[Lamp, Renew]:
-        assert isinstance(machines, StageMachines)
-        return gate(machines.controller, machines.lamp, self.schedule)
+    def _gate(self) -> tuple[Lamp, Renew]:
+        return gate(self.machines.controller, self.machines.lamp, self.schedule)
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
@@ -61,15 +54,14 @@ class StageClockedPlayer(TriggeredPlayer):
         self._preroll = self._ahead(first)
         self._fill(first, alive)
         self._ask = TimedQuery(self.clock, self._stage.position, float(self.schedule.cadence.period) / 8)
-        self._motion = SpeedMonitor(self.schedule, 1.0)
+        self._motion = SpeedMonitor(self.schedule)
         self._fired_at = self._stage.position() - 0.5 * self._pose  # the first edge comes after half a distance
         self._stage.trigger_every(self._pose)
         self._stage.run(float(self.schedule.speed))
         return self._at_speed(alive)
 
     def _rest(self, alive: Callable[[], None]) -> None:
-        """At rest half a pose before one: a vial goes on to the next such place, a web back to where it has room for
-        its run-up."""
+        """Rest half a pose before one: a vial at the next such place, a web back where it has room for its run-up."""
         self._stage.trigger_every(0.0)
         self._stage.run(0.0)
         self._stage.wait()
@@ -107,19 +99,19 @@ class StageClockedPlayer(TriggeredPlayer):
             for queue in self._queues:
                 queue.prime()
             now, here = self._ask()
-            error = self._motion.error(now, here)  # type: ignore[arg-type]
+            error = self._motion.error(now, here)
             if goal - here <= LEAD * speed + 2 * POLL * speed / SECOND:
                 break
             if now > end:
                 raise InterlockOpen(
                     f"the stage does not turn at {speed:.4g} {self.schedule.unit}/s; check motor and load"
                 )
-            self._motion = SpeedMonitor(self.schedule, 1.0) if abs(error) > EVEN else self._motion
+            self._motion = SpeedMonitor(self.schedule) if abs(error) > EVEN else self._motion
         low, high = self._triggers(here)
         shown = [queue.shown() for queue in self._queues]
         if abs(error) > EVEN or not all(low <= each <= high + 1 for each in shown):
             raise InterlockOpen(
-                f"the stage is {error:+.2g} poses from its speed and fired {low} triggers, of which the mirrors "
+                f"the stage is {error:+.2g} angles from its speed and fired {low} triggers, of which the mirrors "
                 f"counted {', '.join(map(str, shown))}; check motor, load and the trigger's wire"
             )
         return round((goal - here) / speed * SECOND)
@@ -134,7 +126,7 @@ class StageClockedPlayer(TriggeredPlayer):
         self._polled = self.clock.now()
 
     def _triggers(self, position: float) -> tuple[int, int]:
-        """How many triggers the stage has fired, at least and at most, where it says it is."""
+        """Least and greatest number of triggers that the stage has fired at a position."""
         whole = self.machines.microsteps * self._pose
         fired = (position - self._fired_at) * self.machines.microsteps / whole
         low, high = (floor(fired + sign * STEP / whole) for sign in (-1, 1))
@@ -150,7 +142,7 @@ class StageClockedPlayer(TriggeredPlayer):
         counted = min(high, *before)  # mirrors that were halted count all that they had
         agreed = all(one <= high and low <= two for one, two in zip(before, after, strict=True))
         scheduled = max(low, min(high, counted)) if agreed else low
-        error, frames = self._motion.error(now, here), self._since(counted)  # type: ignore[arg-type]
+        error, frames = self._motion.error(now, here), self._since(counted)
         self._polled, closed = now, self._closed()
         if agreed and closed is None:
             self._punctual = self._kept

@@ -1,40 +1,27 @@
-"""Plays a schedule on triggered mirrors: a controller moves, triggers and gates the light row by row, on its own.
+"""Plays a schedule on mirrors that a controller triggers: it moves, triggers and gates the light row by row.
 
-The mirrors show the next frame at each trigger, so what is shown follows from how many triggers were counted, never
-from a host's time; this side keeps frames and rows ahead of the counter, and compares both counts.
+This side keeps rows ahead of the controller, and compares its count of triggers with that of the mirrors.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from math import prod
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
-from vamgpu.errors import BadInput, DeviceError, OriginLost, Underrun
-from vamgpu.hosts.clock import Clock, TimedQuery
-from vamgpu.hosts.drivers.dmd import SlotTiming
-from vamgpu.hosts.drivers.memory import MirrorMemory
-from vamgpu.hosts.frames.late import LatePolicy
-from vamgpu.hosts.frames.packer import packer
+from vamgpu.errors import DeviceError, OriginLost
+from vamgpu.hosts.clock import TimedQuery
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.frames.upload import BUFFERS, UploadQueue, guard, length
-from vamgpu.hosts.frames.versions import Boundaries, FramePlans, FrameVersion
-from vamgpu.hosts.players.approach import POLL, Approach, Origin, SpeedMonitor, own_number
-from vamgpu.hosts.players.machines import MirrorBlackout, MirrorMachines, late_policy, shows
+from vamgpu.hosts.players.approach import Approach, Origin, SpeedMonitor, own_number
+from vamgpu.hosts.players.machines import MirrorMachines
+from vamgpu.hosts.players.mirrors import MirrorPlayer
 from vamgpu.hosts.players.player import Renew, StatusPoll
 from vamgpu.hosts.protocols.controller import ControllerRow, Status
-from vamgpu.hosts.record import FrameRecord
 from vamgpu.hosts.run_all import run_all
-from vamgpu.hosts.safety.light import Lamp, LampGate, Switch
+from vamgpu.hosts.safety.light import Lamp, LampGate
 from vamgpu.hosts.schedules.rows import RowTable
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
-from vamgpu.hosts.schedules.timing import SECOND, whole
+from vamgpu.hosts.schedules.timing import SECOND
 
-PRIMING = 60 * SECOND  # longest wait for mirrors and buffers to be full before the light opens [ns]
 PREROLL = 2
 """Black frames that are triggered before the first slot: some mirrors show an unpredictable first frame, and both
 counts must agree before there is light."""
@@ -48,7 +35,6 @@ CLOSED = {
     "stall": "stall, the encoder is not where the motor was stepped to; look at motor and load",
     "index": "index, its mark was not where it should be: the motor lost steps, or the belt slipped",
 }
-TURNS = 2  # most turns of a vial that are added for what was missed
 
 
 def triggers(schedule: Schedule, first: int = 0) -> int:
@@ -56,63 +42,28 @@ def triggers(schedule: Schedule, first: int = 0) -> int:
     return len(schedule) - first + PREROLL
 
 
-class TriggeredPlayer:
+class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
     """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.players.player.Player`.
 
-    sources: of each projector.  depth: frames of a sequence of the mirrors, by default `length`.  sequences: of
-    them; enough for all frames make them resident.  turn: slots of a vial that fit into them together, and are then
-    uploaded once however often they come round.  policy: decides on late frames, one for each projector.
-    threaded: whether frames are made and uploaded in threads; by default where time is real.  origin: of a print that
-    an earlier host began.  plans: versions of the frames, on the sources. Raises `BadInput`.
+    origin: of a print that an earlier host began.  sources, options: see `MirrorPlayer`. Raises `BadInput`.
     """
 
-    schedule: Schedule
-    machines: MirrorMachines
-    clock: Clock
-    lamp: Lamp
-    renew: Renew
-
     def __init__(
-        self, schedule: Schedule, machines: MirrorMachines, sources: Sequence[FrameSource], *, depth: int | None = None,
-        sequences: int = 2, turn: int | None = None, policy: Callable[[Schedule], LatePolicy] = late_policy,
-        threaded: bool | None = None, origin: Origin | None = None, plans: FramePlans | None = None,
+        self, schedule: Schedule, machines: MirrorMachines, sources: Sequence[FrameSource], *,
+        origin: Origin | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        if len(sources) != schedule.engines or len(machines.mirrors) != schedule.engines:
-            raise BadInput(
-                f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and frames "
-                f"are for {len(sources)}; choose the rig that the job was made for"
-            )
-        self.schedule, self.machines, self.clock = schedule, machines, machines.clock
-        shows(schedule)
-        self.lamp, self.renew = self._gate(machines)
-        self.switches: Mapping[str, Switch] = {
-            f"mirrors {k}": MirrorBlackout(dmd) for k, dmd in enumerate(machines.mirrors)
-        }
-        sizes = (each.bits * prod(dmd.plane_shape) for each, dmd in zip(sources, machines.mirrors, strict=True))
-        self.plans: FramePlans | None = plans
-        self._sources: tuple[FrameSource, ...] = tuple(sources) if plans is None else plans.sources
-        self._missed: list[dict[int, list[int]]] = [{} for _ in sources]  # versions of frames that were black
-        self.owed: set[int] = set()
-        self._depth = length(schedule.rate, max(sizes)) if depth is None else whole("depth", depth)
-        self._sequences, self._apart = whole("sequences", sequences, 2), APART + int(schedule.on[0])
-        self._turn = turn
-        self._threaded = machines.clock.real if threaded is None else threaded
-        self._policies = tuple(policy(schedule) for _ in sources)
-        self._orders = [schedule.frame if plans is None else plans.order(schedule.frame)] * schedule.engines
+        super().__init__(schedule, machines, sources, preroll=PREROLL, **options)
+        self._apart = APART + int(schedule.on[0])
         self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
-        self._origin, self._added = origin, 0
-        self._queues: list[UploadQueue] = []
-        self._pending: list[Counter[int]] = [Counter() for _ in sources]
-        self._first = self._kept = self._punctual = self._sent = self._polled = self._before = 0
+        self._origin = origin
         self._play: int | None = None
         self._lost: float | None = None
-        self._preroll = PREROLL
+        self._sent = self._before = 0
         self._going = False
         self._blind: tuple[int, int] | None = None  # frames that the mirrors counted, then silence of the line [ns]
 
-    def _gate(self, machines: MirrorMachines) -> tuple[Lamp, Renew]:
-        """The light, and what renews its lease."""
-        gate = LampGate(machines.controller, range(self.schedule.engines), shares=self.schedule.power[0])
+    def _gate(self) -> tuple[Lamp, Renew]:
+        gate = LampGate(self.machines.controller, range(self.schedule.engines), shares=self.schedule.power[0])
         return gate, gate.renew
 
     # ---- before the light ------------------------------------------------------------------------------------
@@ -125,7 +76,7 @@ class TriggeredPlayer:
         controller.move(0.0)  # a host that died may have left it running
         self._fill(first, alive)
         controller.mode("steps")
-        start = RowTable(self.schedule).acts(first) - PREROLL * self._apart
+        start = RowTable(self.schedule, self.machines.microsteps).acts(first) - PREROLL * self._apart
         approach = Approach(self.schedule, controller, self.clock, self.machines.microsteps)
         self._origin = (
             approach.fresh(start, alive) if self._origin is None else approach.again(start, self._origin, alive)
@@ -154,38 +105,6 @@ class TriggeredPlayer:
         zero = self._origin is None or status.zero == self._origin.zero
         plays = (self._play,) if self._going else (self._play, self._before)  # one that was primed may never begin
         return None if zero and (self._play is None or status.play in plays) else FORGOTTEN
-
-    def _fill(self, first: int, alive: Callable[[], None]) -> None:
-        on = int(self.schedule.on[0]) // 1000
-        self._close()
-        for engine, (dmd, source) in enumerate(zip(self.machines.mirrors, self._sources, strict=True)):
-            dmd.halt()
-            dmd.slave()
-            timing = SlotTiming(illuminate_us=on)
-            ahead, order = guard(self.schedule.rate), self._orders[engine][first:]
-            memory = MirrorMemory(dmd, self._depth, source.bits, timing, self._sequences, ahead)
-            packed = packer(source, (source.bits, *dmd.plane_shape), int(order.max(initial=0)) + 1, self._depth)
-            queue = UploadQueue(
-                packed, order, memory, self.clock, batch=self._depth, depth=BUFFERS, guard=ahead,
-                preroll=self._preroll, poses=self.schedule.pose[first:], policy=self._policies[engine],
-                turn=self._turn, boundaries=self._boundaries(ahead),
-            )  # fmt: skip
-            self._queues.append(queue)
-            if self._threaded:
-                queue.start()
-        end = self.clock.now() + PRIMING
-        while not all(queue.primed for queue in self._queues):
-            for queue in self._queues:
-                queue.prime()
-            alive()
-            if self.clock.now() > end:
-                raise DeviceError(f"mirrors and buffers are not full after {PRIMING // SECOND} s; check their source")
-            if not all(queue.primed for queue in self._queues):
-                self.wait()
-
-    def _boundaries(self, guard: int) -> Boundaries | None:
-        """Where frames may be replaced: a sequence of the mirrors is filled while the one before it is shown."""
-        return None if self.plans is None else Boundaries(self.plans.count, self._first, guard + self._depth)
 
     def facts(self) -> dict[str, Any]:
         """Where pose 0 is on the motor, and which of the controller's plays the run segment is."""
@@ -241,49 +160,11 @@ class TriggeredPlayer:
                 return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, though the motion is there"
         return None
 
-    def _since(self, shown: int) -> tuple[FrameRecord, ...]:
-        """The frames shown since the last poll.
-
-        How late one was, is told as at most: from the last poll before its trigger to when it was at the mirrors.
-        """
-        first, table, found = self._first, self.schedule, []
-        stop = max(self._kept, min(first + shown - self._preroll, len(table)))
-        for slot in range(self._kept, stop):
-            for engine, queue in enumerate(self._queues):
-                number, dark = int(self._orders[engine][slot]), queue.was_black(slot - first)
-                version, frame = (0, number) if self.plans is None else self.plans.told_apart(number)
-                if dark and frame != NONE and table.unit == "deg":
-                    self._miss(engine, frame, version)
-                on = 0 if frame == NONE else int(table.on[slot])
-                found.append(
-                    FrameRecord(slot, frame, int(table.pose[slot]), int(table.light[slot]), on,
-                          late=queue.arrival(slot - first) - self._polled, engine=engine, dark=dark,
-                          version=version)
-                )  # fmt: skip
-        self._kept = stop
-        return tuple(found)
-
     def feed(self) -> None:
         """Black for what is late, and rows onward."""
         for queue in self._queues:
             queue.feed()
         self._send(self._free)
-
-    def swap(self, version: FrameVersion) -> bool:
-        """Show a version from its turn on, on all projectors or on none."""
-        assert self.plans is not None, "with plans"
-        begin = version.turn * self.plans.count
-        if begin < self._kept:
-            return False
-        with ExitStack() as held:
-            if not all([held.enter_context(queue.replaceable(begin - self._first)) for queue in self._queues]):
-                return False
-            self.plans.commit(version)
-            planned = self.plans.order(self.schedule.frame)[: self.plans.slots]
-            self._orders = [np.concatenate([planned, order[len(planned) :]]) for order in self._orders]
-            for queue, order in zip(self._queues, self._orders, strict=False):
-                queue.replace(begin - self._first, order[begin:])
-            return True
 
     def _send(self, free: int) -> None:
         """Send rows while there is room: the black frames before the first slot, then slots."""
@@ -300,24 +181,11 @@ class TriggeredPlayer:
             return self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
         return self._rows.row(self._first + number - PREROLL, number)
 
-    def wait(self) -> None:
-        """Return when the next poll is due."""
-        self.clock.sleep_until(self.clock.now() + POLL)
-
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """End after the frame on its way, so that none is cut."""
         controller = self.machines.controller
         controller.end(min(controller.status().shown + 1, triggers(self.schedule, self._first)))
-
-    def doubtful(self) -> range:
-        """The frame on show; those since rows came late; with a dead line what may have been triggered.
-
-        Once the controller has closed the light it triggers nothing more.
-        """
-        sure = min(self._kept, self._punctual)
-        self._kept = max(self._kept, min(self._first + self._triggered() - self._preroll, len(self.schedule)))
-        return range(max(sure - 1, self._first), self._kept)
 
     def _triggered(self) -> int:
         """Frames of this run segment, in the dark; at most, where the controller does not answer."""
@@ -339,50 +207,3 @@ class TriggeredPlayer:
         """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
         if failed := run_all(self.machines.controller.stop, self._close):
             raise failed[0]
-
-    def _close(self) -> None:
-        queues, self._queues = self._queues, []
-        with ExitStack() as stack:
-            for queue in queues:
-                stack.callback(queue.close)
-                stack.callback(queue.undo_drops, self._kept - self._first)
-
-    def add_repeats(self) -> bool:
-        """Add a turn that shows again what was missed. Raises `Underrun` after `TURNS` of them."""
-        for pending, policy in zip(self._pending, self._policies, strict=True):
-            pending += policy.pending_repeats()
-        if not any(self._pending):
-            return False
-        if self._added == TURNS:
-            missed = max(each.total() for each in self._pending)
-            raise Underrun(f"{missed} frames were not shown in {TURNS} added turns; make them faster, or turn slower")
-        self._added += 1
-        self.schedule = self.schedule.turned_again(set().union(*self._pending))
-        turn = self.schedule.frame[-self.schedule.frames :]
-        for engine, pending in enumerate(self._pending):
-            frames = np.where(np.isin(turn, list(pending)), turn, NONE)
-            if self.plans is not None:
-                last = self.plans.at(len(self.schedule))
-                owed = [(self._missed[engine].get(frame) or [last]).pop(0) for frame in frames.tolist()]
-                frames = np.where(frames == NONE, NONE, frames + self.plans.frames * np.array(owed))
-            self._orders[engine] = np.concatenate([self._orders[engine], frames])
-            pending -= Counter(list(pending))  # once each
-        return True
-
-    def recall(self, lost: Sequence[Sequence[int]]) -> None:
-        """Poses that were black under an earlier host, of each projector."""
-        for engine, (policy, poses) in enumerate(zip(self._policies, lost, strict=True)):
-            for pose in poses:
-                policy.drop(pose)
-                if self.plans is not None and self.plans.unit == "turn":
-                    self._miss(engine, pose % self.plans.count, self.plans.at(pose))
-
-    def _miss(self, engine: int, frame: int, version: int) -> None:
-        """Keep in mind which version owes a frame that comes round again."""
-        self._missed[engine].setdefault(frame, []).append(version)
-        self.owed.add(version)
-
-    def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A projector's frame for people."""
-        version = 0 if self.plans is None else self.plans.at(self._kept) * self.plans.frames
-        return self._sources[engine].frame(number + version)

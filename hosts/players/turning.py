@@ -10,32 +10,27 @@ from math import ceil, floor
 
 from vamgpu.hosts.clock import Clock, TimedQuery
 from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.players.approach import SpeedMonitor
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
 ASIDE = 0.75
-"""How far the stage may be from the count of slots before that is corrected; below, no image loses a slot [slots]."""
+"""Distance of the stage from the count of slots beyond which the count is corrected [slots]."""
 
 
 @dataclass(frozen=True)
 class SlotLight:
-    """Light of some slots. times: slots of light, more than one for a slot that a screen repeated.  late: the most that
-    one came after the stage was at its angle [ns].  missing: slots that were not shown.
-    """
+    """Light of some slots."""
 
-    times: int
-    late: int
-    missing: tuple[int, ...]
+    times: int  # slots of light, more than one for a slot that a screen repeated
+    late: int  # the most that one came after the stage was at its angle [ns]
+    missing: tuple[int, ...]  # slots that were not shown
 
 
 class SlotCounter:
-    """Counts slots by the stage, and remembers what was sent for them until it is taken.
-
-    begins: slot that begins at the last refresh; None before the stage was seen.  A count that is near enough goes on
-    evenly, so that an angle at the edge between two slots does not jump to and fro.
-    """
+    """Counts slots by the stage, evenly where it is near enough, and keeps what was sent for them until it is taken."""
 
     def __init__(self, display: HdmiTiming) -> None:
         self._patterns, self._ahead = display.patterns, display.latency * display.patterns
@@ -70,7 +65,7 @@ class SlotCounter:
         self._times |= dict.fromkeys(slots, 1)
 
     def take(self, slots: Sequence[int]) -> SlotLight:
-        """What became of slots that the stage is past; they are forgotten."""
+        """The light of slots that the stage is past; they are forgotten."""
         late = max((self._late.pop(slot, 0) for slot in slots), default=0)
         missing = tuple(slot for slot in slots if slot not in self._times)
         return SlotLight(sum(self._times.pop(slot, 0) for slot in slots), late, missing)
@@ -79,7 +74,6 @@ class SlotCounter:
 log: logging.Logger = logging.getLogger(__name__)
 SPIN_UP = 10 * SECOND  # longest wait for the stage to have its speed [ns]
 SETTLED = SECOND // 4  # for how long it must have kept it [ns]
-WINDOW = SECOND  # over which its speed is judged in a print [ns]
 EVEN = 0.05  # greatest error at its speed [poses]
 RUN_UP = 12.0  # of a web, until it is in step with the cable [s]
 BACK = 4  # how much faster a web goes back
@@ -91,30 +85,24 @@ STEP = 0.02  # greatest distance from being in step [slots]
 
 @dataclass(frozen=True)
 class StageReading:
-    """What the stage said. degrees: since pose 0.  slots: of the cable since pose 0, at the last refresh.
+    """A reading of the stage."""
 
-    since: refreshes after the one that was seen.  error: how far it went astray within the last second [poses].
-    """
-
-    degrees: float
-    slots: float
-    since: int
-    error: float
+    degrees: float  # since pose 0
+    slots: float  # of the cable since pose 0, at the last refresh
+    since: int  # refreshes after the one that was seen
+    error: float  # within the last second [poses]
 
 
 class StageTracker:
-    """The stage of one print. A vial's turns forward only, and pose 0 is at its zero: every run segment meets it.
-
-    repeats: slots of the cable in a pose.
-    """
+    """The stage of one print; a vial turns forward only, pose 0 at its zero. repeats: slots of the cable in a pose."""
 
     def __init__(self, stage: Stage, clock: Clock, schedule: Schedule, display: HdmiTiming, repeats: int) -> None:
         self._stage, self._clock = stage, clock
         self.speed: float = float(schedule.speed)
-        self._advance, self._period = float(schedule.advance), float(schedule.cadence.period)
+        self._advance = float(schedule.advance)
         self._frame, self._patterns = float(SECOND / (display.slot_rate / display.patterns)), display.patterns
         self._unit = self._advance / repeats
-        self._seen: deque[tuple[int, float]] = deque()
+        self._motion = SpeedMonitor(schedule)
         self._ask = TimedQuery(clock, stage.position, self._frame / 2)
         self.origin: float = 0.0
         self._units, self._web, self._placed = schedule.unit, schedule.unit == "mm", False
@@ -122,22 +110,13 @@ class StageTracker:
     def read(self, refreshed: int) -> StageReading:
         """Ask the stage. refreshed: when a refresh was seen last [ns]."""
         now, angle = self._ask()
-        self._seen.append((now, angle))
-        while now - self._seen[0][0] > WINDOW:
-            self._seen.popleft()
         since, age = divmod(now - refreshed, self._frame)
         here = angle - self.origin
-        return StageReading(here, (here - self.speed * age / SECOND) / self._unit, int(since), self._error())
-
-    def _error(self) -> float:
-        (began, start), (now, angle) = self._seen[0], self._seen[-1]
-        return (angle - start) / self._advance - (now - began) / self._period
+        slots, error = (here - self.speed * age / SECOND) / self._unit, self._motion.error(now, angle)
+        return StageReading(here, slots, int(since), error)
 
     def up(self, first: int, refresh: Callable[[], int]) -> None:
-        """Turn at the speed and in step with the cable, until pose ``first`` is `LEAD` away.
-
-        refresh: shows black, and returns the time of its refresh [ns]. Raises `InterlockOpen`.
-        """
+        """Move in step with the cable until a pose is `LEAD` away. refresh: shows black, returns its time [ns]."""
         if self._web:
             self._back(first)
         self._stage.run(self.speed)
@@ -170,23 +149,22 @@ class StageTracker:
 
     def _settle(self, refresh: Callable[[], int]) -> None:
         """Wait for the speed."""
-        self._seen.clear()
+        self._motion.restart()
         began = self._clock.now()
         while True:
             self.read(refresh())
-            now = self._seen[-1][0]
-            if now - self._seen[0][0] >= SETTLED:
-                if abs(self._error()) <= EVEN:
+            if self._motion.span >= SETTLED:
+                if abs(self._motion.last) <= EVEN:
                     return
-                self._seen.clear()
-            if now - began > SPIN_UP:
+                self._motion.restart()
+            if self._clock.now() - began > SPIN_UP:
                 raise InterlockOpen(
                     f"the stage does not move at {self.speed:.4g} {self._units}/s after {SPIN_UP // SECOND} s: "
                     f"check motor, load and the {self._units} that its gear makes of a step"
                 )
 
     def _ahead(self, refresh: Callable[[], int]) -> float:
-        """How far the stage is ahead of the nearest slot, over some video frames [slots]."""
+        """Distance of the stage ahead of the nearest slot, over some video frames [slots]."""
         slots = [self.read(refresh()).slots - number * self._patterns for number in range(NUDGE)]
         mean = sum(slots) / len(slots)
         return mean - round(mean)
@@ -201,5 +179,5 @@ class StageTracker:
         elif goal - self.read(refresh()).degrees < lead:
             raise InterlockOpen("the web has its speed too late; check motor and load")
         while goal - self.read(refresh()).degrees > lead:
-            if abs(self._error()) > 0.5:
+            if abs(self._motion.last) > 0.5:
                 raise InterlockOpen("the stage lost its speed before the first frame; check motor and load")

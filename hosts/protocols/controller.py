@@ -106,33 +106,26 @@ class ControllerRow:
 
 @dataclass(frozen=True)
 class Status:
-    """What the controller does: ``state`` is idle, armed, running, done or fault.
+    """State of the controller, as ``stat`` tells it."""
 
-    ``row`` is the next row to act, ``shown`` how many acted, ``late`` how many stayed dark because they came late,
-    ``free`` how many more fit, ``position`` the web's [microsteps], ``speed`` [thousandths of microsteps per second],
-    ``zero`` the number under which its position 0 was set, ``play`` that of the last ``go``; both 0 since power came.
-    ``measured`` is the position by the encoder [microsteps], ``marks`` how often the index mark was passed; None
-    without one.  ``homing`` says whether it looks for the mark, ``astray`` whether that was not where it should be.
-    """
-
-    state: str
-    row: int
-    shown: int
-    late: int
-    free: int
-    position: int
-    speed: int
-    zero: int
-    play: int
+    state: str  # idle, armed, running, done or fault
+    row: int  # the next to act
+    shown: int  # rows that acted
+    late: int  # rows that stayed dark as they came late
+    free: int  # rows that still fit
+    position: int  # of the web [microsteps]
+    speed: int  # [thousandths of microsteps/s]
+    zero: int  # number under which position 0 was set; 0 since power came
+    play: int  # number of the last ``go``; 0 since power came
     lease_ms: int
     light: int
     armed: bool
     interlock_closed: bool
     fault: str
-    measured: int | None = None
-    marks: int | None = None
-    homing: bool = False
-    astray: bool = False
+    measured: int | None = None  # by the encoder [microsteps]; None without one
+    marks: int | None = None  # index marks passed; None without one
+    homing: bool = False  # it looks for the mark
+    astray: bool = False  # the mark was not where it should be
 
     @property
     def at(self) -> int:
@@ -163,7 +156,7 @@ def check(line: bytes) -> tuple[str, ...]:
 
 
 def parse(line: bytes) -> Reply:
-    """What a line of the controller says."""
+    """Read a line of the controller."""
     words = check(line)
     if words[0] in ("!", "?"):
         return Reply(words[0], None, words[1:])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
@@ -11,7 +9,7 @@ REPORT = 64
 READ, REPLY, REFUSED = 0x80, 0x40, 0x20
 DISPLAY_MODE, SOURCE, TRIGGER_MODE, DISPLAY = 0x1A1B, 0x1A22, 0x1A23, 0x1A24
 TIMES, SEQUENCE, MAILBOX_PLACE, MAILBOX, MAILBOX_DATA = 0x1A29, 0x1A31, 0x1A32, 0x1A33, 0x1A34
-VALIDATE, LED_ENABLE, LED_CURRENTS, MAIN_STATUS = 0x1A1A, 0x1A07, 0x0B01, 0x1A0C
+VALIDATE, LED_ENABLE, LED_CURRENTS = 0x1A1A, 0x1A07, 0x0B01
 SHORTEST_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}  # by bits
 DARK_US = 230  # between exposure and period, unless they are equal
 COLORS = ("red", "green", "blue")  # bits 0..2 of a choice of LEDs
@@ -26,16 +24,6 @@ INVALID = (
 )
 
 
-@dataclass(frozen=True)
-class Message:
-    """A command with its data; ``flags`` hold READ, REPLY and REFUSED."""
-
-    flags: int
-    sequence: int
-    command: int | None
-    data: bytes
-
-
 def frame(command: int, data: bytes = b"", sequence: int = 0, read: bool = False) -> bytes:
     """The reports of a command that asks for a reply."""
     size = len(data) + 2
@@ -44,29 +32,8 @@ def frame(command: int, data: bytes = b"", sequence: int = 0, read: bool = False
     return body + bytes(-len(body) % REPORT)
 
 
-def parse_command(raw: bytes) -> Message:
-    """The command in reports, as the controller reads them."""
-    size = int.from_bytes(raw[2:4], "little")
-    if len(raw) % REPORT or size < 2 or size > len(raw) - 4:
-        raise ProtocolError(f"{raw!r} is no command of a DLPC350")
-    return Message(raw[0], raw[1], int.from_bytes(raw[4:6], "little"), bytes(raw[6 : 4 + size]))
-
-
 def parse_reply(raw: bytes, sequence: int, what: str) -> bytes:
-    """The data of a reply; DeviceRefused where the controller did not take the command.
-
-    Args:
-        raw: The report.
-        sequence: The number that the command had.
-        what: The command in words, for the message.
-
-    Returns:
-        The data.
-
-    Raises:
-        ProtocolError: It is no reply to this command.
-        DeviceRefused: The controller refused.
-    """
+    """Return a reply's data; DeviceRefused where the controller refused ``what``."""
     size = int.from_bytes(raw[2:4], "little") if len(raw) >= 4 else REPORT
     if size > len(raw) - 4 or raw[1] != sequence & 0xFF:
         raise ProtocolError(f"{bytes(raw[:8])!r} is no answer to {what}; unplug the projector, and plug it in again")
@@ -90,10 +57,7 @@ def times(bits: int, count: int, exposure_us: int, period_us: int, refresh_us: i
 
 
 def patterns(channels: tuple[int, ...], bits: int, leds: int) -> bytes:
-    """The table of a video frame's patterns, in the order they are shown.
-
-    The first waits for the vertical blanking and takes the new frame; the others follow by themselves.
-    """
+    """Encode a video frame's patterns in order; the first waits for the vertical blanking."""
     if bits not in (7, 8) or not channels or not set(channels) <= set(CHANNELS):
         raise BadInput(f"channels {channels} of {bits} bits; expected channels of 0, 1 and 2, with 7 or 8 bits")
     table = bytearray()
@@ -109,5 +73,5 @@ def sequence(count: int) -> bytes:
 
 
 def faults(status: int) -> tuple[str, ...]:
-    """What the controller finds wrong in a table."""
+    """Faults that the controller finds in a table."""
     return tuple(text for bit, text in enumerate(INVALID) if status >> bit & 1)

@@ -99,7 +99,7 @@ def set_window(low_celsius: float, high_celsius: float) -> Request:
 
 
 def missing(request: Request, received: bytes) -> int:
-    """How many bytes must still be read before what was received is a whole reply or refusal."""
+    """Bytes that are missing from a whole reply or refusal."""
     if received[:1] == b"E" and not request.prefix.startswith(b"E"):
         return 6 - len(received)
     if received[:1] == b"N" and not request.prefix.startswith(b"N"):
@@ -108,10 +108,7 @@ def missing(request: Request, received: bytes) -> int:
 
 
 def parse(request: Request, received: bytes) -> bytes:
-    """What a whole reply carries after its prefix.
-
-    Raises DeviceRefused where the device refused, ProtocolError where the bytes are no reply to this request.
-    """
+    """Return what a whole reply carries after its prefix; DeviceRefused where the device refused."""
     if not received:
         raise ProtocolError(f"the lens driver did not answer {request.payload!r}; check its power and the port")
     if received == b"N" + ENDING:
@@ -144,13 +141,13 @@ def _unwrap(request: Request, received: bytes, length: int) -> bytes:
 
 
 def status_texts(flags: int) -> tuple[str, ...]:
-    """What the bits of the first status byte say."""
+    """Texts of the bits of the first status byte."""
     return tuple(text for bit, text in enumerate(STATUS) if flags >> bit & 1)
 
 
 @dataclass(frozen=True)
 class PowerRange:
-    """What the driver answers about focal power: status bits, and the least and greatest [1/m] it guarantees."""
+    """Status bits of a lens driver, and the least and greatest focal power [1/m] it guarantees."""
 
     status: int
     least: float

@@ -16,7 +16,7 @@ def lrc(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Message:
-    """What a device sent: ``kind`` is ``@`` for a reply, ``!`` for an alert, ``#`` for information."""
+    """A message of a device: ``kind`` is ``@`` for a reply, ``!`` for an alert, ``#`` for information."""
 
     kind: str
     device: int

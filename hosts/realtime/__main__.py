@@ -5,28 +5,27 @@ It imports what it needs to print and nothing that draws, optimizes or serves pa
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 from vamgpu.errors import DeviceError
+from vamgpu.hosts.realtime.child import ordered
 from vamgpu.hosts.realtime.order import PrintOrder
 from vamgpu.hosts.realtime.printing import printed
 from vamgpu.hosts.realtime.priority import raised
 from vamgpu.hosts.realtime.service import Service, failed
 from vamgpu.hosts.rig import may_go_on, rehearsal
 from vamgpu.hosts.state import PrintState
-from vamgpu.storage.reading import parse_json
 
 STARTING = 10.0  # how long a print waits for the one who ordered it to watch [s]
 
 
 def main() -> None:
     """Print what standard input orders."""
-    order = PrintOrder.parse(parse_json(sys.stdin.buffer.readline()))
+    told, answer = ordered()
+    order = PrintOrder.parse(told)
     granted = raised()
     service = Service(order)
-    os.write(sys.stdout.fileno(), service.live.encode() + b"\n")
+    answer(service.live)
     end = failed(DeviceError("the process that holds the light ended early"))
     try:
         if not service.seen.wait(STARTING):

@@ -1,25 +1,26 @@
-"""What a process that holds the light is to print, in words that cross a pipe."""
+"""The order of a print, in values that cross a pipe to the process that holds the light."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.rig import stopping
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.printing.given_dose import ProvedDose
 
 
 @dataclass(frozen=True)
 class PrintOrder:
-    """What is printed, on what, and where it is recorded; see `vamgpu.hosts.rig.plan` and `carry_out`.
+    """Jobs, rig, run folder and options of a print; see `vamgpu.hosts.rig.plan` and `carry_out`.
 
     jobs: their folders.  rig, settings, source: of its file.  folder: of the run.  rehearsed: on emulated machines.
-    stop: density of scatter.  resume: go on with the folder's print.  page: buttons let a print that is held go on.
-    asks: who watches is asked whether it goes on.  live: function that plans turns to come, ``module:function``.
-    allowance: light that it may add over the job's.
+    exposure: what is known of the proof of a vial.  stop: density of scatter.  resume: go on with the folder's print.
+    page: buttons let a print that is held go on.  asks: who watches is asked whether it goes on.  live: function that
+    plans turns to come, ``module:function``.  allowance: light that it may add over the job's.
     """
 
     jobs: tuple[str, ...]
@@ -28,7 +29,8 @@ class PrintOrder:
     folder: str
     settings: tuple[str, ...] = ()
     speed: float | str | None = None
-    turns: int = 1
+    turns: int | None = None
+    exposure: ProvedDose | Literal[False] | None = None
     stop: float | None = None
     device: str | None = None
     rehearsed: bool = False
@@ -52,6 +54,8 @@ class PrintOrder:
         if not isinstance(told, dict) or set(told) != {field.name for field in fields(cls)}:
             raise BadInput(f"an order of a print is {told!r}; expected the values of a PrintOrder by name")
         values: dict[str, Any] = {**told, "jobs": tuple(told["jobs"]), "settings": tuple(told["settings"])}
+        if isinstance(values["exposure"], dict):
+            values["exposure"] = ProvedDose(**values["exposure"])
         return cls(**values)
 
     def plain(self) -> dict[str, Any]:
@@ -71,6 +75,7 @@ class PrintOrder:
     def planned(self) -> PrintPlan:
         """The plan. Raises what `plan` raises."""
         made = plan(
-            self.jobs, self.config, speed=self.speed, turns=self.turns, rehearsed=self.rehearsed, device=self.device
-        )
+            self.jobs, self.config, speed=self.speed, turns=self.turns, rehearsed=self.rehearsed, device=self.device,
+            exposure=self.exposure,
+        )  # fmt: skip
         return made if self.stop is None else stopping(made, self.stop)

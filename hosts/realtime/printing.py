@@ -20,10 +20,7 @@ def printed(
     told: Callable[[str, str], None], go_on: Callable[[Print], bool] | None,
     process: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Print a plan of an order, on emulated machines or the rig's own; how it ended, as messages tell it.
-
-    told: hears facts by name.  go_on, process: see `carry_out`. Raises what ended the print.
-    """
+    """Print an order's plan; how it ended, as messages tell it. told: hears facts by name. Raises what ended it."""
     live = None if order.live is None else LiveOrder(order.live, order.allowance)
     camera = planned.stop is not None or (live is not None and planned.rig.setup.camera is not None)
     machines = opened(planned.rig, camera, planned.focus) if stand is None else stand.machines
@@ -41,7 +38,7 @@ def printed(
 
 
 def _seen(planned: PrintPlan, stand: Rehearsal, folder: str) -> dict[str, Any]:
-    """What emulated resin says, and saw of a vial's frames."""
+    """The verdict of emulated resin, and the levels that it saw of a vial's frames."""
     lit = (shown := read_run(folder).shown)[(shown["engine"] == 0) & (shown["dark"] == 0)]
     if not len(shown):
         return {}
@@ -49,4 +46,4 @@ def _seen(planned: PrintPlan, stand: Rehearsal, folder: str) -> dict[str, Any]:
     turns = None if seen is None else -(-len(seen) // planned.schedule.frames)
     engines = range(len(planned.jobs)) if planned.kind == "vial" else ()
     levels = [stand.levels(planned, engine, turns) for engine in engines]
-    return {"resin": str(stand.monitor.verdict(seen)), "levels": levels}
+    return {"resin": str(stand.monitor.verdict(seen)), "levels": levels} | ({} if turns is None else {"turns": turns})

@@ -1,4 +1,4 @@
-"""What a process that holds the light tells those who watch, and takes from them. The print waits for none of them.
+"""Serves the state of a print to processes that watch it, and takes their orders; the print waits for none of them.
 
 Who watches is sent snapshots on a line of its own, as fast as it reads them. Every other line takes orders, each line
 in a thread, so that an emergency stop waits behind nothing.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import json
-import os
 import queue
 import secrets
 import threading
@@ -19,6 +18,7 @@ from multiprocessing.connection import Connection, Listener, answer_challenge, d
 from pathlib import Path
 from typing import Any
 
+from vamgpu.hosts.realtime.child import address
 from vamgpu.hosts.realtime.messages import receive, send
 from vamgpu.hosts.realtime.order import PrintOrder
 from vamgpu.hosts.state import Board, PrintState, Snapshot
@@ -30,12 +30,9 @@ LEAVE = 2.0  # how long the last snapshot may take [s]
 
 
 class ServedBoard(Board):
-    """The board of a print whose pictures are drawn elsewhere. folder: of its run, where ``live`` is left.
+    """The board of a print whose previews are drawn elsewhere. found: whether ``live`` was left in the run's folder."""
 
-    found: whether it was; another process's is not for this one to take away.
-    """
-
-    pictures = False
+    draws_previews = False
     found: bool
 
     def __init__(self, folder: Path, live: str) -> None:
@@ -64,7 +61,7 @@ class Service:
 
     def __init__(self, order: PrintOrder) -> None:
         self._listener, self._key = Listener(), secrets.token_bytes(32)
-        self.live: str = json.dumps({"address": self._listener.address, "key": self._key.hex(), "pid": os.getpid()})
+        self.live: str = address(self._listener, self._key)
         self.order, self.board = order, ServedBoard(Path(order.folder), self.live)
         self.facts: dict[str, str] = {}
         self._end: dict[str, Any] | None = None
@@ -75,10 +72,7 @@ class Service:
         threading.Thread(target=self._accept, name="service", daemon=True).start()
 
     def go_on(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Ask those who watch whether a print that is held goes on; where nobody watches, it does not.
-
-        meanwhile: is called until somebody answers.
-        """
+        """Ask those who watch whether a held print goes on; nobody: it does not. meanwhile: called until then."""
         while not self._answers.empty():
             self._answers.get()
         while self._watching:

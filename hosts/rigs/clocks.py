@@ -1,4 +1,4 @@
-"""What decides when a frame comes."""
+"""Clocks: parts that decide when a frame comes."""
 
 from __future__ import annotations
 

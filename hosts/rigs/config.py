@@ -13,6 +13,7 @@ from vamgpu.deprecated import Renamed
 from vamgpu.errors import JobError
 from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
 from vamgpu.hosts.rigs.guarantees import refusal
+from vamgpu.hosts.rigs.old_files import current
 from vamgpu.hosts.rigs.roles import DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
 from vamgpu.hosts.rigs.sections import (
     CalibrationSection,
@@ -21,7 +22,6 @@ from vamgpu.hosts.rigs.sections import (
     RigSection,
     SafetySection,
 )
-from vamgpu.hosts.rigs.spelling import current
 from vamgpu.jobs.read import checked
 from vamgpu.schema.read import noun
 from vamgpu.schema.section import Misplaced, Section
@@ -86,21 +86,24 @@ class RigFile(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
+        parts: list[tuple[str, bool]] = []
         for name, section in (("controller", self.controller), ("camera_stage", self.camera_stage)):
-            if section is not None and section.driver != "emulated" and not section.port:
-                raise Misplaced(f'driver "{section.driver}": expected port = "/dev/…" or "socket://host:port"', name)
-        parts = [(name, part.driver == "emulated") for name, part in (
-            ("controller", self.controller), ("camera_stage", self.camera_stage)) if part is not None]  # fmt: skip
-        parts += [("motion", self.motion.emulated), *(("display", each.emulated) for each in self.display)]
-        parts += [] if self.lens is None else [("lens", self.lens.emulated)]
-        parts += [("feedback", each.emulated) for each in self.feedback]
+            if section is not None:
+                parts.append((name, section.driver == "emulated"))
+                if not parts[-1][1] and not section.port:
+                    raise Misplaced(
+                        f'driver "{section.driver}": expected port = "/dev/…" or "socket://host:port"', name
+                    )
+        for name, found in (("motion", (self.motion,)), ("display", self.display), ("lens", (self.lens,)),
+                            ("feedback", self.feedback)):  # fmt: skip
+            parts += [(name, part.emulated) for part in found if part is not None]
         real, emulated = ([name for name, one in parts if one is which] for which in (False, True))
         if real and emulated:
             raise Misplaced(
                 f"is emulated and {real[0]} is real; expected all machines of one kind, as time is of one", emulated[0]
             )
-        if (found := refusal(self)) is not None:  # type: ignore[arg-type]
-            raise found
+        if (wrong := refusal(self)) is not None:  # type: ignore[arg-type]
+            raise wrong
         return self
 
     @property
@@ -112,11 +115,6 @@ class RigFile(Section):
     def video(self) -> bool:
         """Whether the projector is on a video cable."""
         return not self.display[0].triggered
-
-    @property
-    def projector(self) -> tuple[Any, ...]:
-        """The displays, under the name of earlier versions."""
-        return self.display
 
     @property
     def camera(self) -> CameraFeedback | None:
@@ -131,13 +129,12 @@ class RigFile(Section):
 
 @dataclass(frozen=True)
 class RigConfig:
-    """A checked rig. setup: its roles.  text: of its file.  source: where it came from.  settings: that replace its
-    values."""
+    """A checked rig file."""
 
     setup: RigFile
     text: str
-    source: str
-    settings: tuple[str, ...] = ()
+    source: str  # where it came from
+    settings: tuple[str, ...] = ()  # that replace its values
 
     wanted: ClassVar[Renamed] = Renamed("setup")
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import model_validator
 
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.rigs.roles import ORDERS, CablePart, Color, MirrorPart, Share
 from vamgpu.schema.section import Listed
 
@@ -78,7 +79,7 @@ class LightCrafterDisplay(VideoDisplay):
 
     @property
     def exposure(self) -> int:
-        """Of each frame [us]: all of its share of a video frame."""
+        """Time of each frame [us]: all of its share of a video frame."""
         return floor(1e6 / self.refresh / len(self.channels))
 
     def open(self) -> Any:
@@ -86,14 +87,11 @@ class LightCrafterDisplay(VideoDisplay):
         from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
 
         box = LightCrafter.open(self.control.partition(":")[2] or None)
-        try:
+        with closed_on_error(box):
             if self.current is not None:
                 box.drive(**dict.fromkeys(self.leds, self.current))
             box.show_video(self.channels, self.bits, self.exposure, self.exposure, self.leds, self.refresh)
             shown = super().open()
-        except BaseException:
-            box.close()
-            raise
         return LightCrafterScreen(shown.window, shown.layout, shown.latency, box)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.drivers.controller import Encoder, Index
 from vamgpu.hosts.rigs.roles import FeedbackPart
 from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
@@ -27,16 +28,16 @@ class EncoderFeedback(FeedbackPart):
     tolerance: Tolerance = 0.1
 
     @model_validator(mode="after")
-    def _told_apart(self) -> EncoderFeedback:
+    def _distinguishable(self) -> EncoderFeedback:
         if abs(self.counts) * self.tolerance < 2:
             raise ValueError(
                 f"counts = {self.counts:g} and tolerance = {self.tolerance:g} are less than the two counts that an "
-                f"encoder tells apart; expected a finer encoder or a wider tolerance"
+                f"encoder distinguishes; expected a finer encoder or a wider tolerance"
             )
         return self
 
-    def told(self) -> Encoder:
-        """As the controller is told it."""
+    def sensor(self) -> Encoder:
+        """The sensor as the controller takes it."""
         return Encoder(self.counts, self.tolerance)
 
 
@@ -52,8 +53,8 @@ class IndexFeedback(FeedbackPart):
     distance: Annotated[float, Field(gt=0)] | None = None
     tolerance: Tolerance = 0.1
 
-    def told(self) -> Index:
-        """As the controller is told it."""
+    def sensor(self) -> Index:
+        """The sensor as the controller takes it."""
         return Index(self.distance or TURN, self.tolerance)
 
 
@@ -97,15 +98,12 @@ class CameraFeedback(FeedbackPart):
             from vamgpu.hosts.drivers.camera import GenicamCamera
 
             settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger}
-            return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)  # type: ignore[arg-type]
+            return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)
         from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
 
         camera = MicroManagerCamera.open(str(self.config), str(self.label))
-        try:
+        with closed_on_error(camera):
             camera.expose(exposure)
-        except BaseException:
-            camera.close()
-            raise
         return camera
 
 

@@ -1,8 +1,9 @@
-"""What a combination of parts guarantees, what drifts, and what cannot be: reasoned out from the roles alone."""
+"""Guarantees of a rig, reasoned out from its roles: step, position, light and lease, or why it is refused."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any
 
@@ -19,36 +20,28 @@ SLACK = 1e-9  # of drifts that are compared, for the rounding of their product
 
 @dataclass(frozen=True)
 class Guarantee:
-    """One thing that a print relies on. about: step, position, light or lease.  holds: whether it is guaranteed.
+    """One thing that a print relies on."""
 
-    why: the reason, in words.  remedy: what would guarantee it.
-    """
-
-    about: str
+    about: str  # step, position, light or lease
     holds: bool
-    why: str
-    remedy: str = ""
+    why: str  # the reason, in words
+    remedy: str = ""  # what would guarantee it
 
     def __str__(self) -> str:
         said = "" if self.holds else "not guaranteed: "
         return f"{said}{self.why}{f'; {self.remedy}' if self.remedy else ''}"
 
-    def told(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """For the record of a run."""
-        return {"about": self.about, "holds": self.holds, "why": self.why, "remedy": self.remedy}
+        return asdict(self)
 
 
 @dataclass(frozen=True)
 class Guarantees:
-    """What a rig guarantees at a speed.
-
-    Attributes:
-        each: Its guarantees, those that hold and those that do not.
-        drift: Of the frames against the motion [deg/min] or [mm/min]; 0 where something keeps them in step.
-    """
+    """A rig's guarantees at a speed, those that hold and those that do not."""
 
     each: tuple[Guarantee, ...]
-    drift: float
+    drift: float  # of frames against motion [deg/min] or [mm/min]
 
     def __iter__(self) -> Any:
         return iter(self.each)
@@ -60,134 +53,98 @@ class Guarantees:
 
 
 def driver_of(part: Any) -> str:
-    """What files call a part."""
+    """Name a part as files do."""
     found = name_of(type(part))
     return type(part).__name__ if found is None else found[1]
 
 
+Rule = tuple[object, str, str]
+"""What makes a rig impossible where it is true, why, and the table, or table.key, where one would begin to mend it."""
+
+
 def refusal(setup: RigFile) -> Misplaced | None:
-    """Why parts cannot work together, with a remedy; None where they can.
-
-    Args:
-        setup: The roles.
-
-    Returns:
-        The complaint, at the table where one would begin to mend it.
-    """
-    motion, clock, display, light = (
-        driver_of(part) for part in (setup.motion, setup.clock, setup.display[0], setup.light)
-    )
-    if setup.controller is None:
-        for role, part in (("motion", motion), ("clock", clock), ("light", light)):
-            if part == "controller":
-                return Misplaced('driver "controller": expected a table [controller] with its port', role)
-        if setup.lens is not None and setup.lens.told_by == "controller":
-            return Misplaced(
-                'told_by = "controller": expected a table [controller]; add it, or set told_by = "host" for one focus',
-                "lens",
-            )
-    if not setup.motion.runs:
-        return Misplaced(
-            f'driver "{motion}" moves from place to place, and every print runs its motion at a speed; take the driver '
-            "of the stage's maker", "motion",
-        )  # fmt: skip
-    if (found := _measuring(setup, motion)) is not None:
-        return found
-    if len({each.triggered for each in setup.display}) > 1:
-        return Misplaced("expected displays that all have a trigger, or one on a video cable", "display")
-    return (_on_a_cable if setup.video else _triggered)(setup, motion, clock, display)
+    """Say why parts cannot work together, at the table where one would begin to mend it; None where they can."""
+    motion, clock, light = (driver_of(part) for part in (setup.motion, setup.clock, setup.light))
+    display, lens = driver_of(setup.display[0]), setup.lens
+    by_rows = lens is not None and lens.controlled_by == "controller"
+    bare = setup.controller is None
+    need = 'driver "controller": expected a table [controller] with its port'
+    rules: list[Rule] = [
+        (bare and motion == "controller", need, "motion"),
+        (bare and clock == "controller", need, "clock"),
+        (bare and light == "controller", need, "light"),
+        (bare and by_rows, 'controlled_by = "controller": expected a table [controller]; add it, or set "host" for one '
+         "focus", "lens"),
+        (not setup.motion.runs, f'driver "{motion}" moves from place to place, and every print runs its motion at a '
+         "speed; take the driver of the stage's maker", "motion"),
+        *_measuring(setup, motion),
+        (len({each.triggered for each in setup.display}) > 1,
+         "expected displays that all have a trigger, or one on a video cable", "display"),
+        *(_on_a_cable if setup.video else _triggered)(setup, motion, clock, display, by_rows),
+    ]  # fmt: skip
+    return next((Misplaced(why, *place.split(".")) for wrong, why, place in rules if wrong), None)
 
 
-def _measuring(setup: RigFile, motion: str) -> Misplaced | None:
-    """What is wrong with encoders and indices."""
-    names = [driver_of(each) for each in setup.feedback if each.sees == "motion"]
-    if len(set(names)) < len(names):
-        return Misplaced("expected one encoder and one index at most", "feedback")
-    for each in setup.feedback:
-        if each.sees != "motion":
-            continue
-        name, pin = driver_of(each), getattr(each, "pin", None)
+def _measuring(setup: RigFile, motion: str) -> Iterator[Rule]:
+    """Rules of encoders and indices."""
+    found: list[Any] = [each for each in setup.feedback if each.sees == "motion"]
+    names = [driver_of(each) for each in found]
+    yield len(set(names)) < len(names), "expected one encoder and one index at most", "feedback"
+    for each, name in zip(found, names, strict=True):
+        pin = getattr(each, "pin", None)
         if motion == "stepper" and name == "index":
-            if pin is None:
-                return Misplaced(
-                    'driver "index": expected pin, of the computer that gives the stepper its pulses', "feedback"
-                )
-        elif motion not in ("controller", "emulated"):
-            return Misplaced(
-                f'driver "{name}": its input is the controller\'s, that measures the motor it moves, and [motion] '
-                f'is "{motion}"; remove it, or set encoder = true of a stage that has its own', "feedback",
-            )  # fmt: skip
-        elif pin is not None:
-            return Misplaced(
-                'driver "index": a pin is of a "stepper"; remove it: it is the controller\'s input', "feedback"
-            )
-        elif name == "index" and getattr(each, "distance", None) is None and setup.rig.machine != "vial":
-            return Misplaced(
-                'driver "index": expected distance, the way of the web or platform from mark to mark [mm]', "feedback"
-            )
-    return None
+            yield pin is None, 'driver "index": expected pin, of the computer that steps the stepper', "feedback"
+            continue
+        yield motion not in ("controller", "emulated"), (
+            f'driver "{name}": its input is the controller\'s, that measures the motor it moves, and [motion] is '
+            f'"{motion}"; remove it, or set encoder = true of a stage that has its own'
+        ), "feedback"  # fmt: skip
+        yield pin is not None, (
+            'driver "index": a pin is of a "stepper"; remove it: it is the controller\'s input'
+        ), "feedback"  # fmt: skip
+        yield name == "index" and each.distance is None and setup.rig.machine != "vial", (
+            'driver "index": expected distance, the way of the web or platform from mark to mark [mm]'
+        ), "feedback"  # fmt: skip
 
 
-def _on_a_cable(setup: RigFile, motion: str, clock: str, display: str) -> Misplaced | None:
-    if len(setup.display) > 1:
-        return Misplaced(
-            f"expected one projector on a video cable, got {len(setup.display)}: cables keep no step", "display"
-        )
-    if setup.rig.machine not in ("vial", "web"):
-        return Misplaced(
-            f'driver "{display}" prints vials and webs; expected machine = "vial" or "web", got "{setup.rig.machine}"',
-            "rig", "machine",
-        )  # fmt: skip
-    if motion == "controller":
-        return Misplaced(
-            f'driver "{display}": expected [motion] with a stage, whose angle chooses the frames, or a stepper; got '
-            '"controller"', "motion",
-        )  # fmt: skip
-    if setup.lens is not None:
-        return Misplaced(f'driver "{display}" prints through one focus, which takes no lens; remove [lens]', "lens")
-    if clock not in ("vblank", "free"):
-        return Misplaced(
-            f'driver "{clock}": a video cable has no trigger input; expected "vblank", or "free" with the drift that '
-            "is accepted", "clock",
-        )  # fmt: skip
-    if clock == "vblank" and not (setup.motion.reports or _indexed(setup)):
-        return Misplaced(
-            f'driver "vblank": the angle of the motion chooses the frames, and a "{motion}" does not say it; '
-            'add [[feedback]] with driver = "index", take a stage, or set driver = "free" and accept drift in [safety]',
-            "clock",
-        )  # fmt: skip
-    return None
+def _on_a_cable(setup: RigFile, motion: str, clock: str, display: str, by_rows: bool) -> list[Rule]:
+    """Rules of video projectors."""
+    machine, known = setup.rig.machine, setup.motion.reports or _indexed(setup)
+    return [
+        (len(setup.display) > 1,
+         f"expected one projector on a video cable, got {len(setup.display)}: cables keep no step", "display"),
+        (machine not in ("vial", "web"), f'driver "{display}" prints vials and webs; expected machine = "vial" or '
+         f'"web", got "{machine}"', "rig.machine"),
+        (motion == "controller", f'driver "{display}": expected [motion] with a stage, whose angle chooses the frames, '
+         'or a stepper; got "controller"', "motion"),
+        (setup.lens is not None, f'driver "{display}" prints through one focus, which takes no lens; remove [lens]',
+         "lens"),
+        (clock not in ("vblank", "free"), f'driver "{clock}": a video cable has no trigger input; expected "vblank", '
+         'or "free" with the drift that is accepted', "clock"),
+        (clock == "vblank" and not known, f'driver "vblank": the angle of the motion chooses the frames, and a '
+         f'"{motion}" does not say it; add [[feedback]] with driver = "index", take a stage, or set driver = "free" '
+         "and accept drift in [safety]", "clock"),
+    ]  # fmt: skip
 
 
-def _triggered(setup: RigFile, motion: str, clock: str, display: str) -> Misplaced | None:
-    if clock in ("vblank", "free"):
-        return Misplaced(
-            f'driver "{clock}": mirrors of the display "{display}" wait for triggers; expected "controller" or "stage"',
-            "clock",
-        )
-    if clock == "controller" and motion not in ("controller", "emulated"):
-        return Misplaced(
-            f'driver "controller" triggers by the steps of the motor that the controller itself moves, and [motion] is '
-            f'"{motion}"; expected [clock] "stage", or [motion] "controller"', "clock",
-        )  # fmt: skip
-    if clock == "stage":
-        if motion == "controller" or not setup.motion.triggers:
-            return Misplaced(
-                f'driver "stage": a "{motion}" has no trigger output; take a stage that has one, such as "zaber", or '
-                'let the controller move and trigger', "clock",
-            )  # fmt: skip
-        if setup.lens is not None and setup.lens.told_by == "controller":
-            return Misplaced(
-                'told_by = "controller": the stage triggers, so the controller knows no rows; set told_by = "host" for '
-                "one focus, or let the controller move and trigger", "lens",
-            )  # fmt: skip
-        if len(setup.display) > 1 and setup.light.gate == "line":
-            return Misplaced("expected one display: a laser's line switches one light", "display")
-    if clock == "controller" and setup.light.gate != "controller":
-        return Misplaced(
-            'expected driver = "controller": rows say when there is light, and the controller gates it', "light"
-        )
-    return None
+def _triggered(setup: RigFile, motion: str, clock: str, display: str, by_rows: bool) -> list[Rule]:
+    """Rules of mirrors behind a trigger."""
+    staged, gate = clock == "stage", setup.light.gate
+    return [
+        (clock in ("vblank", "free"), f'driver "{clock}": mirrors of the display "{display}" wait for triggers; '
+         'expected "controller" or "stage"', "clock"),
+        (clock == "controller" and motion not in ("controller", "emulated"), 'driver "controller" triggers by the '
+         f'steps of the motor that the controller itself moves, and [motion] is "{motion}"; expected [clock] "stage", '
+         'or [motion] "controller"', "clock"),
+        (staged and (motion == "controller" or not setup.motion.triggers), f'driver "stage": a "{motion}" has no '
+         'trigger output; take a stage that has one, such as "zaber", or let the controller move and trigger', "clock"),
+        (staged and by_rows, 'controlled_by = "controller": the stage triggers, so the controller knows no rows; set '
+         '"host" for one focus, or let the controller move and trigger', "lens"),
+        (staged and len(setup.display) > 1 and gate == "line",
+         "expected one display: a laser's line switches one light", "display"),
+        (clock == "controller" and gate != "controller",
+         'expected driver = "controller": rows say when there is light, and the controller gates it', "light"),
+    ]  # fmt: skip
 
 
 def _indexed(setup: RigFile) -> bool:
@@ -195,16 +152,7 @@ def _indexed(setup: RigFile) -> bool:
 
 
 def guarantees(setup: RigFile, speed: float, unit: str = "deg") -> Guarantees:
-    """Reason out what a rig guarantees.
-
-    Args:
-        setup: The roles.
-        speed: Of the motion [unit/s].
-        unit: Of the motion, "deg" or "mm".
-
-    Returns:
-        Step of frames and motion, position, light and lease, each with its reason.
-    """
+    """Reason out what a rig guarantees at a speed [unit/s]: step of frames and motion, position, light and lease."""
     step, drift = _step(setup, speed, unit)
     return Guarantees((step, _position(setup), _light(setup), _lease(setup)), drift)
 
@@ -234,7 +182,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
 
 
 def _rounded_up(drift: float) -> float:
-    """To two digits, so that who accepts what was told has accepted the drift."""
+    """Round a drift up to two digits, so that accepting the number of the message accepts the drift."""
     if drift <= 0:
         return 0.0
     digit = 10.0 ** (floor(log10(drift)) - 1)
@@ -247,17 +195,10 @@ def refused(found: Guarantees, setup: RigFile) -> bool:
 
 
 def accepted(setup: RigFile, speed: float, unit: str) -> Guarantees:
-    """What a rig guarantees, where the drift is accepted.
-
-    Args:
-        setup, speed, unit: See `guarantees`.
-
-    Raises:
-        BadInput: Frames and motion drift apart faster than ``[safety] drift`` accepts.
-    """
+    """Return a rig's guarantees; BadInput where it drifts faster than ``[safety] drift`` accepts."""
     found = guarantees(setup, speed, unit)
     if refused(found, setup):
-        step = next(one for one in found if one.about == "step")
+        step = found.each[0]
         raise BadInput(f"{step.why}, and [safety] accepts drift = {setup.safety.drift:g}; {step.remedy}")
     return found
 

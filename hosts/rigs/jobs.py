@@ -1,4 +1,4 @@
-"""What a rig is given to print: the frames of a vial, a web, or slices; each knows its motion and its frames."""
+"""Jobs of a rig: the frames of a vial, a web, or slices, with their motion."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from vamgpu.curethrough.names import is_slice
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, SliceError, StorageError
 from vamgpu.geometry import Turntable
-from vamgpu.hosts.calibrating.store import MachineCalibration
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
+from vamgpu.hosts.rigs.calibrations import MachineCalibration
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.folder import MANIFEST
@@ -28,29 +29,22 @@ Kind = Literal["vial", "web", "slices"]
 
 @dataclass(frozen=True, eq=False)
 class PrintJob:
-    """A job as a rig prints it.
-
-    kind: how it moves.  path: of its folder.  shape: rows and columns of its frames, of ``bits``.  poses: of a whole
-    turn, web or platform.  advance: from pose to pose [mm]; None of vials.  speed: that it was made for [mm/s]; None
-    where it does not say.  depths: of its focus planes [mm] in a bath of an index; none for one focus.  source: makes
-    those for an array of mirrors.  frames: of a vial.  stretch: frames of a web from one pose to another; masks: which
-    plane shows which column; segment: poses of one, before which its frames may be replaced.
-    """
+    """A job as a rig prints it."""
 
     kind: Kind
     path: str
-    shape: tuple[int, int]
-    poses: int
-    source: Callable[[MirrorArray], FrameSource]
+    shape: tuple[int, int]  # rows and columns of its frames
+    poses: int  # of a whole turn, web or platform
+    source: Callable[[MirrorArray], FrameSource]  # makes those for an array of mirrors
     bits: int = 8
-    advance: float | None = None
-    speed: float | None = None
-    depths: tuple[float, ...] = ()
-    bath: float = 1.0
-    frames: Frames | None = None
-    stretch: Callable[[int, int], Frames] | None = None
-    masks: np.ndarray | None = None
-    segment: int = 0
+    advance: float | None = None  # from pose to pose [mm]; None of vials
+    speed: float | None = None  # that it was made for [mm/s]; None where it does not say
+    depths: tuple[float, ...] = ()  # of its focus planes [mm]; none for one focus
+    bath: float = 1.0  # its index
+    frames: Frames | None = None  # of a vial
+    stretch: Callable[[int, int], Frames] | None = None  # frames of a web between two poses
+    masks: np.ndarray | None = None  # which plane shows which column
+    segment: int = 0  # poses of one, before which its frames may be replaced
 
     @property
     def motion(self) -> Turntable | None:
@@ -59,7 +53,7 @@ class PrintJob:
 
     @property
     def turn(self) -> int | Turntable:
-        """What a schedule takes of a vial."""
+        """The motion of a vial, or its number of even poses."""
         return self.motion or self.poses
 
 
@@ -67,21 +61,17 @@ def print_job(
     path: str | Path, device: str | Device | None = None, machine: MachineCalibration = MachineCalibration(),
     projector: int = 0,
 ) -> PrintJob:  # fmt: skip
-    """What a folder holds. device: that makes frames of it; None for the best one.  machine: calibrations of the rig,
-    by which ``projector`` shows the light of vials and webs; slices were corrected for a printer's own levels.
-
-    Raises `StorageError` for a folder of none of them, `SliceError`, `BadInput`.
-    """
+    """Read a job's folder; ``machine`` corrects the frames of vials and webs for a projector, not slices."""
     from vamgpu.jobs.run import is_interrupted
     from vamgpu.jobs.web import is_web_folder
     from vamgpu.printing.folder import load_frames
 
     place = Path(path)
     if is_web_folder(place):
-        return _web(
-            place, open_device(device), partial(machine.frames, projector=projector, vial=False) if machine else None
-        )
-    if place.is_file() or (place.is_dir() and not (place / MANIFEST).exists() and _sliced(place)):
+        again = partial(machine.frames, projector=projector, vial=False) if machine else None
+        return _web(place, open_device(device), again)
+    bare = place.is_dir() and not (place / MANIFEST).exists()
+    if place.is_file() or (bare and any(is_slice(file.name) for file in place.iterdir())):
         return _slices(place, open_device(device))
     try:
         frames = replace(machine.frames(load_frames(place, device), projector), packed=None)
@@ -120,7 +110,7 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
         if chosen.shape != (columns,) or not 0 <= chosen.min() <= chosen.max() < max(len(depths), 1):
             raise ValueError(f"{chosen.size} columns choose among {len(depths)} focus planes")
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise StorageError(f"{str(place)!r} garbles its details: {error}; write the web again") from error
+        raise StorageError(f"{str(place)!r} has malformed details: {error}; write the web again") from error
     wrap: Any = wrap_from(folder.details["wrap"])
     shown = chosen == np.arange(max(len(depths), 1))[:, None]
 
@@ -142,7 +132,7 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
 
 
 def _web_speed(place: Path) -> float | None:
-    """Of the job's file beside a folder of an earlier version, which does not tell."""
+    """The speed in the job's file beside a folder of 0.2, which does not tell it."""
     from vamgpu.jobs.web import is_web, read_web
 
     file = place.with_suffix(".toml")
@@ -153,7 +143,7 @@ def _slices(place: Path, device: Device) -> PrintJob:
     from vamgpu.curethrough.stack import layer_height, open_stack
 
     stack = open_stack(place)
-    try:
+    with closed_on_error(stack):
         machine = _record(place, stack).get("machine", {})
         if "exposure" in machine:
             raise SliceError(
@@ -172,9 +162,6 @@ def _slices(place: Path, device: Device) -> PrintJob:
                 partial(_one_by_one, stack), count, mirrors, None, device
             ), advance=float(height), speed=machine.get("speed"),
         )  # fmt: skip
-    except BaseException:
-        stack.close()
-        raise
 
 
 def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
@@ -182,13 +169,8 @@ def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
     return np.concatenate([stack[number : number + 1] for number in range(low, high)])
 
 
-def _sliced(place: Path) -> bool:
-    """Whether a folder holds frames."""
-    return any(is_slice(file.name) for file in place.iterdir())
-
-
 def _record(place: Path, stack: Any) -> dict[str, Any]:
-    """What slices were made with; nothing where they do not say."""
+    """The record of slices; empty where there is none."""
     from vamgpu.curethrough.stack import ZipStack
 
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from vamgpu.errors import DeviceRefused, WrongDevice
+from vamgpu.hosts.drivers.closing import closed_on_error
 from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.rigs.roles import LensPart
 
@@ -12,7 +13,7 @@ from vamgpu.hosts.rigs.roles import LensPart
 class OptotuneLens(LensPart):
     """A lens by Optotune on a Lens Driver 4 or 4i.
 
-    port: serial port.  firmware: type letter it must have.  told_by: controller or host.  settle: from plane to
+    port: serial port.  firmware: type letter it must have.  controlled_by: controller or host.  settle: from plane to
     plane.
     """
 
@@ -20,9 +21,9 @@ class OptotuneLens(LensPart):
     firmware: str | None = None
 
     def open(self) -> LensDriver:
-        """A lens that is what the rig's file says, in its mode, and reaches the powers that it may be told."""
+        """Open the lens, checked against the rig's file and the powers that it must reach."""
         lens = LensDriver.open(self.port, self.firmware)
-        try:
+        with closed_on_error(lens):
             found = lens.focal_power_mode()
             if not found.least <= self.lowest < self.highest <= found.greatest:
                 raise WrongDevice(
@@ -31,9 +32,6 @@ class OptotuneLens(LensPart):
                 )
             if said := lens.status():
                 raise DeviceRefused(f"the lens is not ready: {', '.join(said)}", "status")
-        except BaseException:
-            lens.close()
-            raise
         return lens
 
 

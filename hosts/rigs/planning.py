@@ -3,35 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from vamgpu.backend.device import Device
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
-from vamgpu.hosts.calibrating.store import MachineCalibration, calibration_of
 from vamgpu.hosts.exposure import StopRule
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
+from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
 from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
-from vamgpu.hosts.rigs.slots import mirror_arrays, triggered_schedule, whole_poses
+from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
+from vamgpu.hosts.rigs.turns import Turning, proved
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.rows import steppable
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.schedules.timing import every, whole
+from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable
 from vamgpu.optics.lens import TunableLens
+from vamgpu.printing.exposure import USUAL
+from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.quantity import parse
+
+if TYPE_CHECKING:
+    from vamgpu.jobs.run import Proven
 
 HOUR = 3600.0
 UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # of a speed that is a plain number
-USUAL = 40.0  # speed of a vial [deg/s] by default
-SLOTS = 10**7  # most frames of a print; more are a slip of the pen
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,8 @@ class PrintPlan:
         rehearsed: Whether the machines are emulated.
         calibration: What the rig's calibrations change of the jobs' frames and lens.
         stop: Scatter at which the print ends, see `vamgpu.hosts.rig.stopping`; None runs all turns.
+        dose: What a vial gets, over what was proved; None where nobody knows that.
+        proven: The proof that planning took of a vial that emulated machines print, else None.
     """
 
     jobs: tuple[PrintJob, ...]
@@ -59,23 +66,25 @@ class PrintPlan:
     rehearsed: bool = False
     stop: StopRule | None = None
     calibration: MachineCalibration = MachineCalibration()
+    dose: GivenDose | None = None
+    proven: Proven | None = None
 
     works: ClassVar[Renamed] = Renamed("jobs")
     pictures: ClassVar[Renamed] = Renamed("sources")
 
     @property
     def kind(self) -> Kind:
-        """How it moves."""
+        """The kind of motion."""
         return self.jobs[0].kind
 
     @property
     def guarantees(self) -> Guarantees:
-        """What the rig guarantees at the plan's speed, and what not."""
+        """The rig's guarantees at the plan's speed, those that lack included."""
         return guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
 
     @property
     def bits(self) -> int:
-        """Of the frames."""
+        """Bits of the frames."""
         return self.jobs[0].bits
 
     @property
@@ -84,12 +93,12 @@ class PrintPlan:
         return tuple(MirrorTiming(pixels=(each.columns, each.rows), row_bytes=each.row_bytes) for each in self.mirrors)
 
     def sources(self) -> tuple[FrameSource, ...]:
-        """Of each projector."""
+        """The frames of each projector."""
         return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
 
     def lines(self) -> tuple[tuple[str, str], ...]:
-        """What a person reads before a print, line by line."""
-        table, shape = self.schedule, self.jobs[0].shape
+        """Name and value of each line that a person reads before a print."""
+        table, shape, setup = self.schedule, self.jobs[0].shape, self.rig.setup
         planes = len(self.jobs[0].depths)
         focus = ", ".join(f"{power:.3f}" for power in self.focus) + " dpt"
         unit, speed = UNITS[self.kind], float(table.speed) * (HOUR if self.kind == "slices" else 1.0)
@@ -102,20 +111,34 @@ class PrintPlan:
             ("light a frame", f"{int(table.on[0]) * 1e-6:.3f} ms"),
             ("memory", f"{self.bits * len(table)} bit planes in all" if self.display is None else ""),
             ("calibrations", ", ".join(self.calibration.used.values())),
-            (
-                "lease",
-                f"{1e3 * self.rig.setup.safety.lease:.0f} ms" if self.rig.setup.light.gate == "controller" else "",
-            ),
+            ("lease", f"{1e3 * setup.safety.lease:.0f} ms" if setup.light.gate == "controller" else ""),
             ("stop", "" if self.stop is None else f"at scatter density {self.stop.threshold:g}, or after its turns"),
+            *self._exposure(),
         )
         lacking = ((f"no {one.about}", one.why) for one in self.guarantees.lacking)
         notes = (("note", note) for note in self.calibration.notes)
         return (*(row for row in rows if row[1]), *lacking, *notes)
 
+    def _exposure(self) -> tuple[tuple[str, str], ...]:
+        """Turns of a vial, and the dose that they give."""
+        if self.kind != "vial":
+            return ()
+        turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
+        shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
+        if dose is None:
+            return (("exposure", shown), ("dose", "not known: no proof says what this job's exposure is"))
+        light = dose.share * dose.proved.seconds
+        return (
+            ("exposure", f"{shown} for {light:.3g} s of full light"),
+            ("dimmed", dose.dimming if dose.lit < 1.0 else ""),
+            ("dose", str(dose)),
+        )
+
 
 def plan(
     jobs: str | Path | Sequence[str | Path], rig: RigConfig, *, speed: float | Fraction | str | None = None,
-    turns: int = 1, rehearsed: bool = False, device: str | Device | None = None,
+    turns: int | None = None, rehearsed: bool = False, device: str | Device | None = None,
+    exposure: ProvedDose | Literal[False] | None = None,
 ) -> PrintPlan:  # fmt: skip
     """Plan jobs on a rig, one for each projector, without touching a machine.
 
@@ -124,17 +147,24 @@ def plan(
         rig: The rig, of `read_rig`.
         speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit. None takes 40 deg/s
             for vials, and for others the speed that the job was made for.
-        turns: Turns of a vial; 1 for all others.
+        turns: Turns of a vial, all with the light that the rig has; 1 for all others. None takes as many as the
+            exposure of the proof needs, dimmed to the dose that was proved.
         rehearsed: Plan for emulated machines as large as the job, whatever the rig.
         device: Device that packs the frames, or its name; None takes the best one, and NumPy for emulated machines.
+        exposure: What is known of the proof of a vial already; None proves the job, which takes the time of `vam
+            prove`. False leaves the dose unknown.
 
     Returns:
-        The plan.
+        The plan. Its `PrintPlan.dose` says what a vial gets.
 
     Raises:
         StorageError, SliceError: A folder holds no complete job.
-        BadInput: The jobs do not fit the rig or each other, or a number is out of range.
+        BadInput: The jobs do not fit the rig or each other, or a number is out of range; or without ``turns``, no whole
+            number of turns gives a dose at which the verdict of the proof holds, or nobody knows the exposure.
         TimingInfeasible: The speed is too high; the message says what limits it, and the greatest speed.
+
+    Warns:
+        DoseWarning: ``turns`` give a dose at which the verdict of the proof does not hold.
     """
     if not isinstance(rig, RigConfig):
         raise BadInput(f'rig is {rig!r}; expected what read_rig gives, for instance read_rig("lab.toml")')
@@ -145,38 +175,67 @@ def plan(
     calibration = calibration_of(rig)
     packs = device or ("numpy" if rehearsed else None)
     loaded = tuple(print_job(path, packs, calibration, number) for number, path in enumerate(paths))
-    if whole("turns", turns) * loaded[0].poses > SLOTS:
-        raise BadInput(f"{turns} turns of {loaded[0].poses} frames; expected {SLOTS} frames at most: take fewer turns")
+    if turns is not None:
+        whole("turns", turns)
     _alike(loaded, rig)
     going = _speed(loaded[0], speed)
     accepted(rig.setup, going, "deg" if loaded[0].kind == "vial" else "mm")
-    focus = _focus(loaded[0], rig, calibration)
+    focus, first = _focus(loaded[0], rig, calibration), loaded[0]
     if rig.setup.video:
-        return replace(_on_a_cable(loaded[0], rig, going, turns, rehearsed), calibration=calibration)
-    mirrors = mirror_arrays(loaded, rig, rehearsed)
-    schedule = triggered_schedule(loaded[0], rig, going, turns, mirrors, focus)
-    if driver_of(rig.setup.clock) == "stage":
+        mirrors, display = _screen(first, rig, rehearsed)
+        of, least = partial(_on_a_cable, first, rig, going, display), None
+    else:
+        mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
+        of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
+        least = round(max(times[first.bits] for times in frame_times(rig, len(mirrors))) * SECOND)
+    dose: GivenDose | None = None
+    taken: list[Proven] = []
+    if first.frames is None:
+        schedule = of(1 if turns is None else turns)
+    else:
+        known = partial(_known, exposure, loaded, device, taken)
+        schedule, dose = Turning(of, rig.setup.light, first.frames.scale, least).schedule(turns, known)
+    if driver_of(rig.setup.clock) == "stage" and display is None:
         whole_poses(schedule, rig.setup.motion.microsteps)
-    elif not rehearsed:
+    elif not rehearsed and display is None:
         steppable(schedule, rig.setup.motion.microsteps)
-    return PrintPlan(loaded, schedule, mirrors, rig, focus, rehearsed=rehearsed, calibration=calibration)
+    return PrintPlan(
+        loaded, schedule, mirrors, rig, focus if display is None else (), display, rehearsed, calibration=calibration,
+        dose=dose, proven=taken[0] if rehearsed and taken else None,
+    )  # fmt: skip
+
+
+def _known(
+    exposure: ProvedDose | Literal[False] | None, loaded: tuple[PrintJob, ...], device: str | Device | None,
+    taken: list[Proven],
+) -> ProvedDose | str:  # fmt: skip
+    """What is known of a vial's proof, or why nothing is; a proof that it takes is appended to ``taken``."""
+    if exposure is False:
+        return "the dose was not asked for (exposure=False)"
+    if exposure is not None:
+        return exposure
+    if isinstance(found := proved(loaded, device), str):
+        return found
+    taken.append(found)
+    return ProvedDose.of(found.proof)
 
 
 def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
     """Raise `BadInput` for jobs that the rig cannot print, or not together."""
-    wanted = rig.setup
+    setup, names = rig.setup, {"vial": "vials", "web": "webs"}
     if not loaded:
         raise BadInput("no job was given; expected a folder for each projector")
-    if len(loaded) != len(wanted.display) and not wanted.emulated:
+    if len(loaded) != len(setup.display) and not setup.emulated:
         raise BadInput(
-            f"got {len(loaded)} jobs for the {len(wanted.display)} projectors of the rig {wanted.rig.name!r}; "
+            f"got {len(loaded)} jobs for the {len(setup.display)} projectors of the rig {setup.rig.name!r}; "
             "expected one for each, in their order"
         )
     for each in loaded:
-        if wanted.rig.machine not in ("any", each.kind):
+        if setup.rig.machine not in ("any", each.kind):
+            machine, kind = (names.get(name, name) for name in (setup.rig.machine, each.kind))
             raise BadInput(
-                f"the rig {wanted.rig.name!r} prints {_named(wanted.rig.machine)}, {each.path!r} is for "
-                f"{_named(each.kind)}; choose another rig, or check the path"
+                f"the rig {setup.rig.name!r} prints {machine}, {each.path!r} is for {kind}; choose another rig, or "
+                "check the path"
             )
     first = loaded[0]
     for other in loaded[1:]:
@@ -191,10 +250,6 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
                     f"jobs that are printed together share their {what}; {first.path!r} has {one}, {other.path!r} has "
                     f"{two}: solve them alike"
                 )
-
-
-def _named(kind: str) -> str:
-    return {"vial": "vials", "web": "webs"}.get(kind, kind)
 
 
 def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
@@ -238,10 +293,10 @@ def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> 
     slope = lens.slope or TunableLens(focal=lens.focal, index=first.bath).slope
     axis, slope = calibration.lens or (lens.axis, slope)
     powers = tuple(round(axis + depth / slope, 6) for depth in first.depths)
-    if lens.told_by == "host" and len(powers) > 1:
+    if lens.controlled_by == "host" and len(powers) > 1:
         raise BadInput(
-            f"{first.path!r} changes its focus among {len(powers)} planes in time with its frames, and the host tells "
-            'the lens one before the print; set told_by = "controller" in [lens], or solve the job with lens.bins = 1'
+            f"{first.path!r} changes its focus among {len(powers)} planes in time with its frames, and the host sets "
+            'one before the print; set controlled_by = "controller" in [lens], or solve the job with lens.bins = 1'
         )
     if not lens.lowest <= min(powers) <= max(powers) <= lens.highest:
         raise BadInput(
@@ -251,8 +306,8 @@ def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> 
     return powers
 
 
-def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, turns: int, rehearsed: bool) -> PrintPlan:
-    """A vial or web before a video projector."""
+def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[MirrorArray, ...], HdmiTiming]:
+    """The mirrors of a video projector and the timing of its cable."""
     section: Any = rig.setup.display[0]  # on a cable, or the emulated one, which is of either kind
     rows, columns = first.shape if rehearsed else section.array
     screen = MirrorArray(rows, columns, columns)
@@ -261,11 +316,14 @@ def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, turns: int, rehea
         refresh=section.refresh, bits=section.bits, latency=section.latency, pixels=(columns, rows),
         slots=section.slots,
     )  # fmt: skip
+    return (screen,), display
+
+
+def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, display: HdmiTiming, turns: int) -> Schedule:
+    """A vial or web before a video projector."""
     common: dict[str, Any] = {"speed": speed, "display": display, "power": rig.setup.light.power}
     if first.advance is None:
-        schedule = vial(first.turn, turns=turns, **common)
-    elif turns != 1:
+        return vial(first.turn, turns=turns, **common)
+    if turns != 1:
         raise BadInput(f"turns is {turns}; expected 1, as only vials come round again")
-    else:
-        schedule = web_on_cable(first.poses, advance=first.advance, **common)
-    return PrintPlan((first,), schedule, (screen,), rig, display=display, rehearsed=rehearsed)
+    return web_on_cable(first.poses, advance=first.advance, **common)

@@ -38,20 +38,15 @@ class Residence(Enum):
 
 @dataclass(frozen=True)
 class Preflight:
-    """What was found.
-
-    planes, memory: that the job needs and the mirrors have.  demand, measured: bytes a second that the job uses on
-    average and the wire carries.  stall, freeze: how long [s] what makes the frames, or the whole host, may stand
-    still at the worst moment before a frame is lost.
-    """
+    """Whether frames fit the memory of mirrors, and their wire."""
 
     residence: Residence
-    planes: int
-    memory: int
-    demand: float
-    measured: float
-    stall: float
-    freeze: float
+    planes: int  # that the job needs
+    memory: int  # planes that the mirrors have
+    demand: float  # bytes/s that the job uses on average
+    measured: float  # bytes/s that the wire carries
+    stall: float  # of what makes frames, before one is lost [s]
+    freeze: float  # of the whole host [s]
 
     def __str__(self) -> str:
         wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
@@ -64,13 +59,12 @@ class Preflight:
 
 @dataclass(frozen=True)
 class Judged:
-    """What was found on opened mirrors, and what a player is to be given. found: of each.  depth: frames in each of
-    their ``sequences``.  turn: slots that are uploaded once and come round; None where no turn does, or fits."""
+    """The preflight of each array, and the sequences for a player."""
 
     found: tuple[Preflight, ...]
-    depth: int
+    depth: int  # frames in each sequence
     sequences: int
-    turn: int | None = None
+    turn: int | None = None  # slots that are uploaded once and come round; None where no turn does, or fits
 
     def __str__(self) -> str:
         lines = "; ".join(dict.fromkeys(map(str, self.found)))
@@ -81,13 +75,7 @@ def judged(
     schedule: Schedule, mirrors: Sequence[Dmd], clock: Clock, *, bits: int = 8, seconds: float = 2.0,
     live: int | None = None,
 ) -> Judged:  # fmt: skip
-    """Judge a schedule on opened mirrors, in the dark; every print does so before its light.
-
-    seconds: how long the wires are measured, all at once; emulated mirrors, on a clock that a program sets, have none.
-    What can be loaded within `LOADING` is loaded before the light. live: slots after which the frames to come may be
-    replaced, None where they stay: a wire must carry them while others are shown, and a turn of a vial stays at the
-    mirrors where two have room. Raises `BadInput`, and `TimingInfeasible` with what limits it.
-    """
+    """Judge a schedule on opened mirrors, in the dark. live: slots after which coming frames may be replaced."""
     if not mirrors or not len(schedule):
         raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; expected one or more of both")
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
@@ -135,12 +123,7 @@ def round_again(schedule: Schedule, least: int = 1) -> int | None:
 
 
 def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: float = LINE) -> float:
-    """Judge the controller's own line, in the dark; exchanges a second, infinite on a clock that a program sets.
-
-    seconds: how long answers are counted; a row and its answer are as long as what is asked here.  Rows that do not
-    all fit into the controller follow at the rate of the slots, and must be carried `MARGIN` times as fast. Raises
-    `BadInput`, and `TimingInfeasible` where the controller would run out of rows.
-    """
+    """Measure the controller's answers a second, in the dark; TimingInfeasible where rows would run out."""
     length = positive("seconds", seconds)
     if not clock.real:
         return float("inf")
@@ -212,7 +195,7 @@ def measure(put: Callable[[np.ndarray], None], frames: np.ndarray, clock: Clock,
 
 
 def _rate(act: Callable[[], object], clock: Clock, seconds: float) -> float:
-    """How often a second an act is done, when it is done again and again for so long."""
+    """Count how often a second an act is done, repeated for so long."""
     start, count = clock.now(), 0
     while True:
         act()
@@ -226,14 +209,7 @@ def preflight(
     schedule: Schedule, mirrors: MirrorTiming, measured: float, *, bits: int = 8, batch: int = 8, depth: int = 8,
     memory: int | None = None, stored: int | None = None,
 ) -> Preflight:  # fmt: skip
-    """Judge a job. measured: bytes a second, of `measure`.  batch, depth: of the upload queue.
-
-    memory: free planes, inquired; None for those of the mirrors' limits.  stored: frames that are at the mirrors at
-    once; None for all that are triggered.
-
-    What fits is loaded before; the rest must be carried `MARGIN` times as fast as it is shown. Raises `BadInput`,
-    `TimingInfeasible`.
-    """
+    """Judge a job by the measured bytes a second, for batches of an upload queue of a depth."""
     if not numeric(measured) or not measured > 0:
         raise BadInput(f"measured is {measured!r} bytes a second; expected more than 0: run the measurement again")
     measured = float(measured)

@@ -28,7 +28,7 @@ class Rehearsal:
 
     Attributes:
         machines: Their drivers, as `opened` returns those of real machines.
-        emulated: The emulated rig behind the drivers: its clock, its faults, and the chamber of resin.
+        emulated: The emulated rig behind the drivers: its clock, its faults, and the recorder of the dose.
         monitor: Compares the dose in the resin with the frames.
     """
 
@@ -56,20 +56,22 @@ class Rehearsal:
         return as_frames(planned, self.levels(planned, engine, turns), engine)
 
     def levels(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> np.ndarray:
-        """What `seen` tells, as levels uint8 [image, row, column]. Raises `BadInput`."""
+        """The levels uint8 [image, row, column] of `seen`; BadInput for no vial."""
         shares = self.shares(planned, engine)
         turns = turns or len(planned.schedule) // len(shares)
         return np.rint(shares / turns * (255 if planned.bits == 8 else 1)).astype(np.uint8)
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
         """Light that the resin of a vial got so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
-        frames, table = planned.jobs[engine].frames, planned.schedule
+        from vamgpu.hosts.emulators.dose import full_light
+
+        frames = planned.jobs[engine].frames
         if frames is None:
             raise BadInput(f"{planned.jobs[engine].path!r} is no vial's job; ask the dose monitor what resin saw of it")
         images, rows, columns = frames.shape
-        light = self.emulated.chamber.seconds(engine, images, turn=images)[0]
+        light = self.emulated.recorder.seconds(engine, images, turn=images)[0]
         down, across = planned.mirrors[engine].place(rows, columns)
-        return light[:, down, across] / ((int(table.on[0]) // 1000) * 1e-6)
+        return light[:, down, across] / full_light(planned.schedule, engine)
 
 
 def as_frames(planned: PrintPlan, levels: np.ndarray, engine: int = 0) -> Frames:
@@ -94,8 +96,8 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
         The machines, the emulated rig and the dose monitor.
     """
     from vamgpu.hosts.emulators.camera import resin_camera
-    from vamgpu.hosts.emulators.chamber import DoseMonitor
     from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
+    from vamgpu.hosts.emulators.dose import DoseMonitor
 
     clock = PacedClock() if paced else VirtualClock()
     if planned.display is not None:
@@ -106,27 +108,17 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
         emulated, machines = _mirror_rig(planned, clock)
     sources: Any = planned.sources()
     planes = max(1, len(planned.jobs[0].depths))
-    monitor = DoseMonitor(emulated.chamber, planned.schedule, sources, planned.mirrors[0], planes)
+    monitor = DoseMonitor(emulated.recorder, planned.schedule, sources, planned.mirrors[0], planes)
     emulated.clock.attach(monitor)
     if planned.kind == "vial":
-        emulated.chamber.scan(planned.schedule)
+        emulated.recorder.scan(planned.schedule)
     if planned.stop is not None:
-        machines.camera = resin_camera(emulated.chamber, emulated.clock, planned.stop.exposure, planned.stop.bits)
+        machines.camera = resin_camera(emulated.recorder, emulated.clock, planned.stop.exposure, planned.stop.bits)
     return Rehearsal(machines, emulated, monitor)
 
 
-def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
-    """Put curing resin behind an emulated print of one vial, and the camera that watches it before it.
-
-    Args:
-        planned: The plan.
-        stand: Its emulated machines, whose camera this is from now on.
-        printer: The resin and its camera.
-        turns: Of the plan, over the dose of a unit of its light; the light of each is a share of the frames' light.
-
-    Returns:
-        The camera, a `vamgpu.hosts.emulators.curing.CuringCamera`.
-    """
+def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
+    """Put curing resin behind an emulated print of one vial, and its camera before it; light is over ``turns``."""
     from vamgpu.hosts.emulators.curing import CuringCamera
 
     def light(shares: np.ndarray) -> np.ndarray:
@@ -137,8 +129,8 @@ def curing(planned: PrintPlan, stand: Rehearsal, printer: VirtualPrinter, turns:
             return np.zeros(printer.plan.range.shape, np.float32)
         return np.asarray(as_frames(planned, levels).irradiance().numpy(), np.float32) / turns
 
-    stand.machines.camera = camera = CuringCamera(
-        stand.emulated.chamber, stand.emulated.clock, printer, lambda: stand.shares(planned), light
+    rehearsed.machines.camera = camera = CuringCamera(
+        rehearsed.emulated.recorder, rehearsed.emulated.clock, printer, lambda: rehearsed.shares(planned), light
     )
     return camera
 
@@ -155,7 +147,7 @@ def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
     if emulated.lens is not None and lens is not None:
         emulated.lens.model = replace(emulated.lens.model, least=lens.lowest, greatest=lens.highest)
     machines = emulated.machines(steps / float(planned.schedule.advance))
-    measuring = {driver_of(each): each.told() for each in planned.rig.setup.feedback if each.sees == "motion"}
+    measuring = {driver_of(each): each.sensor() for each in planned.rig.setup.feedback if each.sees == "motion"}
     per_unit = machines.controller.microsteps_per_mm
     if (encoder := measuring.get("encoder")) is not None:
         emulated.controller.senses.edges = (round(encoder.counts * 1000), round(per_unit * 1000))
@@ -172,8 +164,9 @@ def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
     size, setup, table = planned.mirrors[0], planned.rig.setup, planned.schedule
     model = ArrayModel(height=size.rows, width=size.columns)
     emulated = EmulatedStageRig(
-        FINE, model, len(planned.jobs), table.unit, setup.light.gate == "line", setup.light.gate == "controller", clock
-    )
+        FINE, model, len(planned.jobs), table.unit, setup.light.gate == "line", setup.light.gate == "controller", clock,
+        power=float(table.power[0, 0]),
+    )  # fmt: skip
     return emulated, emulated.machines(FINE / float(table.advance))
 
 
@@ -190,5 +183,6 @@ def _video_rig(planned: PrintPlan, display: HdmiTiming, clock: Any) -> tuple[Any
         pose=float(planned.schedule.advance), unit=planned.schedule.unit,
         stepper=setup.motion.tolerance + cable.tolerance if free else None,
         indexed=any(driver_of(each) == "index" for each in setup.feedback), gated=setup.light.gate == "controller",
+        power=float(planned.schedule.power[0, 0]),
     )  # fmt: skip
     return emulated, emulated.machines(display.latency)

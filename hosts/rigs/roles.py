@@ -1,4 +1,4 @@
-"""What fills the roles of a rig: the base of every part, which says what it can do and opens its machine.
+"""Roles of a rig: the base of every part, which says what it can do and opens its machine.
 
 A part is a `Section` that `vamgpu.schema.registry` names by its role, such as ``rig_motion.zaber``; another brand is
 one file with one class, registered by one line or by an entry point of its package.
@@ -23,7 +23,7 @@ Ppm = Annotated[float, Field(ge=0, le=10_000)]
 FINEST = 1e6  # most microsteps of a millimeter or degree; more are a slip of the pen
 Microsteps = Annotated[float, Field(gt=0, le=FINEST)]
 CRYSTAL = 50.0
-"""How far the clock of a machine is off where nobody says better [ppm]: what makers of quartz oscillators for computers
+"""Error of a machine's clock that is assumed [ppm]: what makers of quartz oscillators for computers
 and microcontrollers specify over temperature and age; measure the rate of a machine, and tell it, to do better."""
 MIRRORS = (1080, 1920)
 
@@ -38,7 +38,7 @@ class Part(Section):
 
 
 class MotionPart(Part):
-    """What turns the vial, or moves the web or platform.
+    """A motion that turns the vial, or moves the web or platform.
 
     microsteps: of a millimeter or degree.  tolerance: of the clock that its speed follows [ppm].  reports: whether it
     says itself where it is, be that steps that it counts.  triggers: whether it has an output that fires at every so
@@ -76,7 +76,7 @@ class StagePart(MotionPart):
 
 
 class DisplayPart(Part):
-    """What makes the frames.
+    """A display of frames.
 
     size: rows, columns; None for the usual ones.  triggered: whether it shows one frame at each trigger; else it
     takes them from a video cable.  lamps: whether it has LEDs that the host switches, by a ``lamp`` of what it opens.
@@ -159,14 +159,15 @@ class LightPart(Part):
 class LensPart(Part):
     """The tunable lens.
 
-    settle: from plane to plane.  latency: that its driver thinks.  lowest, highest: powers it may be told [dpt].
-     told_by: who tells it, on whose line: the controller in time with its rows, or the host before a print, which
-    leaves it at one focus.  baud: of the controller's line to it.  axis: power that focuses on the roller's axis
+    settle: from plane to plane.  latency: that its driver thinks.  lowest, highest: powers it may be set to [dpt].
+     controlled_by: who controls it, on whose line: the controller in time with its rows, or the host before a print,
+    which leaves it at one focus.  baud: of the controller's line to it.  axis: power that focuses on the roller's axis
     [dpt].  slope: way of the focus per power [mm/dpt], below 0; as a calibration finds both. Without a slope it is
     that of the relays, ``focal`` lengths, in the web's bath.  focal: of the relays.
     """
 
-    told_by: Literal["controller", "host"] = "controller"
+    renamed: ClassVar[dict[str, str]] = {"told_by": "controlled_by"}
+    controlled_by: Literal["controller", "host"] = "controller"
     settle: Time = 0.005
     latency: Time = 0.0
     baud: Baud = 38400
@@ -182,12 +183,12 @@ class LensPart(Part):
             raise ValueError(f"powers go from {self.lowest:g} to {self.highest:g} dpt; expected lowest below highest")
 
     def open(self) -> LensDriver:
-        """Open the lens, in the mode in which it is told powers. Raises what its driver does."""
+        """Open the lens in focal power mode. Raises what its driver does."""
         raise NotImplementedError
 
 
 class FeedbackPart(Part):
-    """What sees the motion, the light or the resin.
+    """A sensor of the motion, the light or the resin.
 
     sees: which of them.
     """

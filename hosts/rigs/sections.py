@@ -31,7 +31,7 @@ class ControllerSection(Section):
 
 
 class SafetySection(Section):
-    """What holds the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
+    """Limits of the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
 
     lease: how long the controller keeps the light by itself, 20 ms to 1 s.  resume: the longest pause after which a
     print goes on; resin forgets a dose meanwhile.  drift: of the frames against the motion that is accepted where no
@@ -69,7 +69,7 @@ Chosen = Annotated[str, AfterValidator(_chosen)] | None
 class CalibrationSection(Section):
     """Which calibrations of the rig are applied: of each kind the newest, or that of a date, or ``"none"``.
 
-    warn_after: age from which a calibration is told to be old.
+    warn_after: age from which a calibration is reported as old.
     """
 
     gray: Chosen = None
@@ -84,7 +84,7 @@ class CalibrationSection(Section):
 class CameraStageSection(Section):
     """The stage that carries the camera along the light. microsteps: a millimeter; a Standa's have 256 in a step.
 
-    middle: its position [mm] on the axis of rotation, from which positions are told.
+    middle: its position [mm] on the axis of rotation, from which positions are counted.
     """
 
     driver: Literal["zaber", "standa", "emulated"]

@@ -32,39 +32,40 @@ def mirror_arrays(loaded: tuple[PrintJob, ...], rig: RigConfig, rehearsed: bool)
 
 
 def _row_bytes(columns: int) -> int:
-    """Of a packed row in the mirrors' memory."""
+    """Bytes of a packed row in the mirrors' memory."""
     return 256 if columns == 1920 else -(-columns // 8)
 
 
+def frame_times(rig: RigConfig, engines: int) -> list[dict[int, float]]:
+    """Shortest time of a frame [s] by its bits, of each of so many mirrors."""
+    sections = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
+    return [{8: section.frame_time, 1: 1e-4} for section in sections[:engines]]
+
+
 def triggered_schedule(
-    first: PrintJob,
-    rig: RigConfig,
-    speed: float,
-    turns: int,
-    mirrors: tuple[MirrorArray, ...],
+    first: PrintJob, rig: RigConfig, speed: float, turns: int, mirrors: tuple[MirrorArray, ...],
     focus: tuple[float, ...],
-) -> Schedule:
-    wanted, planes = rig.setup, max(len(first.depths), 1)
+) -> Schedule:  # fmt: skip
+    setup, planes = rig.setup, max(len(first.depths), 1)
     pose = (_nearest(first) if first.advance is None else first.advance) / speed
     if pose * SECOND > DAY:
         raise BadInput(f"at that speed a frame lasts {pose:.3g} s; expected a day at most: move faster")
-    sections = wanted.display * len(mirrors) if wanted.emulated else wanted.display
     engines = tuple(
         MirrorTiming(
-            frame={8: section.frame_time, 1: 1e-4}, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
+            frame=times, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
             dark=round(GUARD * pose / planes, 6),
         )
-        for each, section in zip(mirrors, sections[: len(mirrors)], strict=True)
+        for each, times in zip(mirrors, frame_times(rig, len(mirrors)), strict=True)
     )  # fmt: skip
-    common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": wanted.light.power}
+    common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": setup.light.power}
     if first.advance is None:
         return turned(first.turn, turns=turns, **common)
     if turns != 1:
         raise BadInput(f"turns is {turns}; expected 1, as only vials come round again")
     if first.kind == "slices":
         return sla(first.poses, pitch=first.advance, **common)
-    lens = wanted.lens
-    if lens is not None and lens.told_by == "host":
+    lens = setup.lens
+    if lens is not None and lens.controlled_by == "host":
         focus = ()  # it is there before the print
     timing = None if lens is None or not focus else LensTiming(lens.settle, baud=lens.baud, latency=lens.latency)
     return web(first.poses, advance=first.advance, lens=timing, focus=focus, **common)
@@ -86,6 +87,6 @@ def whole_poses(schedule: Schedule, microsteps: float) -> None:
         fits = [count for count in range(1, 10_000) if round(turn) % count == 0]
         remedy = f"take {min(fits, key=lambda count: abs(count - schedule.frames))} images a turn"
     raise BadInput(
-        f"a pose is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}, or "
+        f"an angle is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}, or "
         "correct microsteps in [motion]"
     )

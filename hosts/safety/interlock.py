@@ -1,14 +1,14 @@
-"""What must hold while light is on: the state of the machines, a budget of light, and a lease that must be renewed."""
+"""Conditions of light: the state of the machines, a budget of light, and a lease that must be renewed."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
+from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.schedules.timing import whole
 
 
@@ -22,24 +22,14 @@ class OverDose(InterlockOpen):
 
 @dataclass(frozen=True)
 class Observation:
-    """What the host last saw of its machines.
+    """The host's last observation of its machines."""
 
-    armed: schedule, frames and powers are loaded and a person or program said go.  lease: whether the controller's
-    lease is fresh.  motion: distance of the stage or web from where it should be, in the unit of the tolerance; None
-    before the first poll.  shown, scheduled: the frame on show, and the scheduled one.  fault: why a machine
-    cannot be trusted; None where all can.
-    """
-
-    armed: bool = False
-    lease: bool = False
-    motion: float | None = None
-    shown: int | None = None
-    scheduled: int | None = None
-    fault: str | None = None
-
-    def change(self, **fields: object) -> Observation:
-        """The same with some fields replaced."""
-        return Observation(**(vars(self) | fields))  # type: ignore[arg-type]
+    armed: bool = False  # all is loaded, and a person or program said go
+    lease: bool = False  # the controller's is fresh
+    motion: float | None = None  # from where it should be; None before the first poll
+    shown: int | None = None  # frame
+    scheduled: int | None = None  # frame
+    fault: str | None = None  # why a machine cannot be trusted
 
 
 def reason_dark(seen: Observation, tolerance: float) -> str | None:
@@ -60,11 +50,7 @@ def reason_dark(seen: Observation, tolerance: float) -> str | None:
 
 
 class Budget:
-    """Light that a print may spend, in power × time that the light was really on.
-
-    limit: [mW·s] or in whatever unit the powers have, times seconds. Whoever cannot say how long light was on, counts
-    it as on since it was opened. Raises `BadInput`.
-    """
+    """Light that a print may spend: power × seconds that the light was on, in the unit of its limit."""
 
     limit: float
 
@@ -74,12 +60,12 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """What has been spent."""
+        """Light that has been spent."""
         return self._spent
 
     @property
     def left(self) -> float:
-        """What is left; never below 0."""
+        """Light that is left; never below 0."""
         return max(0.0, self.limit - self._spent)
 
     def arm(self, limit: float) -> None:
@@ -91,16 +77,13 @@ class Budget:
         return self._spent + _light(power, on_time) <= self.limit * (1.0 + 1e-6)
 
     def spend(self, power: float, on_time: int) -> None:
-        """Count a frame. Raises `OverDose` where it did not fit; it is counted all the same.
-
-        What is no power or time, a negative one for instance, is refused: nothing gives light back. Raises `BadInput`.
-        """
+        """Count a frame; OverDose where it did not fit, which counts all the same. Nothing gives light back."""
         fits = self.allows(power, on_time)
         self._spent += _light(power, on_time)
         if not fits:
             raise OverDose(
                 f"the light has spent {self._spent:.6g} of {self.limit:.6g}; expected no more than the plan: "
-                "look at the powers and on-times of the schedule"
+                "check the powers and on-times of the schedule"
             )
 
 
@@ -109,33 +92,20 @@ def _light(power: float, on_time: int) -> float:
     return positive("power", power, zero=True) * positive("on_time [ns]", on_time, zero=True) * 1e-9
 
 
-DEFAULT_LENGTH = 250_000_000  # how long a controller keeps the light without being told to [ns]
+DEFAULT_LENGTH = 250_000_000  # how long a controller keeps the light without a renewal [ns]
 
 SHORTEST = 10_000_000  # least length of a lease [ns]
 
 
-class Time(Protocol):
-    """A clock as the lease sees it."""
-
-    def now(self) -> int: ...  # the time [ns]
-
-
 class Lease:
-    """What a host must renew. It is renewed for work done, never for mere time passed.
+    """A lease [ns] that is renewed for signs of work, never for mere time passed."""
 
-    renew: tells the controller to keep the light for ``length`` [ns] more; raises what its line raises. stall: how old
-    the last sign of work may be [ns]; by default as long as the lease. A host whose GPU, disk or upload hangs stops
-    giving signs, so that a renewing thread that still lives does not keep the light of a print that does not. Raises
-    `BadInput`.
-    """
+    # A host whose GPU, disk or upload hangs gives no signs for longer than ``stall`` [ns]: its light goes off, whatever
+    # threads still live.
 
     def __init__(
-        self,
-        clock: Time,
-        renew: Callable[[int], None],
-        length: int = DEFAULT_LENGTH,
-        stall: int | None = None,
-    ) -> None:
+        self, clock: Clock, renew: Callable[[int], None], length: int = DEFAULT_LENGTH, stall: int | None = None,
+    ) -> None:  # fmt: skip
         self.length: int = whole("the lease [ns]", length)
         if self.length < SHORTEST:
             raise BadInput(f"a lease of {length} ns; expected 10 ms or more, which a line and a scheduler can hold")
@@ -158,7 +128,7 @@ class Lease:
         self._sign = self._clock.now()
 
     def keep(self, force: bool = False) -> bool:
-        """Renew where a quarter of the lease has passed and there was work; whether the controller was told."""
+        """Renew where a quarter of the lease has passed and there was work; whether it was renewed."""
         with self._lock:
             now = self._clock.now()
             if self._revoked or self._sign is None or now - self._sign > self.stall:
@@ -177,7 +147,7 @@ class Lease:
         return not self._revoked and until is not None and at < until
 
     def age(self) -> int | None:
-        """How long ago it was renewed [ns]; None while it is not held."""
+        """Age of the last renewal [ns]; None while the lease is not held."""
         until = self._until
         return None if until is None else self._clock.now() - (until - self.length)
 

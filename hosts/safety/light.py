@@ -8,6 +8,7 @@ import signal
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import FrameType
 from typing import Any, Protocol
 
@@ -18,7 +19,7 @@ from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Lease, Observat
 
 log: logging.Logger = logging.getLogger(__name__)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""What ends a process that holds the light: keys, systems, and terminals that are closed."""
+"""Signals that end a process that holds the light: keys, systems, and terminals that are closed."""
 
 HELD_UP = 0.1  # how long a signal waits for another thread that is putting the light out [s]
 
@@ -36,35 +37,20 @@ class Lamp(Switch, Protocol):
 
 
 class LightGuard:
-    """Holds the light of one rig. Entered last and left first; the only place that calls a lamp's ``on``.
+    """Holds the light of one rig, entered last and left first; a fault latches until it is left."""
 
-    lamp: what is switched on.  others: further ways to make it dark, named, tried after the lamp, each whatever the
-    one before it did.  tolerance: of motion, in the unit that `observe` is given.  signals: whether SIGINT, SIGTERM and
-    SIGHUP put the light out before they do what they did (main thread only; one that is ignored, as SIGHUP under
-    `nohup`, stays ignored).  notify: is called with "on" or "off", and why.
-
-    A fault latches: light stays off until the guard is left. Use::
-
-        with LightGuard(lamp, lease, tolerance=0.5) as light:
-            light.observe(armed=True, motion=0.0, shown=0, scheduled=0)
-            light.on(0.8)
-    """
+    # ``others`` are named switches, tried after the lamp whatever it did. ``signals``: SIGINT, SIGTERM and SIGHUP make
+    # it dark before they do what they did, in the main thread; one that is ignored, as under nohup, stays ignored.
 
     lease: Lease
     budget: Budget | None
     tolerance: float
 
     def __init__(
-        self,
-        lamp: Lamp,
-        lease: Lease,
-        *,
-        tolerance: float,
-        budget: Budget | None = None,
-        others: Mapping[str, Switch] | None = None,
-        signals: bool = True,
+        self, lamp: Lamp, lease: Lease, *, tolerance: float, budget: Budget | None = None,
+        others: Mapping[str, Switch] | None = None, signals: bool = True,
         notify: Callable[[str, str], None] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.lease, self.budget, self.tolerance = lease, budget, positive("tolerance of motion", tolerance)
         self._lamp, self._others = lamp, dict(others or {})
         self._notify = notify or (lambda what, why: None)
@@ -119,15 +105,12 @@ class LightGuard:
             return "nobody holds the light"
         if self._fault is not None:
             return self._fault
-        return reason_dark(self._seen.change(lease=self.lease.fresh()), self.tolerance)
+        return reason_dark(replace(self._seen, lease=self.lease.fresh()), self.tolerance)
 
-    def observe(self, **seen: object) -> None:
-        """Tell what is seen of the machines (fields of `Observation`); light that may not be on goes off at once.
-
-        Raises `InterlockOpen` where it was on and had to go off.
-        """
+    def observe(self, **seen: Any) -> None:
+        """Take what is seen of the machines (fields of `Observation`); InterlockOpen where light had to go off."""
         with self._lock:
-            self._seen = self._seen.change(**seen)
+            self._seen = replace(self._seen, **seen)
         self.check()
 
     def check(self) -> None:
@@ -245,10 +228,7 @@ def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
 
 
 class LampGate:
-    """The light behind a controller's gate. ``on`` allows it; with ``steady`` it shines at once, else row by row.
-
-    shares: of the power, for each channel.
-    """
+    """The light behind a controller's gate: with ``steady`` it shines at once, else row by row."""
 
     def __init__(
         self, controller: Controller, channels: Sequence[int] = (0,), steady: bool = False,

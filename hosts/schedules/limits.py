@@ -1,4 +1,4 @@
-"""What machines can do and how fast: lenses on a serial line, mirrors behind a trigger or a video cable."""
+"""Limits of machines: lenses on a serial line, mirrors behind a trigger or a video cable."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from vamgpu.hosts.schedules.timing import SECOND, Number, every, exact, nanoseco
 
 
 def powers(power: float | Sequence[float], engines: int | None = None) -> tuple[float, ...]:
-    """Of each engine's light, 0 to 1; one number is that of all. engines: how many; None for as many as are given.
-
-    Raises `BadInput`.
-    """
+    """Powers of the engines' light, 0 to 1; one number stands for all. Raises `BadInput`."""
     given = (power,) * (engines or 1) if numeric(power) else every("power", power)
     found = tuple(float(exact("power", value, zero=True)) for value in given)
     if engines is not None and len(found) != engines:
@@ -66,12 +63,12 @@ class LensTiming:
 
     @property
     def wire(self) -> int:
-        """From the first bit of a command to when the driver has acted on the last [ns]."""
+        """Time from the first bit of a command until the driver has acted on the last [ns]."""
         line = Fraction(10 * int(self.frame_bytes) * SECOND, int(self.baud))
         return ceil(line) + nanoseconds("latency [s]", self.latency)
 
     def settling(self, start: int, end: int) -> int:
-        """From one plane to another [ns]; 0 where that is the same. Raises `BadInput`."""
+        """Time from one plane to another [ns]; 0 for the same. Raises `BadInput`."""
         if start == end:
             return 0
         if self.table.ndim == 0:
@@ -130,7 +127,7 @@ class MirrorTiming:
 
     @property
     def delay(self) -> int:
-        """From trigger to light [ns]."""
+        """Time from trigger to light [ns]."""
         return nanoseconds("trigger_delay [s]", self.trigger_delay)
 
     @property

@@ -21,10 +21,7 @@ NANODEGREES = 10**9  # angles are whole ones of these: what a file writes comes 
 
 
 def rising(motion: Turntable) -> tuple[Fraction, ...]:
-    """Angles [deg] of a turn, the first from 0 to below 360 and each beyond the one before it.
-
-    Raises `BadInput` for poses that are lit for unequal times, and for angles that do not rise within one turn.
-    """
+    """Angles [deg] of a turn, rising from 0 to below 360. Raises `BadInput` for others, and for unequal times."""
     if motion.dwell is not None:
         raise BadInput(
             f"a schedule got {motion} angles; expected frames that are lit as long, for mirrors take one time for "
@@ -48,7 +45,7 @@ def closest(angles: tuple[Fraction, ...]) -> Fraction:
 
 
 def even_images(images: int | Turntable) -> int:
-    """How many images a turn has that are even over it. Raises `BadInput` for a turntable that has others."""
+    """Number of images that are even over a turn. Raises `BadInput` for a turntable with others."""
     if not isinstance(images, Turntable):
         return images
     if not images.is_even:
@@ -98,11 +95,7 @@ def sla(
     layers: int, *, pitch: Number, speed: Number, engines: Engines, bits: int = 8, on: Number | None = None,
     power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a platform that rises without a stop: one slice every ``pitch`` [mm] at ``speed`` [mm/s].
-
-    Several engines, for instance of the color that cures and the one that inhibits, show their slices in step. Raises
-    `BadInput`, `TimingInfeasible`.
-    """
+    """Slots of a platform that rises without a stop, one slice every ``pitch`` [mm] at ``speed`` [mm/s]; see `web`."""
     return web(layers, advance=pitch, speed=speed, engines=engines, bits=bits, on=on, power=power)
 
 
@@ -194,7 +187,7 @@ class _Pose:
 
     @property
     def parts(self) -> dict[str, int]:
-        """What the longer pose spends its time with [ns]."""
+        """The times that add up to the longer pose [ns]."""
         gaps, moved = max(zip(self.gaps, self.moved, strict=True), key=lambda each: int(each[0].sum()))
         wire = int(moved.sum()) * self.wire
         held = len(gaps) * self.frame
@@ -207,7 +200,7 @@ class _Pose:
         period = way / speed * SECOND
         if period > SLOWEST:
             seconds = float(period / SECOND)
-            raise BadInput(f"{float(speed):.4g} {unit}/s is a pose in {seconds:.4g} s; expected an hour at most")
+            raise BadInput(f"{float(speed):.4g} {unit}/s is an angle in {seconds:.4g} s; expected an hour at most")
         parts = self.parts
         limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
         linked = self.gaps.shape[1] * self.shown.transfer
@@ -217,7 +210,7 @@ class _Pose:
             most = below(way * SECOND / need)
             spent = ", ".join(f"{1e-6 * time:.4g} ms {name}" for name, time in parts.items() if time)
             raise TimingInfeasible(
-                f"{float(speed):.6g} {unit}/s leaves {1e-6 * float(period):.4g} ms a pose; {1e-6 * need:.4g} ms are "
+                f"{float(speed):.6g} {unit}/s leaves {1e-6 * float(period):.4g} ms an angle; {1e-6 * need:.4g} ms are "
                 f"needed ({spent}): at most {most:.6g} {unit}/s; what takes most is the {limit}",
                 limit, most, f"{unit}/s",
             )  # fmt: skip

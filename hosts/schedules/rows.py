@@ -17,12 +17,12 @@ MICRO = 1000
 class RowTable:
     """Rows by slot. A row acts where the motion is when its lens command, or else its light, is due.
 
-    microsteps: of the motion, in one unit of the schedule's positions; None where rows count microseconds.  origin: the
-    position of pose 0, in the schedule's unit.  code: a focal power's code for the lens.  channels: of light.
+    microsteps: of the motion, in one unit of the schedule's positions.  origin: the position of pose 0, in that unit.
+    code: a focal power's code for the lens.  channels: of light.
     """
 
     schedule: Schedule
-    microsteps: float | None = None
+    microsteps: float
     origin: float = 0.0
     code: Callable[[float], int] | None = None
     channels: int = 1
@@ -40,9 +40,7 @@ class RowTable:
         return int(self.schedule.light[slot]) if command == NONE else command
 
     def at(self, time: int) -> int:
-        """A time of the schedule [ns] as rows count: microsteps or microseconds."""
-        if self.microsteps is None:
-            return time // MICRO
+        """The microstep at a time of the schedule [ns]."""
         return round((self.origin + float(self.schedule.position_at(time))) * self.microsteps)
 
     def row(self, slot: int, index: int) -> ControllerRow:

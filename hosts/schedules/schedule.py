@@ -115,7 +115,7 @@ class Schedule:
         return replace(self, **{name: np.concatenate(parts) for name, parts in both.items()})
 
     def _later(self, count: int, beats: np.ndarray) -> np.ndarray:
-        """How much later [ns] the slots of a turn come ``count`` poses on."""
+        """Delays [ns] of the slots of a turn ``count`` poses later."""
         if self.advance * self.frames == 360:
             return np.array([self.cadence.at(count + k) - self.cadence.at(k) for k in beats.tolist()], np.int64)
         turn = Cadence(self.cadence.period / self.advance * 360)
@@ -128,12 +128,12 @@ class Schedule:
 
     @property
     def duration(self) -> int:
-        """From the beginning to the last darkness [ns]."""
+        """Time from the beginning to the last darkness [ns]."""
         return int(self.dark[-1]) if len(self) else 0
 
     @cached_property
     def speed(self) -> Fraction:
-        """Of the motion [unit/s], exact: command this one, not the one that was asked for."""
+        """Exact speed of the motion [unit/s]: command this one, not the one that was asked for."""
         return self.advance * SECOND / self.cadence.period
 
     @property

@@ -18,7 +18,7 @@ FARTHEST = 2**62  # the last time that tables hold [ns]
 GREATEST = 10**30  # of numbers: beyond it, and below its inverse, they are slips of the pen
 
 Number = int | float | Fraction
-"""What times and speeds are given as; a float counts as the decimal it is written as: 0.1 is a tenth."""
+"""Type of times and speeds; a float counts as the decimal that it is written as: 0.1 is a tenth."""
 
 
 def numeric(value: object) -> TypeGuard[Number]:
@@ -113,7 +113,3 @@ class Cadence:
         if max(bottom, rest * max(abs(first), abs(first + stride * count))) < 2**62:
             return self.start + beats * whole + beats * rest // bottom
         return np.array([self.start + beat * top // bottom for beat in beats.tolist()], np.int64)  # beyond 64 bits
-
-    def beat(self, time: int) -> int:
-        """The last beat at or before a time [ns]."""
-        return ((time - self.start + 1) * self.period.denominator - 1) // self.period.numerator

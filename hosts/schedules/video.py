@@ -21,13 +21,7 @@ SAME = Fraction(1, 10**9)  # speeds this close are the same: what a user writes 
 def vial(
     images: int | Turntable, *, speed: Number, display: HdmiTiming, turns: int = 1, power: float | Sequence[float] = 1.0
 ) -> Schedule:
-    """Slots of a vial: ``images`` a turn at ``speed`` [deg/s], each in a whole number of the cable's slots.
-
-    images: so many a turn, or a `Turntable` whose poses are even over it. At 40 images a second and 120 slots a second
-    every image takes exactly three. ``trigger`` is when the video frame with an image's first slot must be on the
-    cable. Several powers are those of engines that share the cable's clock.
-    Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
-    """
+    """Slots of a vial: ``images`` a turn at ``speed`` [deg/s], each in whole slots of the cable; see `_slots_in`."""
     number, times = whole("images", even_images(images)), whole("turns", turns)
     return _table(number, number * times, Fraction(360, number), "deg", speed, display, power)
 
@@ -35,10 +29,7 @@ def vial(
 def web_on_cable(
     poses: int, *, advance: Number, speed: Number, display: HdmiTiming, power: float | Sequence[float] = 1.0
 ) -> Schedule:
-    """Slots of a web: ``poses`` frames, ``advance`` [mm] apart at ``speed`` [mm/s], each in whole slots of the cable.
-
-    Raises `BadInput`, and `TimingInfeasible` with the greatest speed, not above the wanted one, that fits exactly.
-    """
+    """Slots of a web: frames ``advance`` [mm] apart at ``speed`` [mm/s], each in whole slots of the cable."""
     count = whole("poses", poses)
     return _table(count, count, exact("advance [mm]", advance), "mm", speed, display, power)
 
@@ -62,11 +53,6 @@ def _table(
         position=pose * float(way), focus=np.full(count, nan), power=np.tile(np.array(shares), (count, 1)),
         cadence=Cadence(slot * repeats, begin), advance=way, unit=unit, delay=begin, frames=number,
     )  # fmt: skip
-
-
-def slots_per_image(images: int, speed: Number, display: HdmiTiming) -> int:
-    """Slots of the cable that every image takes. Raises `BadInput`, and `TimingInfeasible` where that is not whole."""
-    return _slots_in(Fraction(360, whole("images", images)), "deg", speed, display)
 
 
 def _slots_in(way: Fraction, unit: str, speed: Number, display: HdmiTiming) -> int:

@@ -30,6 +30,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "lattices": "Periodic solids, and one wound from film",
         "optimizers": "Every optimizer on one part",
         "optimum": "Optimum and certificate",
+        "below": "Below the voxel",
         "robust": "Light that prints although the machine is off",
         "sooner": "Window against time",
         "recipe": "The recipe of automatic exposure, step by step",

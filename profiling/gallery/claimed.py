@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,6 @@ from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
-from vamgpu.metrics.tolerance import ToleranceWindow, depth_of_fractions, tolerance_window
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.pack import pack
 from vamgpu.printing.proof import Proof
@@ -24,6 +22,9 @@ if TYPE_CHECKING:
 
 FOOTPRINTS = {"joseph": "interpolated rays (Joseph)", "exact": "exact footprints, point spread"}
 """How an operator weighs light, and what to call it."""
+CHANGES = ("bodies_lost", "bodies_merged", "bodies_broken", "bodies_extra", "holes_closed", "holes_opened",
+           "cavities_filled", "cavities_extra")  # fmt: skip
+"""What a print may have other than its part."""
 HEIGHT = 0.45
 """Of the slices and rows that are shown, as a share."""
 
@@ -35,29 +36,26 @@ def claimed(
     target = scene.boat(device, 0.6 if quick else pitch)
     given = scene.straight(target, 24 if quick else int(angles), device)
     proofs = {name: _proved(given, target, name, 4 if quick else int(iterations)) for name in FOOTPRINTS}
-    curves = {name: _over_tolerance(proof) for name, proof in proofs.items()}
     figure, axes = style.sheet([["a", "b", "e"], ["c", "d", "f"]], 6.6, width_ratios=[1, 1, 1.15])
     for letter, dose, name in (("a", "c", "joseph"), ("b", "d", "exact")):
         _frame(axes[letter], proofs[name], f"One frame, {name}")
         _slice(axes[dose], proofs[name], f"Proved dose, {name}")
     style.scale_bar(axes["c"], 2.0 / target.grid.pitch, "2 mm", below=True)
     _bars(axes["e"], proofs)
-    _curves(axes["f"], curves)
-    rows = tuple((FOOTPRINTS[name], _numbers(proof, curves[name])) for name, proof in proofs.items())
-    header = ("operator that solves", "window claimed", "window proved", "proved − claimed", "W at half a voxel",
-              "wrong voxels", "power above half the columns' Nyquist frequency [%]")  # fmt: skip
-    table = Table(header, ("+.4f", "+.4f", "+.4f", "+.4f", ".0f", ".1f"), rows)
-    facts = tuple(
-        Fact(f"proved over claimed, {FOOTPRINTS[name]}", proof.ratio, "", 3)
-        for name, proof in proofs.items()
-        if isfinite(proof.ratio)  # where a window is claimed at all
-    )
+    _curves(axes["f"], proofs)
+    rows = tuple((FOOTPRINTS[name], _numbers(proof)) for name, proof in proofs.items())
+    header = ("operator that solves", "window claimed", "window proved", "W 1 pixel", "bodies, holes, cavities wrong",
+              "95 % [µm]")  # fmt: skip
+    table = Table(header, ("+.4f", "+.4f", "+.4f", ".0f", ".0f"), rows)
+    pixel = next(iter(proofs.values())).judgement.pixel
+    facts = (Fact("width of a pixel in the resin", 1e3 * pixel, "µm", 3),)
+    said = (f"by {FOOTPRINTS[name]}: “{proof.verdict.sentence}”" for name, proof in proofs.items())
     caption = (
         "The boat, 11.5 mm high, in a vat of the resin's index, solved twice with the same method and as many steps. "
-        "The operator of interpolated rays knows one point in the middle of a voxel: light can be striped so that "
-        "these points are right and everything between them is not. The operator of exact footprints takes the mean "
-        "over the voxel's box of a pixel's box behind the lens. Claimed is what each says of its own frames; "
-        "proved is what rays traced without either's tables say, on voxels half as wide, shifted by a quarter."
+        "The operator of interpolated rays knows one point in the middle of a voxel. That of exact footprints takes "
+        "the mean over the voxel's box of a pixel's box behind the lens. Claimed is the strict window by each "
+        "operator, proved that by rays traced without either's tables. W a pixel from the surface, bodies and surface "
+        f"are those of the print, on voxels half as wide. The verdicts: {'; '.join(said)}"
     )
     return Picture(figure, caption, facts, table)
 
@@ -67,31 +65,16 @@ def _proved(given: Projection, target: Target, footprint: str, iterations: int) 
     return simulate(A, pack(optimize(A, target, iterations=iterations)), target)
 
 
-def _over_tolerance(proof: Proof) -> ToleranceWindow:
-    grid = proof.operator.grid
-    slabs = proof.fine(grid.inscribed_radius)
-    return tolerance_window(
-        slabs, depth_of_fractions(proof.target.numpy(), grid), grid.pitch, radius=grid.inscribed_radius
-    )
-
-
-def _numbers(proof: Proof, curve: ToleranceWindow) -> tuple[float, ...]:
-    scores = proof.scores
-    wrong = float(scores.missing + scores.excess)
+def _numbers(proof: Proof) -> tuple[float, ...]:
+    judgement = proof.judgement
+    changes = judgement.surface.changes
     return (
         proof.claimed.window,
-        scores.window,
-        scores.window - proof.claimed.window,
-        curve.half_voxel,
-        wrong,
-        100 * _fine_power(proof),
+        proof.scores.window,
+        judgement.over_tolerance.at(judgement.pixel),
+        float(sum(getattr(changes, kind) for kind in CHANGES)),
+        1e3 * judgement.surface.p95,
     )
-
-
-def _fine_power(proof: Proof) -> float:
-    """Share of the frames' power, the mean left out, above half the columns' Nyquist frequency."""
-    power = (np.abs(np.fft.rfft(proof.frames.levels().astype(float), axis=2)) ** 2).sum(axis=(0, 1))
-    return float(power[len(power) // 2 :].sum() / power[1:].sum())
 
 
 def _frame(axis: Axes, proof: Proof, title: str) -> None:
@@ -117,12 +100,12 @@ def _bars(axis: Axes, proofs: dict[str, Proof]) -> None:
     axis.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.08))
 
 
-def _curves(axis: Axes, curves: dict[str, ToleranceWindow]) -> None:
-    for (name, curve), color in zip(curves.items(), (style.ORANGE, style.BLUE), strict=True):
+def _curves(axis: Axes, proofs: dict[str, Proof]) -> None:
+    pixel = 0.0
+    for (name, proof), color in zip(proofs.items(), (style.ORANGE, style.BLUE), strict=True):
+        curve, pixel = proof.judgement.over_tolerance, 1e3 * proof.judgement.pixel
         axis.plot(1e3 * curve.distance, curve.window, color=color, label=name)
-    half = 0.5e3 * curve.voxel
     axis.axhline(0, color=style.INK, lw=0.8)
-    axis.axvline(half, color=style.INK, lw=0.9, ls=(0, (4, 3)))
-    axis.set(title="Proved window over tolerance", xlabel="tolerance δ [µm], half a voxel dashed",
-             xlim=(0, 4 * half))  # fmt: skip
+    axis.axvline(pixel, color=style.INK, lw=0.9, ls=(0, (4, 3)))
+    axis.set(title="Window over distance", xlabel="from the surface [µm], a pixel dashed", xlim=(0, 2 * pixel))
     axis.legend()

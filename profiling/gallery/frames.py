@@ -10,7 +10,7 @@ from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
-from vamgpu.metrics import light_efficiency, score
+from vamgpu.metrics import mean_brightness, score
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import pack
@@ -37,25 +37,25 @@ def frames(
     plan = optimize(A, target, iterations=4 if quick else 40)
     curve = GrayCurve.gamma(gamma, black)
     packed = {
-        "8 bits": pack(plan, 8, curve),
-        "1 bit, error diffusion": pack(plan, 1, GrayCurve.linear(black), dither="error-diffusion"),
-        "1 bit, nearest": pack(plan, 1, GrayCurve.linear(black)),
-        "1 bit, chosen by dose": pack(plan, 1, GrayCurve.linear(black), dither="fit"),
+        "8 bits": pack(plan, gray=curve),
+        "1 bit, error diffusion": pack(plan, bits=1, gray=GrayCurve.linear(black), dither="error-diffusion"),
+        "1 bit, nearest": pack(plan, bits=1, gray=GrayCurve.linear(black), dither="round"),
+        "1 bit, chosen by dose": pack(plan, bits=1, gray=GrayCurve.linear(black), dither="fit"),
     }
     light = plan.sinogram.numpy()
     scores = {"float": score(plan.dose(), target.on(device))}
-    rows = [("float", (scores["float"].window, scores["float"].iou, 0.0, light_efficiency(plan.sinogram)))]
+    rows = [("float", (scores["float"].window, scores["float"].iou, 0.0, mean_brightness(plan.sinogram)))]
     for name, pictures in packed.items():
         shone = pictures.irradiance(device)
         found = score(A.T(shone), target.on(device))
         rows.append((name, (found.window, found.iou, _error(shone.numpy(), light),
-                            light_efficiency(shone, pictures.scale))))  # fmt: skip
+                            mean_brightness(shone, pictures.scale))))  # fmt: skip
     figure, axes = style.sheet("abc;ddd;efg", 8.8, height_ratios=[1, 0.7, 0.85])
     _faces(axes, light, packed, plan.operator)
     _curve(axes["e"], curve)
     _inverse(axes["f"], curve)
     _levels(axes["g"], packed["8 bits"])
-    table = Table(("frames", "strict window", "IoU", "error of the light [%]", "light efficiency"),
+    table = Table(("frames", "strict window", "IoU", "error of the light [%]", "mean brightness"),
                   ("+.4f", ".5f", ".2f", ".4f"), tuple(rows))  # fmt: skip
     wanted = np.linspace(0.0, 1.0, 4001)
     gap = float(np.abs(curve(curve.inverse(wanted)) - np.maximum(wanted, black)).max())

@@ -52,7 +52,9 @@ def machines(
     dark = _darkness(axes["c"], speed)
     facts = (
         Fact("pictures a second of the web", roll.schedule.rate, "1/s", 4, 30.6, "3 planes at 48 mm/min"),
-        Fact("light while the lens moved", roll.emulated.chamber.astray, "s", 2, 0.0, "no light before it has settled"),
+        Fact(
+            "light while the lens moved", roll.emulated.recorder.astray, "s", 2, 0.0, "no light before it has settled"
+        ),
         Fact("dose of the vial off by, of its greatest", errors["as planned"], "", 2, 1e-4, bound="≤"),
         Fact("the same, every picture one slot late", errors["one slot late"], "", 2),
         Fact("longest light after a fault", max(dark.values()), "ms", 3, 250.0, "one lease", bound="≤"),
@@ -138,7 +140,7 @@ def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
     for name, shift, way in (("as planned", 0, 1), ("one slot late", 1, 1), ("turned backwards", 0, -1)):
         stand = _Stand(schedule, frames, shift=shift)
         stand.run()
-        seconds = stand.emulated.chamber.seconds(0, angles, turn=angles)[0][way * np.arange(angles)]
+        seconds = stand.emulated.recorder.seconds(0, angles, turn=angles)[0][way * np.arange(angles)]
         light = seconds[:, ::-1].transpose(0, 2, 1) / (1e-9 * schedule.on[0])
         dose = A.T(A.device.upload(np.ascontiguousarray(light, np.float32))).numpy()
         found[name] = float(np.abs(dose - wanted).max() / wanted.max())

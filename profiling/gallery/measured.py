@@ -12,8 +12,8 @@ from vamgpu.hosts.calibrating import axis as axes_of
 from vamgpu.hosts.calibrating import focus as foci
 from vamgpu.hosts.calibrating import gray as grays
 from vamgpu.hosts.calibrating import mtf as mtfs
+from vamgpu.hosts.calibrating.connect import rehearsal
 from vamgpu.hosts.calibrating.machines import CalibrationMachines
-from vamgpu.hosts.calibrating.opening import rehearsal
 from vamgpu.hosts.calibrating.report import CalibrationResult
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rigs.config import read_rig

@@ -35,7 +35,7 @@ def optimizers(
     soon = min(SOON, most // 2)
     figure, axes = style.sheet("a", 5.6)
     axis, rows, ends = axes["a"], [], []
-    for (name, label), color in zip(LABELS.items(), style.HUES, strict=True):
+    for (name, label), color in zip(LABELS.items(), style.HUES[: len(LABELS)], strict=True):
         plans = [_told(A, target, name, budget) for budget in (soon, most)]
         plan, proved = plans[-1], [simulate(A, pack(plan), target).scores for plan in plans]
         spent, best = _best(plan)

@@ -17,7 +17,7 @@ from vamgpu.reports import style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LABELS = {"widest": '"widest", the default', "window": '"window"', "osmo": '"osmo"'}
+LABELS = {"ramp": '"ramp", the default', "lbfgs": '"lbfgs"', "osmo": '"osmo"'}
 BOUNDED = (70, 120, 250, 500, 1000)
 """Evaluations after which prices are asked for a bound."""
 
@@ -35,8 +35,8 @@ def optimum(device: Device, quick: bool = False, part: str = "cross", evaluation
     plans = {name: compared(A, fractions, name, most) for name in LABELS}
     limits = {n: bound(A, fractions, evaluations=n).value for n in bounded}
     figure, axes = style.sheet("abb", 4.4)
-    dose = plans["widest"].dose().numpy()[:, :, 0]
-    style.shown(axes["a"], dose, f'Dose of "widest", {part}', cmap="inferno", vmin=0.0)
+    dose = plans["ramp"].dose().numpy()[:, :, 0]
+    style.shown(axes["a"], dose, f'Dose of "ramp", {part}', cmap="inferno", vmin=0.0)
     axis: Axes = axes["b"]
     axis.axhline(top, color=style.INK, lw=1.2, ls=(0, (4, 3)), label="optimum, by linear programming")
     axis.plot(list(limits), list(limits.values()), "v", color=style.RED, ms=6, label="no light has more, by prices")
@@ -47,7 +47,7 @@ def optimum(device: Device, quick: bool = False, part: str = "cross", evaluation
     axis.legend(loc="lower right", fontsize=8)
     facts = (
         Fact("widest window of any light, by linear programming", top, "", 4),
-        Fact(f'window of "widest" after {most} evaluations, over that', plans["widest"].window / top, "", 4),
+        Fact(f'window of "ramp" after {most} evaluations, over that', plans["ramp"].window / top, "", 4),
         *(Fact(f"bound after {n} evaluations, over that", value / top, "", 4, 1.0, "weak duality", "≥")
           for n, value in limits.items()),
     )  # fmt: skip

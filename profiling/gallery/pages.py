@@ -1,4 +1,7 @@
-"""Draw the live page in its states: ``python -m profiling.gallery.pages [FOLDER]``; needs Playwright and Chromium."""
+"""Draw the live page in its states and the page of three proofs; needs Playwright and Chromium.
+
+``python -m profiling.gallery.pages [FOLDER]``
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,27 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
+import vamgpu
 from vamgpu.errors import BadInput
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.state import Board, Estimated, PrintState
 from vamgpu.live.maps import cuts
+from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading
+from vamgpu.targets import shapes
 
 DESK, PHONE = (1100, 760), (390, 844)
+SHEET: Any = {"width": 900, "height": 1200}
+COLORS = 192
+"""Of the pictures of proofs, which are large otherwise."""
 KEPT = ("printing-vial", "printing-two", "held", "live", "phone")
 """Which stand in docs/; all others are drawn to be looked at."""
 
@@ -140,7 +152,49 @@ def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
     return drawn
 
 
+def proofs() -> Iterator[tuple[str, Proof]]:
+    """A gear in a vial: light that prints, light that does not, and the first with lit columns beside the part."""
+    vial = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
+    beam = vamgpu.Beam((54, 32), 0.4)
+    width = vamgpu.resin_pixel(beam, vial)[0]
+    target = vamgpu.Target.from_mesh(shapes.build("gear_base"), height=6.0, pitch=width)
+    A = vamgpu.Projection(target.grid, beam, vamgpu.Turntable(60), vial)
+    good, bad = vamgpu.optimize(A, target, iterations=40), vamgpu.optimize(A, target, "fbp")
+    light = good.sinogram.numpy().copy()
+    light[:, :3] = light.max()
+    stray = replace(good, sinogram=A.device.upload(light))
+    for name, plan in (("prints", good), ("not", bad), ("stray", stray)):
+        lamp: dict[str, Any] = {"irradiance": "65 mW/cm2", "critical_dose": "50 mJ/cm3"}
+        yield name, vamgpu.simulate(A, vamgpu.pack(plan), target, **lamp)
+
+
+def shoot_proofs(out: Path) -> list[Path]:
+    """Draw the head of the page of each proof, and the surface in three dimensions below it."""
+    from playwright.sync_api import sync_playwright
+
+    drawn = []
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
+        switches = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
+        browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=switches)
+        page = browser.new_page(viewport=SHEET)
+        for name, proof in proofs():
+            page.goto(proof.report(Path(place) / f"{name}.html").as_uri())
+            page.add_style_tag(content=".summary { display: none } #solid { height: 20rem }")
+            page.wait_for_timeout(1500)
+            drawn.append(out / f"proof-{name}.png")
+            shown = page.locator("section.solid").bounding_box()
+            assert shown is not None
+            width, height = SHEET["width"], shown["y"] + shown["height"] + 20
+            page.screenshot(path=drawn[-1], full_page=True, clip={"x": 0, "y": 0, "width": width, "height": height})
+            Image.open(drawn[-1]).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(
+                drawn[-1], optimize=True
+            )
+        browser.close()
+    return drawn
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    for image in shoot(folder or Path("docs"), () if folder else KEPT):
+    shown = folder or Path("docs")
+    for image in (*shoot(shown, () if folder else KEPT), *shoot_proofs(shown)):
         print(f"drew {image}")

@@ -40,7 +40,7 @@ def proof(
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.in_vial(target, 24 if quick else int(angles), device)
     plan = optimize(A, target, iterations=4 if quick else int(iterations))
-    shone = pack(plan, 8, GrayCurve.gamma(2.2, black))
+    shone = pack(plan, gray=GrayCurve.gamma(2.2, black))
     proven = simulate(A, shone, target, irradiance=irradiance, critical_dose=critical_dose)
     figure, axes = style.sheet("abcd;efgh;iiii", 7.4, height_ratios=[1, 1, 0.95])
     _slices(axes, proven)
@@ -52,8 +52,8 @@ def proof(
         Fact("IoU at the best threshold", s.iou, "", 5),
         Fact("VER, voxels on the wrong side", s.error_rate, "", 2),
         Fact("IPDR, range of the dose in the part over the peak", s.dose_range, "", 3),
-        Fact("light efficiency, mean pixel over full-on", 100 * proven.light_efficiency, "%", 3),
-        Fact("light sent that the part absorbs", 100 * proven.part_share, "%", 3),
+        Fact("mean brightness, mean pixel over full-on", 100 * proven.mean_brightness, "%", 3),
+        Fact("light efficiency, share of the light sent that the part absorbs", 100 * proven.light_efficiency, "%", 3),
         Fact("predicted exposure", float(proven.seconds or 0.0), "s", 3),
         Fact("radius of the boat", target.radius, "mm", 4, NEEDED, "that of the 3DBenchy at this height", "≤"),
     )

@@ -6,7 +6,6 @@ from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize, pareto
-from vamgpu.methods.papers import PRIMAL_DUAL
 from vamgpu.reports import style
 
 
@@ -18,7 +17,7 @@ def sooner(
     target = scene.boat(device, 1.2 if quick else pitch)
     A = scene.in_vial(target, 24 if quick else int(angles), device)
     most = 80 if quick else int(evaluations)
-    plan = optimize(A, target, "widest", evaluations=4 * most, progress=False)
+    plan = optimize(A, target, evaluations=4 * most, progress=False)
     points = pareto(plan, irradiance=irradiance, critical_dose=critical_dose, evaluations=most)
     figure, axes = style.sheet("ab", 4.2)
     seconds = [point.seconds for point in points]
@@ -39,8 +38,8 @@ def sooner(
                   tuple((str(k + 1), (p.seconds, p.window, p.outside)) for k, p in enumerate(points)))  # fmt: skip
     caption = (
         "An exposure lasts until the dose midway between part and voids is the critical one; its brightest pixel is "
-        "full-on. Each point is what primal-dual steps find within a limit of time, from the light of the point before "
+        "full-on. Each point is what the default finds within a limit of time, from the light of the point before "
         "on; it ends where no light prints any more. Of two as wide take the shorter. Doses are those before packing. "
         "`vam solve --pareto` draws the same of a job."
     )
-    return Picture(figure, caption, facts, table, (PRIMAL_DUAL,))
+    return Picture(figure, caption, facts, table, plan.papers)

@@ -63,7 +63,7 @@ def test_a_saved_result_is_read_at_the_place_of_the_axis(tmp_path: Path) -> None
     [
         ('calibration = "focus"\n', "calibration 'focus'; expected 'mtf'"),
         ("[measured]\n", "calibration 'none'; expected 'mtf'"),
-        ('calibration = "mtf"\n[measured]\nblur_mm = [0.05]\n', "garbles its numbers: 'positions_mm'"),
+        ('calibration = "mtf"\n[measured]\nblur_mm = [0.05]\n', "has malformed numbers: 'positions_mm'"),
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0, 1.0]\nblur_mm = [0.05]\npixel_mm = 0.01\n',
          "2 positions and 1 blurs"),
         ('calibration = "mtf"\n[measured]\npositions_mm = [0.0]\nblur_mm = [0.015]\npixel_mm = 0.01\n',

@@ -84,7 +84,7 @@ def test_what_tells_no_runout_is_refused() -> None:
     columns, slopes = turn(0, 0.1)
     with pytest.raises(BadInput, match="all around a turn"):
         fit_runout(ANGLES[:18], columns[:18], slopes[:18])
-    with pytest.raises(BadInput, match="5 poses"):
+    with pytest.raises(BadInput, match="5 angles"):
         fit_runout(ANGLES[::5], columns[::5], slopes[::5])
     with pytest.raises(BadInput, match="not finite"):
         fit_runout(ANGLES, columns * np.nan, slopes)

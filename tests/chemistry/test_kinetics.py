@@ -149,7 +149,6 @@ def test_pairing_in_the_dark_is_second_order(device: Device) -> None:
     (lambda: SpeciesState(-0.1, 0.0, 1.0), r"\[A\] is -0.1"),
     (lambda: SpeciesState(1.0, float("nan"), 1.0), r"\[B\] holds 1 values that are not finite"),
     (lambda: SpeciesState([1.0, 1.0], [0.0, 0.0, 0.0], 1.0), "expected one length"),
-    (lambda: SpeciesState.of(A=1.0, D=1.0), "no species 'D'; there are A \\(oxygen\\)"),
     (lambda: Rates(0.1, -0.1, 0.1, 0.1), "k_b is -0.1"),
     (lambda: Rates(0.1, 0.1, float("inf"), 0.1), "k_c is inf"),
     (lambda: Rates(0.1, 0.1, 0.1, 0.1, order=2), "order is 2"),
@@ -166,7 +165,3 @@ def test_pairing_in_the_dark_is_second_order(device: Device) -> None:
 def test_bad_input_is_named(make: object, told: str) -> None:
     with pytest.raises(BadInput, match=told):
         make()  # type: ignore[operator]
-
-
-def test_species_by_letter_or_name() -> None:
-    np.testing.assert_array_equal(SpeciesState.of(oxygen=1.0, C=[2.0, 3.0]).table, [[1.0, 0.0, 2.0], [1.0, 0.0, 3.0]])

@@ -1,4 +1,4 @@
-"""Diffusion against the heat kernel, mass, walls, and both forms of the equations."""
+"""Diffusion against the heat kernel, mass and walls."""
 
 from __future__ import annotations
 
@@ -102,30 +102,6 @@ def test_steps_taken_together_are_the_steps_taken_one_by_one(device: Device) -> 
     for name in ("a", "b", "c", "dose"):
         assert np.abs(one[name] - other[name]).max() <= 2e-6 * max(np.abs(other[name]).max(), 1e-6), name
     assert one["dose"].max() > 0
-
-
-def test_dimensionless_and_dimensional_forms_agree(device: Device) -> None:
-    box = Box((12, 11, 13), PITCH, radius=0.25)
-    diffusivities, length, first = (3.27e-4, 6.89e-5, 5e-5), 0.067, 1.3
-    reaction = Reaction(0.30, 0.20, 0.5, 0.4, initial=2.6, cross=0.05, optical=0.4, mechanical=0.9)
-    boundaries = (Boundary.fixed(1.3, "z high"), Boundary(), Boundary())
-    walk = Transport(box, diffusivities, reaction, boundaries, device)
-    bare = walk.damkohler(length, first)
-    assert bare.diffusivities == pytest.approx((1.0, 6.89e-5 / 3.27e-4, 5e-5 / 3.27e-4))
-    irradiance = 1.7
-    assert bare.reaction and bare.reaction.k_a * irradiance == pytest.approx(
-        reaction.damkohler(length, first, diffusivities[0], irradiance)
-    )
-    light = [device.upload(irradiance * noise(box.shape, seed)) for seed in (1, 2)]
-    ours, theirs = walk.start(first, 0.0, 2.6), bare.start(1.0, 0.0, 2.6 / first)
-    span, scale = 8.0, length**2 / diffusivities[0]
-    walk.advance(ours, span, 40, *light)
-    bare.advance(theirs, span / scale, 40, *light)
-    for name in SPECIES:
-        difference = ours.species(name).numpy() / first - theirs.species(name).numpy()
-        assert np.abs(difference).max() < 2e-5
-    dose = theirs.dose.numpy()
-    assert np.abs(ours.dose.numpy() / scale - dose).max() < 2e-5 / scale + 2e-5 * dose.max()
 
 
 def test_oxygen_alone_follows_equation_12(device: Device) -> None:

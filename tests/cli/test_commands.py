@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import trimesh
 
 import vamgpu
 from vamgpu.cli import main
@@ -19,6 +20,21 @@ SMALL = {
     "solve.iterations": "3",
     "frames.flip_r": "false",
 }
+BALL = """[target]
+mesh = "ball.stl"
+height = "2 mm"
+pitch = "100 um"
+
+[beam]
+pitch = "100 um"
+
+[turntable]
+angles = 60
+
+[solve]
+iterations = 30
+"""
+"""A small part in air that prints."""
 SETTINGS = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
 
 
@@ -28,14 +44,38 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert str(tmp_path / "demo" / "report.html") in capsys.readouterr().out
     job = str(tmp_path / "demo" / "boat.vam")
     assert main(["prove", job]) == 0
+    said = capsys.readouterr().out
+    assert "Does not print: " in said and "→ " in said and said.index("Does not print") < said.index("judged by")
+    assert main(["prove", job, "--check"]) == 3
     assert (tmp_path / "demo" / "boat.html").exists()
     assert main(["prove", job, "--report", str(tmp_path / "boat.stl")]) == 1
     assert "expected a path ending in .html" in capsys.readouterr().err
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken.tif").touch()
+    assert main(["export", job, "--tiff", str(tmp_path / "taken.tif")]) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    for flag in ("--png", "--drtvam"):
+        assert main(["export", job, flag, str(tmp_path / "taken")]) == 1
+        assert "is a folder, which is never replaced" in capsys.readouterr().err
     formats = {"--png": "frames", "--tiff": "frames.tif", "--npz": "frames.npz", "--mp4": "frames.mp4"}
     words = [word for flag, name in formats.items() for word in (flag, str(tmp_path / name))]
     assert main(["export", job, *words]) == 0
     assert len(list((tmp_path / "frames").glob("*.png"))) == 24
     assert all((tmp_path / name).stat().st_size > 0 for name in formats.values())
+
+
+def test_a_job_that_prints_says_so_and_checks_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trimesh.creation.icosphere(4, 1.0).export(tmp_path / "ball.stl")
+    (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
+    assert main(["solve", str(tmp_path / "ball.toml")]) == 0
+    assert "Not proved; by the solver's own dose it prints: 1 body as in the part" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    assert main(["prove", str(tmp_path / "ball.vam"), "--check"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Prints: 1 body as in the part, 95 % of the surface within" in said
+    page = (tmp_path / "ball.html").read_text(encoding="utf-8")
+    assert 'class="verdict good">Prints: 1 body as in the part' in page
 
 
 def test_solve_writes_beside_the_file_and_overwrites_only_when_told(
@@ -64,7 +104,13 @@ def test_memory_is_told_the_device_and_leaves_out_what_is_larger(
     (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
     given = {key: value for key, value in SMALL.items() if key != "solve.device"}
     settings = [word for key, value in given.items() for word in ("--set", f"{key}={value}")]
-    assert main(["solve", str(tmp_path / "part.toml"), *settings, "--memory", "1.5GB"]) == 0
+    solve = ["solve", str(tmp_path / "part.toml"), *settings, "--memory", "1.5GB"]
+    with monkeypatch.context() as larger:
+        larger.setattr("vamgpu.printing.report.BYTES_A_VOXEL", 10**9)
+        assert main(solve) == 0
+    said = capsys.readouterr().out
+    assert "no verdict" in said and "by the solver's own dose" not in said
+    assert main([*solve, "--overwrite"]) == 0 and "by the solver's own dose" in capsys.readouterr().out
     manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["inputs"]["job"]["solve"]["device"].endswith("@500000000B")
     prove = ["prove", str(tmp_path / "part.vam"), "--memory", "1.5GB"]
@@ -94,7 +140,51 @@ def test_an_interrupt_is_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: p
 
     monkeypatch.setattr("vamgpu.jobs.demo.demo", stop)
     assert main(["demo"]) == 130
-    assert "stopped" in capsys.readouterr().err
+    assert capsys.readouterr().err == "\nStopped.\n"
+
+
+@pytest.mark.parametrize(
+    ("kept", "more", "said"),
+    [
+        (False, [], "Stopped."),
+        (True, [], "Stopped. Run the same command to continue."),
+        (True, ["--overwrite"], "Stopped. Run the same command without --overwrite to continue."),
+        (
+            True,
+            ["--overwrite", "--start", "other.vam"],
+            "Stopped. Run the same command without --overwrite and --start to continue.",
+        ),
+    ],
+)
+def test_a_stopped_command_tells_how_it_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kept: bool, more: list[str],
+    said: str,
+) -> None:  # fmt: skip
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
+    trimesh.creation.icosphere(2, 1.0).export(tmp_path / "ball.stl")
+    monkeypatch.setattr("vamgpu.jobs.run.solve", stop)
+    monkeypatch.setattr("vamgpu.jobs.run.is_interrupted", lambda place: kept and place == tmp_path / "ball.vam")
+    assert main(["solve", str(tmp_path / "ball.toml"), *more]) == 130
+    assert capsys.readouterr().err == f"\n{said}\n"
+
+
+def test_a_job_file_is_not_proven_but_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
+    assert main(["prove", str(tmp_path / "ball.toml")]) == 1
+    said = capsys.readouterr().err
+    assert "is a job file" in said and f"vam prove {tmp_path / 'ball.vam'}" in said
+
+
+def test_the_page_of_a_run_stands_beside_that_of_its_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pages: list[Path] = []
+    (tmp_path / "ball.run").mkdir()
+    (tmp_path / "ball.run" / "run.json").write_text("{}", encoding="utf-8")
+    monkeypatch.setattr("vamgpu.cli.prove._prove_run", lambda run, page, *_: pages.append(page) or True)
+    assert main(["prove", str(tmp_path / "ball.run")]) == 0
+    assert pages == [tmp_path / "ball.run.html"]
 
 
 def test_devices_are_listed_best_first(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ import pyopencl.array
 import pytest
 import warp as wp
 
+import vamgpu
 from vamgpu.backend.device import Device
 from vamgpu.backend.opencl import OpenclDevice
 from vamgpu.errors import BadInput, DeviceError
@@ -102,3 +103,27 @@ def test_a_replay_runs_what_was_captured(device: Device) -> None:
     for _ in range(3):
         replay()
     assert np.array_equal(x.numpy(), 8.0 * start)
+
+
+def test_a_device_is_known_by_what_people_call_it() -> None:
+    names = vamgpu.devices()
+    first = {part: next((n for n in names if f":{part}:" in f":{n}:"), None) for part in ("cuda", "opencl", "warp:cpu")}
+    for called, name in (("OpenCL", first["opencl"]), ("NumPy", "numpy"), ("WARP:CPU", first["warp:cpu"])):
+        if name is not None:
+            assert vamgpu.open_device(called).name == name
+    if first["cuda"] is not None:
+        assert vamgpu.open_device("cuda") is vamgpu.open_device("cuda:0") is vamgpu.open_device("warp:cuda:0")
+    gpus = [name for name in names if vamgpu.open_device(name).is_gpu]
+    processors = [name for name in names if name not in gpus]
+    assert vamgpu.open_device("CPU").name == processors[0]
+    if gpus:
+        assert vamgpu.open_device("gpu").name == gpus[0]
+        return
+    for called in ("gpu", "cuda:0"):
+        with pytest.raises(DeviceError, match=f"no device '{called}'; here there are: {names[0]}"):
+            vamgpu.open_device(called)
+
+
+def test_a_limit_of_memory_goes_with_what_a_processor_is_called(opencl_name: str) -> None:
+    kind = opencl_name.split(":")[1]
+    assert vamgpu.open_device(f"{kind}@2GB") is vamgpu.open_device(f"opencl:{kind}:0@2GB")

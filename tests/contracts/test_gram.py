@@ -13,7 +13,7 @@ from vamgpu.kernels.reduce import disc
 from vamgpu.methods.part import reach_of
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.operators import gram
-from vamgpu.operators.gram import GramInverse, against_gram
+from vamgpu.operators.gram import GramInverse
 from vamgpu.optics.beams import Misaligned
 from vamgpu.units import mm
 
@@ -87,24 +87,22 @@ def test_rings_blur_light_as_voxels_do(vessel: Any) -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
-def test_no_light_becomes_much_brighter_than_it_was(rows: int) -> None:
+@pytest.mark.parametrize("fine", [1, 2], ids=["pixels as voxels", "sharp pixels of half a voxel"])
+def test_a_step_makes_no_light_brighter_than_it_was(rows: int, fine: int) -> None:
+    """By power steps, which took 150 to find what 40 did not see of pixels narrower than voxels."""
     A = projection("numpy", rows)
+    if fine > 1:
+        beam = vam.Beam((fine * COLUMNS, rows), 0.1 / fine, spread=0.0)
+        A = vam.Projection(A.grid, beam, A.motion, None, A.device)
     inverse, device = GramInverse(A, reach_of(A.grid)), A.device
     light, found = np.random.default_rng(1).standard_normal(A.range.shape), device.empty(A.range.shape)
     grown = 0.0
-    for _ in range(60):
+    for _ in range(150):
         light /= np.linalg.norm(light)
         inverse(device.upload(blurred(A, light) + inverse.base * light), found)
         light = found.numpy()
         grown = float(np.linalg.norm(light))
-    assert 0.5 < grown < 1.05 * gram.MOST
-
-
-def test_sharp_pixels_take_a_greater_base() -> None:
-    A = projection("numpy")
-    sharp = vam.Projection(A.grid, vam.Beam((2 * COLUMNS, 2), 0.05, spread=0.0), A.motion, None, A.device)
-    shares = [GramInverse(each, reach_of(A.grid)).base / greatest(each) for each in (A, sharp)]
-    assert shares[1] > 1.5 * shares[0]
+    assert 0.8 < grown * inverse.pace < 1.001
 
 
 def greatest(A: vam.Projection) -> float:
@@ -113,27 +111,11 @@ def greatest(A: vam.Projection) -> float:
     return float(np.linalg.norm(blurred(A, even)) / np.linalg.norm(even))
 
 
-def test_rows_that_light_little_are_weighed(device: Device) -> None:
-    beam = vam.Beam((COLUMNS, 7), 0.1, spread=0.08)
-    A = vam.Projection(vam.Grid((N, N, 3), 0.1), beam, vam.Turntable(ANGLES), None, device)
-    shared = np.zeros((7, 7))  # light of one row that comes back to another
-    for row in range(7):
-        light = np.zeros(A.range.shape, np.float32)
-        light[0, COLUMNS // 2, row] = 1.0
-        shared[:, row] = np.asarray(A(A.T(light))).sum(axis=(0, 1))
-    own = shared.sum(axis=0)
-    assert own[0] < 0.1 * own[3]
-    light = device.upload(np.ones(A.range.shape, np.float32))
-    GramInverse(A, reach_of(A.grid)).weigh_rows(light)
-    wanted = np.where(own > 1e-6 * own.max(), np.linalg.norm(shared, 2) / np.maximum(own, 1e-30), 0.0)
-    np.testing.assert_allclose(light.numpy(), np.broadcast_to(wanted, light.shape), rtol=1e-3)
-
-
-def test_rows_alike_are_not_weighed() -> None:
-    A = projection("numpy", 1)
-    light = A.device.upload(np.full(A.range.shape, 0.5, np.float32))
-    GramInverse(A, reach_of(A.grid)).weigh_rows(light)
-    assert (light.numpy() == 0.5).all()
+def test_sharp_pixels_take_a_greater_base() -> None:
+    A = projection("numpy")
+    sharp = vam.Projection(A.grid, vam.Beam((2 * COLUMNS, 2), 0.05, spread=0.0), A.motion, None, A.device)
+    shares = [GramInverse(each, reach_of(A.grid)).base / greatest(each) for each in (A, sharp)]
+    assert shares[1] > 1.5 * shares[0]
 
 
 def test_scenarios_add_up() -> None:
@@ -147,10 +129,10 @@ def test_what_does_not_turn_is_named() -> None:
     uneven = vam.Projection(
         vam.Grid((N, N, 2), 0.1), vam.Beam((COLUMNS, 2), 0.1), vam.Turntable(np.array([0.0, 1.0, 2.5])), None, "numpy"
     )
-    assert "even over a full turn" in against_gram(uneven)
+    assert "even over a full turn" in GramInverse.unsupported_reason(uneven)
     joseph = vam.Projection(
         vam.Grid((N, N, 2), 0.1), vam.Beam((COLUMNS, 2), 0.1, spread=0.0), vam.Turntable(8), None, "numpy",
         footprint="joseph",
     )  # fmt: skip
-    assert "joseph" in against_gram(joseph)
-    assert against_gram(projection("numpy")) == ""
+    assert "joseph" in GramInverse.unsupported_reason(joseph)
+    assert GramInverse.unsupported_reason(projection("numpy")) == ""

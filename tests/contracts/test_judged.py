@@ -11,7 +11,7 @@ from vamgpu.metrics import score
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import Parts
 from vamgpu.printing.bodies import judged_parts
-from vamgpu.targets.limits import Asked, Limits
+from vamgpu.targets.limits import BodyRequirement, Limits
 
 SHAPE = (21, 20, 7)
 GRID = vam.Grid(SHAPE, 0.1)
@@ -21,7 +21,7 @@ def test_nothing_is_judged_where_nobody_cares(device: Device) -> None:
     rng = np.random.default_rng(3)
     dose, fraction = rng.random(SHAPE).astype(np.float32), (rng.random(SHAPE) > 0.6).astype(np.float32)
     asked = np.where(rng.random(SHAPE) > 0.3, np.float32(1.0), np.float32(0.0))
-    limits = Limits(asked, np.ones(SHAPE), np.zeros(SHAPE, int), (Asked("part", "print"),))
+    limits = Limits(asked, np.ones(SHAPE), np.zeros(SHAPE, int), (BodyRequirement("part", "print"),))
     parts = judged_parts(device.upload(dose), device.upload(fraction), limits)
     found = score(parts.dose, parts.target, threshold=0.5)
     judged_ = (asked > 0) & GRID.cylinder()[:, :, None]

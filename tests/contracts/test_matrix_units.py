@@ -73,6 +73,7 @@ def launched(queue: Any, sources: Path, kernel: Kernel, given: dict[str, Any], f
     return found.transpose(1, 2, 0, 3).reshape(major, minor, -1)[..., :slices]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [0, 1])
 @pytest.mark.parametrize(("angles", "slices", "tf32"), [(5, 38, 0), (4, 70, 0), (4, 32, 1)])
 @pytest.mark.parametrize("kernel", [light_rings, gather_rings], ids=lambda kernel: kernel.name)

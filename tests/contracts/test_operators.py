@@ -138,7 +138,7 @@ def test_bad_input_is_named(device: Device) -> None:
         (vam.Grid, ((8, 8, 8), float("nan"))),
         (vam.Grid, ((8, 8, 8), -0.1)),
         (vam.Grid, ((8, 8), 0.1)),
-        (vam.Grid, ((8, 8, 8), "0.1 mm")),
+        (vam.Grid, ((8, 8, 8), "0.1 kg")),
         (vam.Grid, ((8, 8, 0), 0.1)),
         (vam.Beam, ((8, 8.5), 0.1)),
         (vam.Beam, ((8, 8), 0.0)),

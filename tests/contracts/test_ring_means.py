@@ -16,7 +16,7 @@ BOX = vam.Grid((40, 36, 6), 0.1)
 GEOMETRIES = {
     "the same slices": vam.PolarGrid(16, 6, 0.1, 30),
     "beyond the box": vam.PolarGrid(24, 4, 0.1, 30),
-    "other slices, several belts": vam.PolarGrid(16, 8, 0.13, 7),
+    "other slices, several bands": vam.PolarGrid(16, 8, 0.13, 7),
 }
 every_geometry = pytest.mark.parametrize("rings", GEOMETRIES.values(), ids=GEOMETRIES)
 

@@ -10,8 +10,8 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
-from vamgpu.operators.ring_projection import against_rings, direct
+from vamgpu.errors import BadInput, OutOfMemory
+from vamgpu.operators.ring_projection import direct, prefers_rings, unsupported_reason
 from vamgpu.operators.ring_splines import NEXT, OWN
 
 VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
@@ -48,6 +48,18 @@ def test_dose_and_projection_are_those_of_rays(vessel: Any) -> None:
     for got, wanted in (((R.T(light) * near), A.T(light) * near), (R(volume), A(volume))):
         off = np.abs(np.asarray(got) - np.asarray(wanted)) / np.asarray(wanted).max()
         assert off.max() <= 0.01 and np.sqrt((off**2).mean()) <= 0.001
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.75, 1.0])
+def test_rings_are_as_narrow_as_light_asks_for(ratio: float) -> None:
+    """Sharp columns of 0.33 to 0.67 voxels in the resin, whose light is finer than voxels are."""
+    grid = vam.Grid((40, 40, 2), 0.025)
+    beam = vam.Beam((2 * round(33 / ratio), 2), 0.025 * ratio, spread=0.0)
+    A = vam.Projection(grid, beam, vam.Turntable(48), VIAL, "numpy")
+    light = np.random.default_rng(0).random(A.range.shape) ** 4
+    wanted, inner = np.asarray(A.T(light)), np.hypot(*np.meshgrid(*grid.axes()[:2])) < 0.44
+    off = (np.asarray(vam.RingProjection.of(A).T(light)) - wanted)[inner] / wanted.max()
+    assert np.sqrt((off**2).mean()) <= 0.0028
 
 
 @pytest.mark.parametrize("radius", [0.77, 0.75, 0.6], ids=["a voxel beyond the grid", "at its rim", "inside it"])
@@ -95,7 +107,7 @@ def test_light_out_of_focus_is_that_of_rays(vessel: Any) -> None:
 def test_what_is_linear_is_met_everywhere_and_at_the_axis() -> None:
     R = vam.RingProjection(vam.Grid((12, 12, 2), 0.1), vam.Beam((12, 2), 0.1), vam.Turntable(24), device="numpy")
     rho, phi = R.rings.places
-    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * 24) for b in R.rings.belts])
+    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * 24) for b in R.rings.bands])
     coefficients = rho * np.cos(phi) / (OWN + 2.0 * NEXT * np.cos(2.0 * np.pi / samples))  # of a wave, along the angle
     across, along = R.grid.axes()[:2]
     entries, first = (R._to_voxels[name].numpy() for name in ("entries", "first"))
@@ -150,7 +162,7 @@ def test_what_rings_do_not_take_is_refused(given: dict[str, Any], said: str) -> 
 def test_why_an_operator_is_left_as_it_is() -> None:
     beam = vam.Beam((20, 4), 0.05, spread=0.0)
     A = vam.Projection(GRID, beam, TURN, device="numpy", footprint="joseph")
-    assert "footprint" in against_rings(A) and "Sum" in against_rings(A + A)
+    assert "footprint" in unsupported_reason(A) and "Sum" in unsupported_reason(A + A)
     with pytest.raises(BadInput, match="footprint"):
         vam.RingProjection.of(A)
 
@@ -186,3 +198,41 @@ def test_light_sought_on_too_few_rings_is_sought_on_enough() -> None:
     part = (np.hypot(*np.indices(few.grid.box.shape[:2]) - 7.5) < 4.0).astype(np.float32)
     plan: Any = vam.optimize(few, np.repeat(part[:, :, None], 2, axis=2), "osmo", iterations=1, progress=False)
     assert plan.operator.rings.rings >= 10 > few.grid.rings
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "prefers", "kind"),
+    [
+        ("auto", True, vam.RingProjection),
+        ("auto", False, vam.Projection),
+        ("rays", True, vam.Projection),
+        ("rings", False, vam.RingProjection),
+    ],
+)
+def test_projector_chooses_the_algorithm(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, prefers: bool, kind: type[Any]
+) -> None:
+    monkeypatch.setattr("vamgpu.operators.projector.prefers_rings", lambda _: prefers)
+    A = vam.projector(*GEOMETRIES["refracted and absorbed"], device="numpy", algorithm=algorithm)
+    assert type(A) is kind
+    assert (A.grid, A.beam, A.motion, A.vessel) == tuple(GEOMETRIES["refracted and absorbed"])
+
+
+def test_projector_without_memory_for_rings(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: Any, shape: tuple[int, ...]) -> Any:
+        raise OutOfMemory(f"no room for {shape}")
+
+    monkeypatch.setattr("vamgpu.backend.device.Device.room", full)
+    monkeypatch.setattr("vamgpu.operators.projector.prefers_rings", lambda _: True)
+    assert isinstance(vam.projector(*GEOMETRIES["refracted and absorbed"], device="numpy"), vam.Projection)
+    with pytest.raises(OutOfMemory, match="no room"):
+        vam.projector(*GEOMETRIES["refracted and absorbed"], device="numpy", algorithm="rings")
+
+
+def test_projector_refuses_what_no_algorithm_computes() -> None:
+    beam = vam.Beam((22, 6), 0.05)
+    with pytest.raises(BadInput, match="algorithm is 'fast'; expected one of auto, rays, rings"):
+        vam.projector(GRID, beam, TURN, algorithm="fast")  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match=r"(?s)rings do not take.*even over a full turn"):
+        vam.projector(GRID, beam, vam.Turntable([0.0, 0.1, 0.3]), device="numpy", algorithm="rings")
+    assert not prefers_rings(vam.Projection(GRID, beam, vam.Turntable([0.0, 0.1, 0.3]), device="numpy"))

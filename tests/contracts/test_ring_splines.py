@@ -23,7 +23,7 @@ def beside(values: np.ndarray, axis: int) -> np.ndarray:
 
 @pytest.mark.parametrize("vessel", [None, ASIDE], ids=["straight", "light that nothing mirrors"])
 @pytest.mark.parametrize("columns", [2, 10], ids=["columns as wide as rings", "fine columns"])
-@pytest.mark.parametrize("rings", [8, 32], ids=["one belt", "several belts"])
+@pytest.mark.parametrize("rings", [8, 32], ids=["one band", "several bands"])
 def test_coefficients_make_the_samples(rings: int, columns: int, vessel: Any) -> None:
     grid = PolarGrid(rings, 2, 0.8 / rings, 38)
     beam = vam.Beam((20 + columns * rings, 2), 1.8 / (20 + columns * rings))
@@ -33,19 +33,19 @@ def test_coefficients_make_the_samples(rings: int, columns: int, vessel: Any) ->
     light = np.random.default_rng(0).random(samples.range.shape)
     wanted, found = (np.asarray(each.T(light))[:, :, 0] for each in (samples, splines))
     assert splines.dot_test() <= 1e-7
-    last = grid.belts[-1]  # beyond which the last coefficient goes on
-    for belt in grid.belts:
-        own = slice(belt.cell, belt.cell + belt.samples * belt.rings)
-        dose, here = (x[:, own].reshape(-1, belt.rings) for x in (wanted, found))  # (angle, ring)
+    last = grid.bands[-1]  # beyond which the last coefficient goes on
+    for band in grid.bands:
+        own = slice(band.cell, band.cell + band.samples * band.rings)
+        dose, here = (x[:, own].reshape(-1, band.rings) for x in (wanted, found))  # (angle, ring)
         along = beside(here, 0)
         made = beside(along, 1)
-        if belt.begin == 0:  # across the axis, half a turn on
+        if band.begin == 0:  # across the axis, half a turn on
             made[:, 0] += NEXT * (np.roll(along[:, 0], len(along) // 2) - along[:, -1])
-        if belt is last:
+        if band is last:
             made[:, -1] += NEXT * along[:, -1]
             made[:, -1] -= NEXT * along[:, 0]
-        lit = (np.arange(belt.begin, belt.stop) + 1.5) * grid.pitch <= (np.inf if vessel is None else vessel.lit_radius)
-        lit[:: belt.rings - 1] &= (belt.begin == 0, belt is last)  # what is beside belongs to other belts
+        lit = (np.arange(band.begin, band.stop) + 1.5) * grid.pitch <= (np.inf if vessel is None else vessel.lit_radius)
+        lit[:: band.rings - 1] &= (band.begin == 0, band is last)  # what is beside belongs to other bands
         assert np.abs(made - dose)[:, lit].max(initial=0.0) <= 3e-4 * wanted.max()
 
 

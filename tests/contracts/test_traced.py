@@ -64,7 +64,7 @@ def reference(case: str) -> np.ndarray:
 
 def build(case: str, device: Device | str) -> TracedProjection:
     medium, beam, rays = CASES[case]
-    return TracedProjection(GRID, beam, vam.Turntable(3), medium, rays, device)
+    return TracedProjection(GRID, beam, vam.Turntable(3, lit_share=0), medium, rays, device)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -83,7 +83,9 @@ def test_the_dot_test_holds_at_real_size(fast_device: Device, deep: bool) -> Non
     grid = vam.Grid((n, n, slices), 9.6 / n)
     medium = CoRotatingMedium(blob(grid), 0.05, rod(grid), BATH)
     rays = RayBundle.parallel(vam.Beam((n, slices), grid.pitch), 0.1) if deep else None
-    A = TracedProjection(grid, vam.Beam((n, slices), grid.pitch), vam.Turntable(angles), medium, rays, fast_device)
+    A = TracedProjection(
+        grid, vam.Beam((n, slices), grid.pitch), vam.Turntable(angles, lit_share=0), medium, rays, fast_device
+    )
     assert (A.entries == 0) == deep
     assert max(A.dot_test(seed) for seed in range(4)) <= 2e-8
 
@@ -116,7 +118,7 @@ def lump(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 @cache
 def by_brute_force(n: int, turned_with: bool) -> list[np.ndarray]:
     """Line integrals of `lump` at 8 poses of ``n`` columns."""
-    return [brute_force(centers(n, 9.6 / n), angle, turned_with) for angle in vam.Turntable(8).poses]
+    return [brute_force(centers(n, 9.6 / n), angle, turned_with) for angle in vam.Turntable(8, lit_share=0).poses]
 
 
 def brute_force(r: np.ndarray, angle: float, turned_with: bool = True, step: float = 0.02) -> np.ndarray:
@@ -149,7 +151,7 @@ def brute_force(r: np.ndarray, angle: float, turned_with: bool = True, step: flo
 @cache
 def traced_lump(n: int, device: str) -> np.ndarray:
     grid = vam.Grid((n, n, 1), 9.6 / n)
-    geometry = grid, vam.Beam((n, 1), grid.pitch), vam.Turntable(8)
+    geometry = grid, vam.Beam((n, 1), grid.pitch), vam.Turntable(8, lit_share=0)
     A = TracedProjection(*geometry, CoRotatingMedium(blob(grid), bath=BATH), device=device)
     return A(lump(*mesh(grid))[..., None])[..., 0]
 
@@ -176,7 +178,7 @@ def test_a_blob_that_stays_in_the_laboratory_is_another_thing() -> None:
 def test_without_fields_it_is_the_plain_projection_to_the_discretization(device: Device) -> None:
     gaps = []
     for n in (32, 64):
-        geometry = vam.Grid((n, n, 2), 9.6 / n), vam.Beam((n, 2), 9.6 / n), vam.Turntable(10)
+        geometry = vam.Grid((n, n, 2), 9.6 / n), vam.Beam((n, 2), 9.6 / n), vam.Turntable(10, lit_share=0)
         volume = np.repeat(lump(*mesh(geometry[0]))[..., None], 2, axis=2)
         grid, beam, motion = geometry
         plain = vam.Projection(grid, replace(beam, spread=0), motion, device=device)(volume)
@@ -191,7 +193,7 @@ def test_a_disc_absorbs_as_beer_and_lambert_say(device: Device) -> None:
         x = centers(n * fine, 9.6 / (n * fine))
         inside = (x[:, None] ** 2 + x[None, :] ** 2 <= radius**2).astype(float)
         share = inside.reshape(n, fine, n, fine).mean(axis=(1, 3))
-        geometry = vam.Grid((n, n, 1), 9.6 / n), vam.Beam((n, 1), 9.6 / n), vam.Turntable(6)
+        geometry = vam.Grid((n, n, 1), 9.6 / n), vam.Beam((n, 1), 9.6 / n), vam.Turntable(6, lit_share=0)
         A = TracedProjection(*geometry, CoRotatingMedium(extinction=extinction * share), device=device)
         r = centers(n, 9.6 / n)
         wanted = -np.expm1(-2.0 * extinction * np.sqrt(np.maximum(radius**2 - r**2, 0.0)))
@@ -202,7 +204,7 @@ def test_a_disc_absorbs_as_beer_and_lambert_say(device: Device) -> None:
 
 def test_light_fades_with_depth(device: Device) -> None:
     n, pitch, extinction = 40, 0.1, 0.9
-    geometry = vam.Grid((n, n, 1), pitch), vam.Beam((n, 1), pitch), vam.Turntable(4)
+    geometry = vam.Grid((n, n, 1), pitch), vam.Beam((n, 1), pitch), vam.Turntable(4, lit_share=0)
     A = TracedProjection(*geometry, CoRotatingMedium(extinction=extinction), device=device)
     light = np.zeros(A.range.shape)
     light[0] = 1.0  # from +x
@@ -218,7 +220,7 @@ def test_an_insert_casts_a_full_shadow(device: Device, rise: float) -> None:
     grid, beam = vam.Grid((n, n, 5), pitch), vam.Beam((n, 5), pitch)
     stop = rod(grid, 1.6, 1.0, -1.0)
     rays = RayBundle.parallel(beam, rise)
-    A = TracedProjection(grid, beam, vam.Turntable(4), CoRotatingMedium(opaque=stop), rays, device)
+    A = TracedProjection(grid, beam, vam.Turntable(4, lit_share=0), CoRotatingMedium(opaque=stop), rays, device)
     light = np.zeros(A.range.shape)
     light[0] = 1.0  # from +x
     dose = A.T(light)[:, :, 2]
@@ -235,7 +237,7 @@ def test_no_light_leaks_through_a_slanted_wall() -> None:
     n = 33
     grid, beam = vam.Grid((n, n, 1), 0.1), vam.Beam((n, 1), 0.1)
     wall = np.eye(n, dtype=bool)  # voxels that touch by their edges only
-    A = TracedProjection(grid, beam, vam.Turntable(360), CoRotatingMedium(opaque=wall), device="numpy")
+    A = TracedProjection(grid, beam, vam.Turntable(360, lit_share=0), CoRotatingMedium(opaque=wall), device="numpy")
     light = np.zeros(A.range.shape)
     light[90:91] = 1.0  # from +y
     dose = A.T(light)[..., 0]
@@ -244,7 +246,7 @@ def test_no_light_leaks_through_a_slanted_wall() -> None:
 
 
 def test_lights_of_one_path_agree_however_they_are_traced(device: Device) -> None:
-    grid, beam, motion = vam.Grid((16, 15, 8), 0.6), vam.Beam((17, 8), 0.6), vam.Turntable(3)
+    grid, beam, motion = vam.Grid((16, 15, 8), 0.6), vam.Beam((17, 8), 0.6), vam.Turntable(3, lit_share=0)
     index = blob(grid)
     level = TracedProjection(grid, beam, motion, CoRotatingMedium(index, 0.2, bath=BATH), device=device)
     tall = np.repeat(index[..., None], 8, axis=2)
@@ -262,7 +264,9 @@ def test_an_upright_lens_bends_light_upright(device: Device) -> None:
     grid, beam = vam.Grid((n, n, n), pitch), vam.Beam((n, n), pitch)
     height = grid.axes()[2]
     index = np.broadcast_to(BATH * np.exp(-gradient * height), grid.shape)
-    A = TracedProjection(grid, beam, vam.Turntable(1), CoRotatingMedium(np.array(index), bath=BATH), device=device)
+    A = TracedProjection(
+        grid, beam, vam.Turntable(1, lit_share=0), CoRotatingMedium(np.array(index), bath=BATH), device=device
+    )
     light = np.zeros(A.range.shape)
     light[0, n // 2, n // 2] = 1.0  # enters at +x
     dose = A.T(light)[3:6].sum(axis=(0, 1))
@@ -274,7 +278,7 @@ def test_an_upright_lens_bends_light_upright(device: Device) -> None:
 # ---- overprinting --------------------------------------------------------------------------------------------------
 def test_knowing_the_insert_prints_better_around_it() -> None:
     n, device = 48, vam.open_device()
-    grid, beam, motion = vam.Grid((n, n, 1), 9.6 / n), vam.Beam((n, 1), 9.6 / n), vam.Turntable(90)
+    grid, beam, motion = vam.Grid((n, n, 1), 9.6 / n), vam.Beam((n, 1), 9.6 / n), vam.Turntable(90, lit_share=0)
     steel = rod(grid, 1.0, 0.6, 0.3)
     x, y = mesh(grid)
     ring = ((x**2 + y**2 <= 3.2**2) & (x**2 + y**2 >= 2.0**2)).astype(np.float32)[..., None]
@@ -294,7 +298,7 @@ def test_knowing_the_insert_prints_better_around_it() -> None:
 
 # ---- bad input -----------------------------------------------------------------------------------------------------
 def test_fields_that_do_not_fit_are_named() -> None:
-    motion = vam.Turntable(3)
+    motion = vam.Turntable(3, lit_share=0)
     with pytest.raises(ShapeMismatch, match=r"index has shape \(4, 4\); expected \(5, 4\)"):
         TracedProjection(GRID, BEAM, motion, CoRotatingMedium(index=np.full((4, 4), 1.5)), device="numpy")
     with pytest.raises(BadInput, match=r"index falls to 0\.9"):
@@ -318,7 +322,9 @@ def test_fields_that_do_not_fit_are_named() -> None:
 
 
 def test_no_light_passes_where_all_is_opaque(device: Device) -> None:
-    A = TracedProjection(GRID, BEAM, vam.Turntable(2), CoRotatingMedium(opaque=np.ones(FLAT, bool)), device=device)
+    A = TracedProjection(
+        GRID, BEAM, vam.Turntable(2, lit_share=0), CoRotatingMedium(opaque=np.ones(FLAT, bool)), device=device
+    )
     assert not A(np.ones(A.domain.shape)).any() and not A.T(np.ones(A.range.shape)).any()
 
 
@@ -326,4 +332,4 @@ def test_no_light_passes_where_all_is_opaque(device: Device) -> None:
 def test_a_ray_that_does_not_leave_is_named(device: Device, rise: float) -> None:
     with pytest.raises(BadInput, match=r"rays have not left after 7 steps of 0\.5 voxels .* column \d, row \d at 0°"):
         rays = RayBundle.parallel(BEAM, rise)
-        TracedProjection(GRID, BEAM, vam.Turntable(2), rays=rays, device=device, most_steps=7)
+        TracedProjection(GRID, BEAM, vam.Turntable(2, lit_share=0), rays=rays, device=device, most_steps=7)

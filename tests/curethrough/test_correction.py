@@ -14,9 +14,9 @@ from vamgpu.curethrough.constraints import build_up, die_down, highest_dose
 from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.dose import column_dose, column_doses
 from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
-from vamgpu.curethrough.features import column_features, survey
+from vamgpu.curethrough.features import column_features
 from vamgpu.curethrough.layers import LayerPrinter
-from vamgpu.curethrough.leastsquares import least_squares
+from vamgpu.curethrough.leastsquares import heights, least_squares
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel
 from vamgpu.errors import BadInput
@@ -165,26 +165,16 @@ def test_least_squares_is_equal_where_feasible_and_better_elsewhere() -> None:
         lowest = 1 if n % 2 else 3
         features = [(int(rng.integers(3, 30)), int(rng.integers(lowest, 4))) for _ in range(4)]
         columns.append(np.resize(np.append(column(features, 3), np.zeros(200, np.uint8)), 150))
-    result = least_squares(Correction(PRINTER), np.stack(columns, axis=1))
-    fine = result.feasible
+    part, correction = np.stack(columns, axis=1), Correction(PRINTER)
+    levels, corrector = least_squares(correction, part), Corrector(correction, part[:, None].shape, "numpy")
+    plain = np.concatenate([block.levels[:, 0].copy() for block in corrector.run(part[:, None])][::-1])
+    fine = (corrector.missed + corrector.closed)[0] == 0
     assert fine.any() and (~fine).any()
-    assert (result.levels[:, fine] == result.sequential[:, fine]).all()
-    before, after = result.sequential_over + result.sequential_under, result.over + result.under
+    assert (levels[:, fine] == plain[:, fine]).all()
+    wanted = np.concatenate([part, np.zeros((len(levels) - len(part), part.shape[1]), np.uint8)])
+    before, after = (np.add(*heights(PRINTER, shown, wanted)) for shown in (plain, levels))
     assert (after <= before).all()
     assert after[~fine].sum() < 0.95 * before[~fine].sum()
-
-
-def test_survey_counts_features() -> None:
-    rng = np.random.default_rng(5)
-    stack = np.repeat(rng.random((12, 4, 5)) < 0.5, 6, axis=0).astype(np.uint8) * 255
-    found = {(f.upper, f.lower, f.void, f.last): f.pixels for f in survey(stack)}
-    wanted: dict[tuple[int, int, int, bool], int] = {}
-    for y in range(4):
-        for x in range(5):
-            for f in column_features(stack[:, y, x]):
-                key = (f.upper, f.lower, f.void, f.last)
-                wanted[key] = wanted.get(key, 0) + 1
-    assert found == wanted
 
 
 @pytest.mark.parametrize(("make", "told"), [

@@ -11,6 +11,7 @@ from vamgpu.curethrough.dose import Judge, RunningDose, blocks, closed_sum, colu
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.kernels.curethrough import add
 from vamgpu.units import mJ_cm3, mW_cm2, um
 
 HOUR = 3600.0
@@ -34,6 +35,28 @@ def test_streamed_doses_are_the_closed_sum(device: Device, eta: float) -> None:
     for n in (0, 1, 31, 32, 70, len(stack) - 1):
         wanted = closed_sum(one, stack, n)
         assert np.abs(found[n] - wanted).max() <= 1e-5 * wanted.max()
+
+
+def test_sums_over_thousands_of_thin_slices_keep_what_they_round_off(device: Device) -> None:
+    """Within four roundings of float32: of light, decay and two sums; sums that forget theirs come to 16 to 30."""
+    one, levels = printer(2e-4), np.array([255, 200, 128, 77, 1], np.uint8)
+    stack = np.broadcast_to(np.resize(levels, (1, 71)), (3000, 1, 71))
+    wanted, most = column_doses(one, stack), 4 * 2.0**-24
+    for start, block in doses(one, stack, device):
+        np.testing.assert_allclose(block, wanted[start : start + len(block)], rtol=most)
+    judge = Judge(one, (1, 71), device)
+    for start, stop in blocks(len(stack)):
+        judge.step(stack[start:stop], stack[start:stop])
+    np.testing.assert_allclose(judge.state.numpy()[0], wanted[0], rtol=most)
+
+
+def test_the_definition_keeps_what_float32_rounds_off() -> None:
+    """The reference device computes in float64, where a sum that forgets its rounding would show nowhere."""
+    change, state = np.full(1, 0.1, np.float32), np.zeros((2, 1), np.float32)
+    for _ in range(10_000):
+        add(state, change)
+    assert state.dtype == np.float32
+    assert state[0] == np.float32(10_000 * float(change[0]))
 
 
 @pytest.mark.parametrize("width", [64, 71, 144])

@@ -8,7 +8,7 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.dose import Judge, blocks, column_dose, column_doses
-from vamgpu.curethrough.layers import LayerPrinter, exposure_of_layer
+from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.printer import levels_of
 from vamgpu.errors import BadInput
 from vamgpu.units import mJ_cm3, mW_cm2, um
@@ -18,7 +18,7 @@ CRITICAL = 576 * mJ_cm3
 
 def printer(dark: float = 1.7, exposure: float = 1.02) -> LayerPrinter:
     full = 100 * mW_cm2
-    needed = exposure_of_layer(0.11, CRITICAL, 0.05, full)
+    needed = CRITICAL * 0.11 * 10.0 ** (0.05 / 0.11) / (full * np.log(10.0))  # S53
     return LayerPrinter(0.11, CRITICAL, 0.05, exposure * needed, levels_of(full, dark * mW_cm2))
 
 
@@ -30,12 +30,12 @@ def part() -> np.ndarray:
 
 def test_dose_falls_along_a_sawtooth() -> None:
     one = printer()
-    assert one.heterogeneity == pytest.approx(2.848, abs=5e-4)
+    assert 10.0**one.eta == pytest.approx(2.848, abs=5e-4)  # S55, greatest over least dose of a layer
     column = part()[:, 0, 0]
     low, high = column_dose(one, column, [30 + 1e-9, 30])
     assert high / low == pytest.approx(1.0 + one.phi[-1] / low, rel=1e-6)
     top, far = column_dose(one, column, [30, 29 + 1e-9])
-    assert top / far == pytest.approx(one.heterogeneity, rel=1e-6)
+    assert top / far == pytest.approx(10.0**one.eta, rel=1e-6)
 
 
 def test_every_layer_gets_its_dose_and_no_more(device: Device) -> None:

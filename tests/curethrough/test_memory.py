@@ -11,9 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vamgpu.backend import open_device
 from vamgpu.curethrough.buffers import SliceBuffers
+from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.images import encode
+from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.stack import open_stack
+from vamgpu.kernels.curethrough import BITS
 
 LIMITED = """
 import json, resource, sys
@@ -35,6 +39,42 @@ status = open("/proc/self/status").read()  # getrusage would count what the pare
 resident = int(status.split("VmHWM:")[1].split()[0]) * 1024
 print(json.dumps([bites, stack.shape, found.ratio, resident]))
 """
+
+
+class Repeating:
+    """Slices of the paper's size, made as they are read: a post of 30 slices above every 66 of void, in a frame."""
+
+    shape = (3000, 800, 1280)
+    period = 3 * BITS
+
+    def __init__(self) -> None:
+        self._slices = np.zeros((self.period, *self.shape[1:]), np.uint8)
+        self._slices[:, :20] = 255
+        self._slices[10:40, 100:700, 200:1000] = 255
+
+    def __getitem__(self, key: slice) -> np.ndarray:
+        start, stop, _ = key.indices(self.shape[0])
+        first = start % self.period
+        return self._slices[first : first + stop - start]
+
+
+def test_thousands_of_slices_of_the_papers_size_are_corrected_in_the_memory_of_a_few() -> None:
+    """3000 × 800 × 1280: each pixel as alone, and on the device a thirtieth of the stack, however many slices."""
+    device, stack = open_device(), Repeating()
+    correction = Correction(Printer(2.0, 0.576, 0.05, 1000 / 3600, levels_of(1.0, 0.01)))
+    rows, columns = [0, 19, 20, 100, 400, 799], [0, 199, 200, 640, 999, 1279]
+    column = np.concatenate([stack[n : n + BITS][:, rows, columns] for n in range(0, stack.shape[0], BITS)])
+    wanted = correct(correction, column[: stack.shape[0], None], device)
+    before = device.ledger.allocated
+    device.ledger.reset_peak()
+    corrector, blocks = Corrector(correction, stack.shape, device), 0
+    for block in corrector.run(stack):
+        if blocks % 8 == 0:
+            shown = block.levels[:, rows, columns]
+            np.testing.assert_array_equal(shown, wanted[block.start : block.start + len(shown), 0])
+        blocks += 1
+    assert blocks == -(-corrector.slices // BITS) and wanted.any()
+    assert (device.ledger.peak - before) < np.prod(stack.shape) / 30
 
 
 @pytest.mark.slow

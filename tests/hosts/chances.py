@@ -97,11 +97,11 @@ def levels_of(planned: PrintPlan) -> np.ndarray:
     return source.levels(np.arange(planned.schedule.frames)).astype(float) / 255
 
 
-def light_of(planned: PrintPlan, chamber: Any) -> np.ndarray:
+def light_of(planned: PrintPlan, recorder: Any) -> np.ndarray:
     """Light of each frame that fell while the motion was in its pose, from mirrors [ns], (frames,)."""
     levels, count = levels_of(planned), planned.schedule.frames
     planes = max(1, len(planned.jobs[0].depths))
-    light = chamber.seconds(0, count // planes, turn=count if planned.kind == "vial" else None)
+    light = recorder.seconds(0, count // planes, turn=count if planned.kind == "vial" else None)
     down, across = planned.mirrors[0].place(*levels.shape[1:])
     light = light.transpose(1, 0, 2, 3).reshape(count, *light.shape[2:])[:, down, across]
     return light.sum(axis=(1, 2)) / levels.sum(axis=(1, 2)) * 1e9
@@ -118,7 +118,7 @@ class RigStand:
         self.name, self.run = name, place / "run"
         job = web(place / "job.vam", poses=24) if name == "roll_bench" else vial(place / "job.vam", images=60)
         speed = 0.8 if name == "roll_bench" else None
-        self.planned: PrintPlan = plan(job, read_rig(RIGS / f"{name}.toml"), rehearsed=True, speed=speed)
+        self.planned: PrintPlan = plan(job, read_rig(RIGS / f"{name}.toml"), rehearsed=True, speed=speed, turns=1)
         self.stand: Rehearsal = rehearsal(self.planned)
         self.emulated: Any = self.stand.emulated
         self.clock = self.emulated.clock
@@ -134,7 +134,7 @@ class RigStand:
         if self.planned.display is not None:
             self._look_at_the_screen()
         else:
-            self.emulated.chamber.hears.append(lambda _, begin, stop: setattr(self, "last", stop))
+            self.emulated.recorder.listeners.append(lambda _, begin, stop: setattr(self, "last", stop))
 
     def _look_at_the_screen(self) -> None:
         levels = np.rint(levels_of(self.planned) * 255).astype(np.uint8)
@@ -146,7 +146,7 @@ class RigStand:
             integrate(slot)
             if slot.levels.any():
                 number = frames[np.ascontiguousarray(slot.levels[down, across]).tobytes()]
-                where = self.emulated.chamber._position((slot.start + slot.end) // 2)
+                where = self.emulated.recorder._position((slot.start + slot.end) // 2)
                 self.seen.append((number, where, slot.end - slot.start))
                 self.last = slot.end
 
@@ -186,7 +186,7 @@ class RigStand:
         for pause in (0, SECOND) if at_once else (SECOND,):
             self.clock.sleep(pause)
             for alp in alps:
-                alp.forsake()
+                alp.disconnect()
 
     def shines(self) -> bool:
         """Whether light falls within the next second."""
@@ -202,7 +202,8 @@ class RigStand:
             for number, _, took in self.seen:
                 found[number] += took
             return found
-        return light_of(self.planned, self.emulated.chamber)
+        drive = self.planned.rig.setup.light.power if self.planned.rig.setup.light.gate == "controller" else 1.0
+        return light_of(self.planned, self.emulated.recorder) / drive
 
     def told(self) -> tuple[RunRecord, LightAccount]:
         """The record, and its account of the light."""

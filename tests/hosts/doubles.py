@@ -10,7 +10,7 @@ import numpy as np
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.upload import UploadQueue
-from vamgpu.hosts.players import triggered
+from vamgpu.hosts.players import mirrors
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.run import Print
@@ -84,7 +84,7 @@ class Scene:
 
     def seconds(self, engine: int = 0, turn: int | None = None) -> np.ndarray:
         count = turn or len(self.schedule)
-        return self.emulated.chamber.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
+        return self.emulated.recorder.seconds(engine, count, turn)[:, :, 0, 0].sum(axis=0)
 
     def read(self) -> RunRecord:
         self.print.folder.close()
@@ -106,4 +106,4 @@ def late(monkeypatch: pytest.MonkeyPatch, *feeds: set[int]) -> None:
             slots = dict(enumerate(feeds)).get(begun.index(self), set())
             return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
 
-    monkeypatch.setattr(triggered, "UploadQueue", Late)
+    monkeypatch.setattr(mirrors, "UploadQueue", Late)

@@ -23,7 +23,7 @@ from vamgpu.hosts.safety.interlock import Budget, Lease, OverDose
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming, powers
 from vamgpu.hosts.schedules.moving import sla, turned, web
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, exact, nanoseconds, whole
-from vamgpu.hosts.schedules.video import slots_per_image, vial
+from vamgpu.hosts.schedules.video import vial
 from vamgpu.hosts.state import Board
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
@@ -54,8 +54,7 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         (web, WEB, "first", (0.5, None, -1, "0", float("inf"))), (web, WEB, "lens", ("lens", 1)),
         (web, WEB, "focus", (None, (1, None), ("a", "b"), (float("nan"), 1.0), 3.0)), (web, WEB, "advance", NUMBERS),
         (turned, TURNED, "turns", COUNTED), (vial, VIAL, "turns", COUNTED), (web, WEB, "poses", (10**14,)),
-        (vial, VIAL, "display", (None, MIRRORS)), (slots_per_image, VIAL, "display", (None,)),
-        (slots_per_image, VIAL, "images", COUNTED),
+        (vial, VIAL, "display", (None, MIRRORS)),
         (LensTiming, {}, "settle", (None, "1", -1, [1, 2], [None], [[None]], [], float("inf"), HUGE, 1e9)),
         (LensTiming, {}, "frame_bytes", COUNTED), (LensTiming, {}, "baud", COUNTED),
         (LensTiming, {}, "latency", NUMBERS),
@@ -123,13 +122,13 @@ def test_plans_want_a_rig_and_paths(job: Path) -> None:
     rig = read_rig("emulated")
     for other in (None, "lab.toml", rig.setup):
         with pytest.raises(BadInput, match="expected what read_rig gives"):
-            plan(job, other)  # type: ignore[arg-type]
+            plan(job, other, turns=1)  # type: ignore[arg-type]
     for jobs in (None, 7, (job, None), [b"part"]):
         with pytest.raises(BadInput, match="expected"):
-            plan(jobs, rig)  # type: ignore[arg-type]
+            plan(jobs, rig, turns=1)  # type: ignore[arg-type]
     for speed in (float("nan"), True, [1], HUGE, 1e308, 1e-308):
         with pytest.raises(BadInput):
-            plan(job, rig, speed=speed)  # type: ignore[arg-type]
+            plan(job, rig, speed=speed, turns=1)  # type: ignore[arg-type]
     for turns in (None, 0, 1.5, "1"):
         with pytest.raises(BadInput, match="turns"):
             plan(job, rig, turns=turns)  # type: ignore[arg-type]
@@ -146,7 +145,7 @@ def test_rigs_want_a_path(tmp_path: Path) -> None:
 
 
 def test_machines_are_checked_for_their_number_and_their_time(job: Path) -> None:
-    planned = plan((job, job), read_rig("emulated"))
+    planned = plan((job, job), read_rig("emulated"), turns=1)
     machines = rehearsal(planned).machines
     for seconds in (None, "1", float("inf"), 0, -1):
         with pytest.raises(BadInput, match="seconds"):
@@ -158,7 +157,7 @@ def test_machines_are_checked_for_their_number_and_their_time(job: Path) -> None
 
 
 def test_a_look_at_the_wires_wants_something_to_look_at(job: Path) -> None:
-    planned = plan(job, read_rig("emulated"))
+    planned = plan(job, read_rig("emulated"), turns=1)
     with pytest.raises(BadInput, match="got 0 mirrors"):
         judged(planned.schedule, [], VirtualClock())
     for seconds in (None, "1", float("inf")):

@@ -37,7 +37,7 @@ class Attended:
     def __init__(self, folder: Path) -> None:
         images = np.random.default_rng(4).integers(0, 256, (36, 6, 10), dtype=np.uint8)
         frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-        planned = plan(save_frames(folder / "part.vam", frames).path, read_rig("emulated"), speed=120)
+        planned = plan(save_frames(folder / "part.vam", frames).path, read_rig("emulated"), speed=120, turns=1)
         self.board, self.path = Board(), folder / "run"
         stand = rehearsal(planned)
         self.emulated, self.player = stand.emulated, player(planned, stand.machines)

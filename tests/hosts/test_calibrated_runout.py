@@ -12,10 +12,11 @@ import pytest
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.calibrating import runout as runout_run
-from vamgpu.hosts.calibrating.opening import rehearsal
-from vamgpu.hosts.calibrating.store import calibration_of, keep
+from vamgpu.hosts.calibrating.connect import rehearsal
+from vamgpu.hosts.calibrating.report import keep
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rig import plan
+from vamgpu.hosts.rigs.calibrations import calibration_of
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, read_rig
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
@@ -70,9 +71,9 @@ def test_a_print_follows_the_vial(tmp_path: Path, flip_r: bool, flip_z: bool) ->
     frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=columns)
     frames = replace(frames, settings=replace(frames.settings, flip_r=flip_r, flip_z=flip_z))
     job, rig = save_frames(tmp_path / "rod.vam", frames).path, rig_at(tmp_path)
-    before = rods(plan(job, rig).sources()[0].levels(np.arange(8)).astype(float))  # type: ignore[attr-defined]
+    before = rods(plan(job, rig, turns=1).sources()[0].levels(np.arange(8)).astype(float))  # type: ignore[attr-defined]
     measured(rig)
-    planned = plan(job, rig)
+    planned = plan(job, rig, turns=1)
     after = rods(planned.sources()[0].levels(np.arange(8)).astype(float))  # type: ignore[attr-defined]
     angle = 2.0 * np.pi * np.arange(8) / 8
     wave = np.stack([np.cos(angle), np.sin(angle)])
@@ -101,7 +102,7 @@ def test_no_pin_or_too_few_poses_are_told(tmp_path: Path) -> None:
     rig = rig_at(tmp_path)
     for truth, poses, why in (
         (replace(TRUTH, pin=0.0), 8, "angle .*put a pin on the turntable"),
-        (TRUTH, 7, "8 poses or more"),
+        (TRUTH, 7, "8 angles or more"),
         (replace(TRUTH, electrons=0.0), 8, "sees 0 of 24 lit columns"),
     ):
         machines, _ = rehearsal(rig, runout_run.TABLES, truth)
@@ -119,7 +120,7 @@ def test_no_pin_or_too_few_poses_are_told(tmp_path: Path) -> None:
 
 def test_the_command_measures_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "runout"
-    assert main(["calibrate", "runout", "--rig", "emulated", "--out", str(out), "--poses", "8", "--repeats", "1"]) == 0
+    assert main(["calibrate", "runout", "--rig", "emulated", "--out", str(out), "--angles", "8", "--repeats", "1"]) == 0
     assert "eccentricity" in capsys.readouterr().out
     result = tomllib.loads((out / "result.toml").read_text())
     assert result["emulated"]["column"] == pytest.approx(result["measured"]["column"], abs=0.1)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tcp_server import TcpServer
 
 from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError
@@ -17,8 +18,8 @@ from vamgpu.hosts.calibrating import axis as axis_run
 from vamgpu.hosts.calibrating import focus as focus_run
 from vamgpu.hosts.calibrating import gray as gray_run
 from vamgpu.hosts.calibrating import mtf as mtf_run
+from vamgpu.hosts.calibrating.connect import opened, rehearsal
 from vamgpu.hosts.calibrating.machines import CalibrationMachines
-from vamgpu.hosts.calibrating.opening import opened, rehearsal
 from vamgpu.hosts.calibrating.report import CalibrationResult, focused_at, read, save
 from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel, Stored
@@ -27,7 +28,7 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
+from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen

@@ -1,17 +1,15 @@
-"""Cameras: through a maker's producer, and from files."""
+"""Cameras through a maker's producer."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.camera import CameraDriver, FilePlayer, GenicamCamera
+from vamgpu.errors import DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.camera import CameraDriver, GenicamCamera
 from vamgpu.hosts.emulators.camera import EmulatedCamera
 from vamgpu.hosts.emulators.clock import VirtualClock
 
@@ -126,17 +124,5 @@ def test_the_genicam_cameras_settings_are_read_back() -> None:
         assert refusing.log[-2:] == ["destroy", "reset"] and "start" not in refusing.log
 
 
-def test_the_file_player_counts_as_people_do(tmp_path: Path) -> None:
-    for number in (1, 2, 10):
-        Image.fromarray(np.full((2, 3), number, np.uint8)).save(tmp_path / f"shot{number}.png")
-    (tmp_path / "notes.txt").write_text("not an image")
-    player = FilePlayer(tmp_path)
-    assert isinstance(player, CameraDriver)
-    assert [int(player.grab()[0, 0]) for _ in range(3)] == [1, 2, 10]
-    with pytest.raises(DeviceError, match="all 3"):
-        player.grab()
-    again = FilePlayer(tmp_path, loop=True)
-    assert [int(again.grab()[0, 0]) for _ in range(4)] == [1, 2, 10, 1]
-    with pytest.raises(DeviceNotFound):
-        FilePlayer(tmp_path / "none")
+def test_the_emulated_camera_is_a_camera() -> None:
     assert isinstance(EmulatedCamera(VirtualClock(), lambda now: np.zeros((2, 2))), CameraDriver)

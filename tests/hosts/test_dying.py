@@ -84,7 +84,7 @@ class Mortal:
         self._life.mortal(folder, "_put")
         left.take_up(folder, self._schedule, player.clock.now())
         job = Print(player, folder)
-        job.recall(read_run(self._path).shown, left.pause)
+        job.restore(read_run(self._path).shown, left.pause)
         return job, left.first
 
 
@@ -103,15 +103,15 @@ def lived(
         if Mortal(emulated, path, schedule, Life(*(deaths[-1] if left else ()))).prints():
             return deaths
         if at_once:
-            forsake(emulated)
+            disconnect(emulated)
         emulated.clock.sleep(SECOND)
-        forsake(emulated)
+        disconnect(emulated)
     raise AssertionError("the last host lives")
 
 
-def forsake(emulated: EmulatedMirrorRig) -> None:
+def disconnect(emulated: EmulatedMirrorRig) -> None:
     for alp in emulated.alps:
-        alp.forsake()
+        alp.disconnect()
 
 
 @pytest.mark.parametrize("at_once", [False, True], ids=["by the lease", "mirrors at once"])
@@ -133,7 +133,7 @@ def test_every_slot_is_lit_once(
     unseen = {slot for event in told for slot in range(event["first"], event["stop"])}
     for engine in range(schedule.engines):
         turn = SLOTS if schedule.unit == "deg" else None
-        lit = emulated.chamber.seconds(engine, SLOTS, turn)[:, :, 0, 0].sum(axis=0) / (schedule.on[0] * 1e-9)
+        lit = emulated.recorder.seconds(engine, SLOTS, turn)[:, :, 0, 0].sum(axis=0) / (schedule.on[0] * 1e-9)
         assert lit.max() < 1.004, (deaths, lit)
         if deaths:
             short = set(np.flatnonzero(lit < 0.99).tolist())

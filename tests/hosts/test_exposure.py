@@ -265,7 +265,7 @@ def test_what_cannot_be_watched_is_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"no \[\[feedback\]\] with driver = .camera."):
         planned(job, bare)
     with pytest.raises(BadInput, match="threshold of scatter"):
-        stopping(plan(job, RIGS["mirrors"]), 0.0)
+        stopping(plan(job, RIGS["mirrors"], turns=1), 0.0)
     images = np.zeros((36, 6, 10), np.uint8)
     frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
     with pytest.raises(StorageError, match="does not hold its part"):

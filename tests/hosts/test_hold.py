@@ -112,7 +112,7 @@ def test_what_passes_holds_a_print_and_it_goes_on(run: Path, kind: str, fault: s
     assert scene.print.run() is PrintState.INCOMPLETE
     found = judged(scene)
     assert 1 <= found.facts()["short"] <= (4 if fault == "line" else 1)
-    assert f"of {SLOTS} views" in scene.read().message
+    assert f"of {SLOTS} frames" in scene.read().message
 
 
 def test_a_door_that_is_still_open_holds_it_again(run: Path) -> None:
@@ -133,7 +133,7 @@ def test_resin_that_waited_too_long_ends_a_held_print(run: Path) -> None:
         scene.print.run()
     sleep(scene, 31)
     close_door(scene)
-    with pytest.raises(VamError, match="forgotten"):
+    with pytest.raises(VamError, match="decayed"):
         scene.print.run()
     assert scene.read().state is PrintState.ERROR
 

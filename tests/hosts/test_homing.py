@@ -30,9 +30,9 @@ def marked(run: Path, schedule: Schedule) -> Scene:
     scene.machines.controller.feedback(index=Index(SLOTS * float(schedule.advance), 0.5 * float(schedule.advance)))
     web = scene.emulated.controller.web
     lost = lambda now: senses.shaft(0) + web.position(now)  # noqa: E731
-    scene.emulated.chamber._position = lambda now: (lost(now) - 500) / STEPS
+    scene.emulated.recorder._position = lambda now: (lost(now) - 500) / STEPS
     if schedule.unit == "deg":
-        scene.emulated.chamber.first = 0.0
+        scene.emulated.recorder.first = 0.0
     return scene
 
 
@@ -79,7 +79,7 @@ def test_a_rig_with_an_index_is_rehearsed_with_it(tmp_path: Path) -> None:
         '[rig]\nname = "lab"\nmachine = "vial"\n[controller]\nport = "/dev/x"\n[motion]\ndriver = "controller"\n'
         'microsteps = 80.0\n[display]\ndriver = "alp"\nlibrary = "x.so"\n[[feedback]]\ndriver = "index"\n'
     )
-    planned = plan(vial(tmp_path / "job.vam"), rig, rehearsed=True)
+    planned = plan(vial(tmp_path / "job.vam"), rig, rehearsed=True, turns=1)
     stand = rehearsal(planned)
     assert carry_out(planned, stand.machines, tmp_path / "run")[0] is PrintState.COMPLETE
     senses = stand.emulated.controller.senses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tcp_server import TcpServer
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.lens import LensDriver
@@ -10,7 +11,7 @@ from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
-from vamgpu.hosts.emulators.servers import PtyServer, TcpServer
+from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.protocols import optotune as ld4
 
 MILLI = 1_000_000
@@ -27,11 +28,8 @@ def test_the_lens_over_a_terminal_and_a_socket(server_of: type[PtyServer] | type
         assert driver.version == "1.9.1000.7" and driver.full_current_ma == 292.84
         found = driver.focal_power_mode(20, 45)
         assert (found.status, found.least, found.greatest) == (0, -1.5, 3.5)
-        with driver.streaming():
-            for diopters in (0.0, 1.0, 2.0):
-                driver.set_power(diopters)
-            with pytest.raises(DeviceError, match="streams"):
-                driver.temperature()
+        for diopters in (0.0, 1.0, 2.0):
+            driver.set_power(diopters)
         assert driver.power() == 2.0 and driver.temperature() == 30.0 and driver.status() == ()
         assert lens.handshakes == 1 and lens.settings == 3
 
@@ -58,11 +56,6 @@ def test_faults_on_the_lens_line() -> None:
     port = plug(lens, clock, 0.1, faults=faults)
     driver = LensDriver(Wire(port, "the lens driver"))
     driver.focal_power_mode()
-    sent = faults._count["in"]
-    faults.flip_in = frozenset({sent + 5})
-    with pytest.raises(DeviceRefused, match="check sum"), driver.streaming():
-        driver.set_power(1.0)
-        clock.sleep(100 * MILLI)
     faults.drop_out = frozenset({faults._count["out"] + 3})
     with pytest.raises(ProtocolError, match="8 of the 9 bytes"):
         driver.temperature()
@@ -73,20 +66,6 @@ def test_faults_on_the_lens_line() -> None:
     port.unplug()
     with pytest.raises(DeviceLost, match="gone"):
         driver.set_power(1.0)
-
-
-@pytest.mark.parametrize(("legacy", "code"), [(False, "E1"), (True, "N")])
-def test_a_setting_that_was_damaged_is_told_when_the_stream_ends(legacy: bool, code: str) -> None:
-    clock, faults = VirtualClock(), Faults()
-    lens = EmulatedLens(legacy=legacy)
-    driver = LensDriver(_wire(lens, clock, faults))
-    driver.focal_power_mode()
-    faults.flip_in = frozenset({faults._count["in"] + 14})
-    with pytest.raises(DeviceRefused) as refused, driver.streaming():
-        for diopters in (0.0, 1.0, 2.0):
-            driver.set_power(diopters)
-            clock.sleep(50 * MILLI)
-    assert refused.value.code == code and lens.settings == 2 and driver.power() == 2.0
 
 
 def test_the_lens_settles_on_the_virtual_clock() -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from emulated_lightcrafter import EmulatedLightCrafter, parse_command
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError
-from vamgpu.hosts.drivers.lamp import Lamp
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
-from vamgpu.hosts.emulators.lightcrafter import EmulatedLightCrafter
 from vamgpu.hosts.protocols import dlpc350
 
 
@@ -16,7 +15,7 @@ def test_a_command_to_the_byte() -> None:
     assert raw[:14] == bytes.fromhex("40 05 0a 00 29 1a 8d 20 00 00 8d 20 00 00") and len(raw) == 64
     assert dlpc350.frame(dlpc350.VALIDATE, read=True)[:6] == bytes.fromhex("c0 00 02 00 1a 1a")
     assert dlpc350.patterns((1, 0), 8, 0b100) == bytes.fromhex("01 48 04 07 48 00")
-    assert dlpc350.parse_command(raw).data == raw[6:14]
+    assert parse_command(raw).data == raw[6:14]
     with pytest.raises(ProtocolError, match="no answer"):
         dlpc350.parse_reply(bytes(64), 5, "the check")
 
@@ -25,14 +24,14 @@ def test_two_patterns_of_each_video_frame_are_lit() -> None:
     device = EmulatedLightCrafter()
     pauses: list[float] = []
     with LightCrafter(device, pause=pauses.append) as projector:
-        assert isinstance(projector, Lamp) and not projector.is_on()
+        assert not device.lit
         projector.show_video((1, 0), 8, 8333, 8333, "blue")
         assert device.settings[dlpc350.SEQUENCE] == bytes([1, 1, 1, 0]) and len(pauses) == 2
         assert device.settings[dlpc350.DISPLAY_MODE] == b"\1" and not device.lit
         projector.drive(blue=1.0)
         assert device.settings[dlpc350.LED_CURRENTS] == bytes([255, 255, 0])
         projector.on()
-        assert projector.is_on() and device.lit
+        assert device.lit
         projector.off()
         projector.off()
         assert not device.lit
@@ -42,7 +41,7 @@ def test_two_patterns_of_each_video_frame_are_lit() -> None:
 
 
 def test_what_cannot_be_shown_is_refused() -> None:
-    device = EmulatedLightCrafter(looks=0)
+    device = EmulatedLightCrafter(polls=0)
     projector = LightCrafter(device)
     for wrong in (
         ((1, 0), 8, 8000, 8333, "blue"),
@@ -65,7 +64,7 @@ def test_what_cannot_be_shown_is_refused() -> None:
 
 
 def test_a_projector_that_is_gone_is_told() -> None:
-    device = EmulatedLightCrafter(looks=10**6)
+    device = EmulatedLightCrafter(polls=10**6)
     projector = LightCrafter(device, pause=lambda seconds: None)
     with pytest.raises(DeviceLost, match="still checks"):
         projector.show_video((1,), 8, 8333, 8333, "blue")

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, StorageError
-from vamgpu.hosts import plans
+from vamgpu.hosts import version_store
 from vamgpu.hosts.live import link as linking
 from vamgpu.hosts.live.images import LiveCamera
 from vamgpu.hosts.live.link import LiveLink, LiveOrder
 from vamgpu.hosts.players.player import StatusPoll
 from vamgpu.hosts.realtime.order import PrintOrder
-from vamgpu.hosts.realtime.watching import started
+from vamgpu.hosts.realtime.watch import started
 from vamgpu.hosts.record import RunRecord, read_run
 from vamgpu.hosts.rig import Rehearsal, carry_out, plan, read_rig, rehearsal
 from vamgpu.hosts.schedules.timing import SECOND
@@ -80,15 +80,15 @@ def test_a_planning_process_replaces_coming_turns_and_ends_the_print(made: Calla
     lit = told.shown[told.shown["frame"] >= 0]
     assert lit["version"].tolist() == [0] * COUNT + [1] * COUNT + [2] * COUNT
     down, across = live.planned.mirrors[0].place(6, 10)
-    light = live.stand.emulated.chamber.seconds(0, TURNS * COUNT)[0, :, down, across].reshape(TURNS, COUNT, 6, 10)
+    light = live.stand.emulated.recorder.seconds(0, TURNS * COUNT)[0, :, down, across].reshape(TURNS, COUNT, 6, 10)
     on = 1e-9 * int(live.planned.schedule.on[0])
     job = live.planned.jobs[0].frames
     assert job is not None
     assert np.allclose(light.sum(axis=0) * 255 / on, job.levels() + 9.0 + 5.0, atol=0.1), "what the resin saw"
     now = live.board.now
     assert (now.plan, now.stop) == (2, 3) and [each.name for each in now.parameters] == ["sensitivity"]
-    frames = plans.kept_frames(live.run_path, 2, 0)
-    assert (frames.levels() == 5).all() and plans.last_kept(live.run_path) == 2
+    frames = version_store.kept_frames(live.run_path, 2, 0)
+    assert (frames.levels() == 5).all() and version_store.last_kept(live.run_path) == 2
 
 
 def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., Live]) -> None:
@@ -100,12 +100,12 @@ def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., 
         "levels from nan", "levels from -1", "256; expected 0 to 255", "inf; expected 0 to 255", r"levels [35, 6, 10]",
         "levels for 2 projectors", "times the light of a turn", "another print", "turns 0 to None", "turns 99 to None",
         "no version of the frames", "turns 1 to 1", "no version of the frames", "levels for 0 projectors",
-        "another print", "parameters", "usual values in order", "no pictures", *3 * ["the picture 'dose'"],
+        "another print", "parameters", "usual values in order", "no images", *3 * ["the image 'dose'"],
         "no message",
     ]  # fmt: skip
     assert len(whys) == len(wanted) and all(part in why for part, why in zip(wanted, whys, strict=True)), whys
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT, "the one that is right was taken"
-    assert plans.last_kept(live.run_path) == 1, "what is refused is not kept"
+    assert version_store.last_kept(live.run_path) == 1, "what is refused is not kept"
     assert not live.board.now.parameters and not live.board.now.maps
 
 
@@ -144,7 +144,7 @@ def test_a_slow_disk_makes_a_version_late_and_a_full_one_refuses_it(
     made: Callable[..., Live], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = made("good")
-    keep, slow = plans.keep, []
+    keep, slow = version_store.keep, []
 
     def hangs(*what: Any) -> None:
         if slow:

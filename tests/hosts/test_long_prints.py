@@ -71,7 +71,7 @@ def made(schedule: Schedule, path: Path, model: ArrayModel = MODEL) -> tuple[Emu
 def right(emulated: EmulatedMirrorRig, schedule: Schedule, turns: int) -> None:
     """Every pose got the light of its own frame, in every turn."""
     count = schedule.frames
-    lit = emulated.chamber.seconds(0, count, turn=count)[0, :, 0, 0]
+    lit = emulated.recorder.seconds(0, count, turn=count)[0, :, 0, 0]
     wanted = turns * 1e-9 * schedule.on[0] * (np.arange(count) + 1) / 255
     assert np.abs(lit / wanted - 1).max() < 5e-3
 
@@ -197,11 +197,11 @@ def test_a_stalled_motor_ends_the_print_where_an_encoder_sees_it(tmp_path: Path,
 
 
 def _long_web(path: Path, mm: float, speed: float = 0.8) -> tuple[Schedule, Print]:
-    """A print of so much web [mm] at a speed [mm/s], whose chamber keeps nothing."""
+    """A print of so much web [mm] at a speed [mm/s], whose recorder keeps nothing."""
     advance = 9.0 * pi / 360
     schedule = web(int(mm / advance), advance=advance, speed=speed, engines=MIRRORS)
     emulated, _, job = made(schedule, path, replace(MODEL, planes=2000))
-    emulated.chamber.shown = lambda engine, shown: None  # type: ignore[method-assign]
+    emulated.recorder.shown = lambda engine, shown: None  # type: ignore[method-assign]
     return schedule, job
 
 

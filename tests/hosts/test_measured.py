@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from emulated_lightcrafter import EmulatedLightCrafter
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, JobError
 from vamgpu.hosts.drivers import camera, micromanager, projector, stepper
@@ -16,15 +17,14 @@ from vamgpu.hosts.drivers.lightcrafter import LightCrafter
 from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.lightcrafter import EmulatedLightCrafter
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.players.machines import MirrorMachines, VideoMachines
 from vamgpu.hosts.protocols import dlpc350
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.rigs.connect import close, opened
 from vamgpu.hosts.rigs.displays import AlpDisplay
 from vamgpu.hosts.rigs.guarantees import guarantees
-from vamgpu.hosts.rigs.opening import close, opened
 
 HEAD = '[rig]\nname = "lab"\nmachine = "vial"\n'
 MOTOR = '[motion]\ndriver = "controller"\nmicrosteps = 1000\n'

@@ -219,7 +219,7 @@ def test_a_pause_counts_until_there_is_light_again(run: Path) -> None:
     scene.paused()
     scene.emulated.clock.sleep(29 * SECOND)  # and the run-up, for longer than the last second
     before = len(scene.emulated.controller.intervals)
-    with pytest.raises(BadInput, match="forgotten"):
+    with pytest.raises(BadInput, match="decayed"):
         scene.print.run()
     assert len(scene.emulated.controller.intervals) == before and not scene.emulated.controller.light
 
@@ -230,7 +230,7 @@ def test_a_pause_counts_what_a_vial_still_turns(run: Path) -> None:
     scene.paused()
     scene.emulated.clock.sleep(SECOND)
     before = len(scene.emulated.controller.intervals)
-    with pytest.raises(BadInput, match="forgotten"):
+    with pytest.raises(BadInput, match="decayed"):
         scene.print.run()
     assert len(scene.emulated.controller.intervals) == before and not scene.emulated.controller.light
 
@@ -299,7 +299,7 @@ def test_another_host_knows_whether_a_segment_had_begun(run: Path, begun: bool) 
     scene.print.guard._release_process()
     shown = len(np.flatnonzero(scene.seconds()))
     assert (shown > rested) is begun
-    scene.emulated.alps[0].forsake()
+    scene.emulated.alps[0].disconnect()
     machines = scene.emulated.machines(STEPS / 0.0785)
     found = interrupted(run, machines.controller, roll(120))
     assert found.unseen >= rested and found.first >= shown and (found.first == rested) is not begun

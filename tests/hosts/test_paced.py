@@ -104,7 +104,7 @@ def test_threads_make_and_upload_while_one_prints(tmp_path: Path) -> None:
     job.folder.close()
     shown = read_run(tmp_path / "run").shown
     assert shown["slot"].tolist() == list(range(60)) and not shown["dark"].any()
-    lit = emulated.chamber.seconds(0, 60)[0, :, 0, 0]
+    lit = emulated.recorder.seconds(0, 60)[0, :, 0, 0]
     assert np.abs(lit / np.median(lit) - 1).max() < 1e-3
 
 

@@ -20,9 +20,9 @@ from PIL import Image
 from rich.console import Console
 
 from vamgpu.errors import BadInput, DeviceError
-from vamgpu.hosts.panel import Panel, door, view
+from vamgpu.hosts.panel import Panel, auth, view
 from vamgpu.hosts.panel import server as panels
-from vamgpu.hosts.panel.routes import LONGEST, Pace
+from vamgpu.hosts.panel.routes import LONGEST, RateLimit
 from vamgpu.hosts.record import RunFolder
 from vamgpu.hosts.state import Board, Estimated, PrintState, StateChange
 from vamgpu.printing.scatter import ScatterReading
@@ -132,8 +132,8 @@ def test_a_program_may_stop_too() -> None:
 def test_how_long_a_print_that_waits_can_go_on_is_told() -> None:
     for left, told in ((3000.0, 3000.0), (-5.0, 0.0)):
         board = Board(state=PrintState.HELD, deadline=time.monotonic() + left)
-        assert told - 1000.0 < view.told(board, view.Pictures())["waits"] <= told
-    assert view.told(Board(), view.Pictures())["waits"] is None
+        assert told - 1000.0 < view.told(board, view.ImageStore())["waits"] <= told
+    assert view.told(Board(), view.ImageStore())["waits"] is None
 
 
 @pytest.mark.parametrize("state", list(PrintState))
@@ -172,19 +172,19 @@ def test_a_stop_waits_behind_no_button_that_hangs() -> None:
             each.join()
 
 
-def test_a_picture_is_encoded_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_is_encoded_once_however_many_ask(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
     monkeypatch.setattr(view, "_encoded", lambda image: made.append(1) or b"png")
     board = Board(preview=np.zeros((4, 4), np.uint8))
     with Panel(board, page=False) as panel:
-        first = json.loads(asked(panel, "/state")[1])["pictures"]
+        first = json.loads(asked(panel, "/state")[1])["images"]
         for _ in range(20):
-            assert asked(panel, "/picture/projector%201")[:2] == (200, b"png")
+            assert asked(panel, "/image/projector%201")[:2] == (200, b"png")
         assert len(made) == 1
         board.show(preview=np.zeros((4, 4), np.uint8))
-        assert json.loads(asked(panel, "/state")[1])["pictures"] != first
-        asked(panel, "/picture/projector%201")
-        assert len(made) == 2 and asked(panel, "/picture/camera")[0] == 404
+        assert json.loads(asked(panel, "/state")[1])["images"] != first
+        asked(panel, "/image/projector%201")
+        assert len(made) == 2 and asked(panel, "/image/camera")[0] == 404
 
 
 def test_what_is_estimated_is_shown_in_color() -> None:
@@ -192,25 +192,25 @@ def test_what_is_estimated_is_shown_in_color() -> None:
     drawn[:, :40] = (200, 30, 40)
     with Panel(Board(maps={"dose; in parts": drawn}), page=False) as panel:
         state = json.loads(asked(panel, "/state")[1])
-        assert set(state["pictures"]) == {"dose; in parts"} and "maps" not in state
-        status, png, *_ = asked(panel, "/picture/dose%3B%20in%20parts")
+        assert set(state["images"]) == {"dose; in parts"} and "maps" not in state
+        status, png, *_ = asked(panel, "/image/dose%3B%20in%20parts")
     assert status == 200 and np.array_equal(np.asarray(Image.open(io.BytesIO(png))), drawn)
 
 
 def test_many_pages_look_less_often() -> None:
     now = [0.0]
-    pace = Pace(lambda: now[0])
-    assert pace.look() == 0.25
+    limit = RateLimit(lambda: now[0])
+    assert limit.count() == 0.25
     for _ in range(20):  # 200 pages that do as they are told
-        now[0] += pace.wait / 200
+        now[0] += limit.wait / 200
         for _ in range(200 * 4):
-            now[0] += pace.wait / 200
-            pace.look()
-    assert 4.0 < pace.wait < 6.0
+            now[0] += limit.wait / 200
+            limit.count()
+    assert 4.0 < limit.wait < 6.0
     for _ in range(100):  # one that is left
-        now[0] += pace.wait
-        pace.look()
-    assert pace.wait == 0.25
+        now[0] += limit.wait
+        limit.count()
+    assert limit.wait == 0.25
 
 
 def test_the_curve_keeps_its_last_reading() -> None:
@@ -222,20 +222,20 @@ def test_the_curve_keeps_its_last_reading() -> None:
 
 def test_no_page_looks_so_seldom_that_it_is_blind() -> None:
     now = [0.0]
-    pace = Pace(lambda: now[0])
+    limit = RateLimit(lambda: now[0])
     for _ in range(10_000):
         now[0] += 0.001
-        pace.look()
-    assert pace.wait == LONGEST
+        limit.count()
+    assert limit.wait == LONGEST
 
 
 def test_a_program_that_asks_without_a_pause_slows_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks: list[str] = []
-    monkeypatch.setattr(Pace, "look", lambda self: looks.append("look") or self.wait)
+    polls: list[str] = []
+    monkeypatch.setattr(RateLimit, "count", lambda self: polls.append("count") or self.wait)
     with Panel(Board(), page=False) as panel:
-        assert [json.loads(asked(panel, "/state")[1])["wait"] for _ in range(3)] == [0.25] * 3 and not looks
+        assert [json.loads(asked(panel, "/state")[1])["wait"] for _ in range(3)] == [0.25] * 3 and not polls
         asked(panel, "/state?page")
-    assert looks == ["look"]
+    assert polls == ["count"]
 
 
 @pytest.mark.parametrize("error", [None, DeviceError("the motor stalled")])
@@ -314,8 +314,8 @@ def test_beyond_this_machine_a_token_is_needed() -> None:
 def test_tokens_are_not_guessed_and_an_open_page_is_not_locked_out() -> None:
     with Panel(Board(), token="a token of the lab") as panel:
         known = {"Cookie": asked(panel, "/?token=a%20token%20of%20the%20lab")[2].split(";")[0]}
-        tried = [asked(panel, f"/?token=wrong{number}")[0] for number in range(door.WRONG + 1)]
-        assert tried == [403] * door.WRONG + [429]
+        tried = [asked(panel, f"/?token=wrong{number}")[0] for number in range(auth.WRONG + 1)]
+        assert tried == [403] * auth.WRONG + [429]
         assert asked(panel, "/state", Authorization="Bearer a token of the lab")[0] == 429
         assert asked(panel, "/stop", "POST", **known)[0] == 200
 

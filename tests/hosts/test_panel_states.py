@@ -168,7 +168,7 @@ def test_two_colors_that_end_with_an_error(tmp_path: Path, filmed: Callable[...,
 
 
 def test_a_page_that_lost_its_server(tmp_path: Path, filmed: Callable[..., Film]) -> None:
-    film = filmed(vial(tmp_path / "part.vam"), speed=120)
+    film = filmed(vial(tmp_path / "part.vam"), speed=120, turns=1)
     board = film.board
 
     def lost() -> None:

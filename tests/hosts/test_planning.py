@@ -129,7 +129,7 @@ def test_a_web_is_cut_among_its_focus_planes(tmp_path: Path) -> None:
     slope = np.diff(MASKS.planes) / np.diff(planned.focus)
     assert slope == pytest.approx(-1.33 * 200.0**2 * 1e-3, rel=1e-3), "of the relays, in the bath"
     stand = rehearsed(tmp_path / "run", planned)
-    assert len(stand.emulated.chamber.light) <= 3, "poses that are over are forgotten"
+    assert len(stand.emulated.recorder.light) <= 3, "poses that are over are forgotten"
     assert dict(planned.lines())["focus planes"].startswith("3 at ")
 
 
@@ -147,13 +147,15 @@ def test_a_web_of_one_focus_wants_no_lens(tmp_path: Path) -> None:
     rehearsed(tmp_path / "run", planned)
 
 
-def test_a_lens_that_the_host_tells_has_one_focus(tmp_path: Path) -> None:
-    told = parse_rig(ALP + LENS + 'told_by = "host"\n')
+def test_a_lens_that_the_host_controls_has_one_focus(tmp_path: Path) -> None:
+    told = parse_rig(ALP + LENS + 'controlled_by = "host"\n')
     with pytest.raises(BadInput, match="among 3 planes in time with its frames"):
         plan(web(tmp_path / "web.vam"), told, speed=0.8)
     planned = plan(web(tmp_path / "one.vam", None), told, speed=0.8)
     bare = plan(tmp_path / "one.vam", parse_rig(ALP), speed=0.8)
     assert len(planned.focus) <= 1 and (planned.schedule.on == bare.schedule.on).all(), "no time for its settling"
+    with pytest.warns(FutureWarning, match="the key told_by is called controlled_by now"):
+        assert parse_rig(ALP + LENS + 'told_by = "host"\n').setup == told.setup
 
 
 class Shifted:
@@ -168,7 +170,7 @@ class Shifted:
 
 @pytest.mark.parametrize("make", [vial, web])
 def test_a_shift_by_one_slot_is_seen(tmp_path: Path, make: Callable[[Path], Path]) -> None:
-    planned = plan(make(tmp_path / "job.vam"), read_rig("emulated"), speed=0.8 if make is web else 40)
+    planned = plan(make(tmp_path / "job.vam"), read_rig("emulated"), speed=0.8 if make is web else 40, turns=1)
     stand = rehearsal(planned)
     stand.monitor._sources = tuple(map(Shifted, stand.monitor._sources))
     carry_out(planned, stand.machines, tmp_path / "run")
@@ -223,7 +225,7 @@ def test_slices_go_by_as_fast_as_they_were_corrected_for(tmp_path: Path) -> None
 
 
 def test_a_vial_before_a_video_projector(tmp_path: Path) -> None:
-    planned = plan(vial(tmp_path / "part.vam", images=60), parse_rig(HDMI), rehearsed=True)
+    planned = plan(vial(tmp_path / "part.vam", images=60), parse_rig(HDMI), rehearsed=True, turns=1)
     assert planned.display is not None and (planned.schedule.unit, len(planned.schedule)) == ("deg", 60)
     stand = rehearsal(planned)
     assert carry_out(planned, stand.machines, tmp_path / "run")[0] is PrintState.COMPLETE
@@ -232,7 +234,7 @@ def test_a_vial_before_a_video_projector(tmp_path: Path) -> None:
 
 
 def test_one_bit(tmp_path: Path) -> None:
-    rehearsed(tmp_path / "run", plan(vial(tmp_path / "part.vam", bits=1), read_rig("emulated")))
+    rehearsed(tmp_path / "run", plan(vial(tmp_path / "part.vam", bits=1), read_rig("emulated"), turns=1))
 
 
 def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
@@ -248,7 +250,7 @@ def test_another_host_goes_on_where_one_died(tmp_path: Path) -> None:
             assert begun.step()
         begun.guard._release_process()  # the host is gone: nobody leaves the guard
     stand.emulated.clock.sleep(SECOND)
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
     again = stand.emulated.machines(stand.emulated.microsteps / float(planned.schedule.advance))
     other = plan(tmp_path / "web.vam", read_rig("emulated"), speed=0.7)
     with pytest.raises(BadInput, match="another print, with speed"):
@@ -307,7 +309,7 @@ def test_folders_that_cannot_be_printed_are_told(tmp_path: Path) -> None:
     record = json.loads((film / "web.json").read_text())
     record["details"]["frames"]["focus"]["bin"][3] = 17
     (film / "web.json").write_text(json.dumps(record))
-    with pytest.raises(StorageError, match="garbles its details"):
+    with pytest.raises(StorageError, match="has malformed details"):
         plan(film, rig, speed=0.8)
 
 
@@ -332,8 +334,9 @@ def test_the_command_prints_each_kind(tmp_path: Path, capsys: pytest.CaptureFixt
     one, two = str(vial(tmp_path / "one.vam", 1)), str(vial(tmp_path / "two.vam", 2))
     (tmp_path / "cable.toml").write_text(HDMI)
     for jobs in (
-        (film, "--rig", "emulated", "--speed", "0.8"), (cone, "--rig", "emulated"), (one, two, "--rig", "emulated"),
-        (one, "--rig", str(tmp_path / "cable.toml"), "--dry-run"),
+        (film, "--rig", "emulated", "--speed", "0.8"), (cone, "--rig", "emulated"),
+        (one, two, "--rig", "emulated", "--turns", "1"),
+        (one, "--rig", str(tmp_path / "cable.toml"), "--dry-run", "--turns", "1"),
     ):  # fmt: skip
         assert main(["print", *jobs, "--out", str(tmp_path / f"{len(list(tmp_path.iterdir()))}.run")]) == 0
         told = capsys.readouterr().out

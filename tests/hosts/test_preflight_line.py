@@ -86,7 +86,7 @@ def test_an_emulated_clock_tells_nothing_of_a_line() -> None:
 def test_a_rig_is_checked_for_it(tmp_path: Path) -> None:
     images = np.zeros((360, 6, 10), np.uint8)
     frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-    planned = plan(save_frames(tmp_path / "part.vam", frames).path, read_rig("emulated"), speed=120)
+    planned = plan(save_frames(tmp_path / "part.vam", frames).path, read_rig("emulated"), speed=120, turns=1)
     stand: Any = rehearsal(planned)
     clock = Going()
     machines = replace(stand.machines, clock=clock, controller=Slow(clock))

@@ -15,7 +15,7 @@ from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
 from vamgpu.hosts.drivers import projector as slots
 from vamgpu.hosts.emulators import controller as emulated
-from vamgpu.hosts.emulators.controller import ARGUMENTS, EmulatedController
+from vamgpu.hosts.emulators.controller import RANGES, EmulatedController
 from vamgpu.hosts.emulators.lens import LENGTHS
 from vamgpu.hosts.protocols import controller, zaber
 from vamgpu.hosts.protocols import optotune as ld4
@@ -178,7 +178,7 @@ def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
     sketch = "".join(file.read_text(encoding="utf-8") for file in files)
     assert len(verbs) == 18
     counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
-    assert verbs == set(counts) and counts == ARGUMENTS
+    assert verbs == set(counts) and counts == {"mode": 1} | {verb: len(each) for verb, each in RANGES.items()}
     assert verbs == {name.removeprefix("_do_") for name in dir(EmulatedController) if name.startswith("_do_")}
     assert f'"{controller.NAME} {controller.VERSION} "' in sketch
     for name in ("LONGEST_LINE", "LONGEST_LEASE_MS", "FASTEST", "STEEPEST"):

@@ -23,7 +23,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.realtime import messages
 from vamgpu.hosts.realtime.order import PrintOrder
 from vamgpu.hosts.realtime.service import LIVE, ServedBoard, Service
-from vamgpu.hosts.realtime.watching import LightProcessLost, Watch, attached, may_begin, started, watched
+from vamgpu.hosts.realtime.watch import LightProcessLost, Watch, attached, may_begin, started, watched
 from vamgpu.hosts.record import read_run
 from vamgpu.hosts.rigs.config import parse_rig, read_rig
 from vamgpu.hosts.state import Board, PrintState, Snapshot, WrongState
@@ -190,7 +190,7 @@ def test_a_print_outlives_its_parent_and_is_found_again(job: Path) -> None:
     code = (
         "import json, os, signal, sys\n"
         "from vamgpu.hosts.realtime.order import PrintOrder\n"
-        "from vamgpu.hosts.realtime.watching import started\n"
+        "from vamgpu.hosts.realtime.watch import started\n"
         "from vamgpu.hosts.state import Board\n"
         "board = Board()\n"
         "watch = started(PrintOrder.parse(json.loads(sys.argv[1])), board)\n"

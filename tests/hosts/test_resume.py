@@ -28,7 +28,7 @@ from vamgpu.hosts.state import PrintState
 
 
 def planned(job: Path, *settings: str) -> PrintPlan:
-    return plan(job, parse_rig(EMULATED, settings, source="emulated"), speed=40.0)
+    return plan(job, parse_rig(EMULATED, settings, source="emulated"), speed=40.0, turns=1)
 
 
 def begun(wanted: PrintPlan, path: Path, frames: int) -> tuple[Rehearsal, Print]:
@@ -69,11 +69,11 @@ def gone(stand: Rehearsal, job: Print, at_once: bool = False) -> None:
     """The host dies; its lease runs out. at_once: the system takes its mirrors back before that."""
     job.guard._release_process()
     if at_once:
-        stand.emulated.alps[0].forsake()
+        stand.emulated.alps[0].disconnect()
     job.folder.close()
     stand.emulated.clock.sleep(SECOND)
     assert not stand.emulated.controller.light
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
 
 
 def died(wanted: PrintPlan, path: Path) -> tuple[Rehearsal, Any]:
@@ -88,14 +88,9 @@ def again(stand: Rehearsal, wanted: PrintPlan) -> Any:
     return stand.emulated.machines(stand.emulated.microsteps / float(wanted.schedule.advance))
 
 
-@pytest.mark.parametrize("earlier", [False, True])
-def test_a_print_goes_on_and_all_its_light_is_counted(job: Path, tmp_path: Path, earlier: bool) -> None:
-    """Also one whose folder an earlier version wrote, with other names of events."""
+def test_a_print_goes_on_and_all_its_light_is_counted(job: Path, tmp_path: Path) -> None:
     wanted = planned(job, "light.power=0.5")
     stand, machines = died(wanted, tmp_path / "run")
-    events = tmp_path / "run" / "events.jsonl"
-    if earlier:
-        events.write_text(events.read_text().replace('"segment"', '"leg"').replace('"poll"', '"look"'))
     before = len(read_run(tmp_path / "run").shown)
     state, again = carry_out(wanted, machines, tmp_path / "run", resume=True)
     run, budget = read_run(tmp_path / "run"), again.guard.budget
@@ -128,16 +123,16 @@ def test_a_refusal_forgets_nothing(job: Path, tmp_path: Path, monkeypatch: pytes
     with pytest.raises(BadInput, match=r"\[light\].*--set 'light.power=0.5'"):
         may_go_on(planned(job), path)
     with pytest.raises(BadInput, match="speed 40.0 in place of 50.0"):
-        may_go_on(plan(job, parse_rig(EMULATED, ("light.power=0.5",), source="emulated"), speed=50.0), path)
+        may_go_on(plan(job, parse_rig(EMULATED, ("light.power=0.5",), source="emulated"), speed=50.0, turns=1), path)
     may_go_on(planned(job, "light.power=0.5"), path)
     wanted = planned(job, "light.power=0.5")
     for _ in range(2):
-        stand.emulated.alps[0].forsake()
+        stand.emulated.alps[0].disconnect()
         with monkeypatch.context() as patch, pytest.raises(TimingInfeasible, match="too slow"):
             patch.setattr("vamgpu.hosts.rig.judged", too_slow)
             check(wanted, again(stand, wanted))
     assert stand.emulated.controller.shown == shown
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
     assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
     assert read_run(path).shown["slot"].tolist() == list(range(36))
 
@@ -162,7 +157,7 @@ def test_a_segment_that_nobody_wrote_down_is_known_after_refusals(job: Path, tmp
             machines.controller.stop()
         found = left_by_a_host(wanted, machines, path)
         assert (found.unseen, found.first) == (rested, rested + shown) and shown >= 3
-        stand.emulated.alps[0].forsake()
+        stand.emulated.alps[0].disconnect()
 
 
 def test_frames_that_another_program_played_are_not_taken_for_its_own(job: Path, tmp_path: Path) -> None:
@@ -199,7 +194,7 @@ def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path)
     assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
     run = read_run(path)
     unseen = next(event for event in run.events if event["event"] == "unseen")
-    lit = stand.emulated.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3))
+    lit = stand.emulated.recorder.seconds(0, 36, 36).sum(axis=(0, 2, 3))
     black = np.flatnonzero(lit == 0).tolist()
     assert black and set(black) <= set(range(unseen["first"], unseen["stop"]))
     assert run.shown["slot"].tolist() == list(range(36))
@@ -208,16 +203,16 @@ def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path)
 def test_a_frame_that_the_lease_cut_is_told_as_unseen(job: Path, tmp_path: Path) -> None:
     """It is lit for longer than the lease: the host that died had seen it begin."""
     rig = parse_rig(EMULATED, ("safety.resume=60 s",), source="emulated")
-    wanted, path = plan(job, rig, speed=10.0), tmp_path / "run"
+    wanted, path = plan(job, rig, speed=10.0, turns=1), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
     gone(stand, old)
     found = left_by_a_host(wanted, again(stand, wanted), path)
     assert (found.unseen, found.first) == (11, 12)
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
     assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
     frames = wanted.jobs[0].frames
     assert frames is not None
-    lit = stand.emulated.chamber.seconds(0, 36, 36).sum(axis=(0, 2, 3)) / frames.levels().sum(axis=(1, 2))
+    lit = stand.emulated.recorder.seconds(0, 36, 36).sum(axis=(0, 2, 3)) / frames.levels().sum(axis=(1, 2))
     assert np.flatnonzero(np.abs(lit / np.median(lit) - 1) > 1e-3).tolist() == [11]
     unseen = [event for event in read_run(path).events if event["event"] == "unseen"]
     assert [(event["first"], event["stop"]) for event in unseen] == [(11, 12)]
@@ -252,7 +247,7 @@ def test_a_clock_that_was_set_back_in_the_light_hides_no_rest(
     gone(stand, old)
     ahead[0] = 20.0
     assert 20 * SECOND <= left_by_a_host(wanted, again(stand, wanted), path).pause <= 25 * SECOND
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
     ahead[0] = 40.0
     with pytest.raises(BadInput, match="paused for 4"):
         left_by_a_host(wanted, again(stand, wanted), path)
@@ -271,7 +266,7 @@ def test_black_before_the_first_slot_is_no_light_after_a_pause(
     with RunFolder.again(path) as folder:
         left.take_up(folder, wanted.schedule, machines.clock.now())
         second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
-        second.recall(read_run(path).shown, left.pause)
+        second.restore(read_run(path).shown, left.pause)
         second.guard.__enter__()
         second.begin(left.first)
         while stand.emulated.controller.shown < PREROLL:
@@ -297,7 +292,7 @@ def test_a_pause_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkey
     with RunFolder.again(path) as folder:
         left.take_up(folder, wanted.schedule, machines.clock.now())
         second = Print(player(wanted, machines, origin=left.origin), folder, limits=limits(wanted.rig))
-        second.recall(read_run(path).shown, left.pause)
+        second.restore(read_run(path).shown, left.pause)
         second.guard.__enter__()
         second.player.start = lambda: None  # type: ignore[method-assign]
         second.begin(left.first)
@@ -328,7 +323,7 @@ def test_an_open_door_does_not_cost_the_print(job: Path, tmp_path: Path) -> None
     with pytest.raises(InterlockOpen, match="close the enclosure"):
         carry_out(wanted, machines, path, resume=True)
     stand.emulated.controller.interlock_closed = True
-    stand.emulated.alps[0].forsake()
+    stand.emulated.alps[0].disconnect()
     assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
 
 

@@ -87,7 +87,7 @@ def test_a_long_pause_is_not_resumed(job: Path, tmp_path: Path) -> None:
     run, emulated, _ = begun(planned(job), tmp_path / "run", 9, "pause")
     run.run()
     emulated.clock.sleep(31_000_000_000)
-    with pytest.raises(BadInput, match="forgotten"):
+    with pytest.raises(BadInput, match="decayed"):
         run.run()
     assert not emulated.controller.light and run.states.state is PrintState.ERROR
 
@@ -121,8 +121,8 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
         planned(job, speed=4000.0)
     real = parse_rig(LAB.replace("[display]", "microsteps = 8000\n[display]"))
     with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at 25 deg/s at most"):
-        plan(job, real, speed=40.0, device="numpy")
-    assert len(plan(job, real, speed=25.0, device="numpy").schedule) == 36
+        plan(job, real, speed=40.0, device="numpy", turns=1)
+    assert len(plan(job, real, speed=25.0, device="numpy", turns=1).schedule) == 36
     with pytest.raises(BadInput, match="another projector"):
         MirrorArray(4, 8, 1).place(6, 10)
     with pytest.raises(StorageError):
@@ -132,11 +132,22 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
-    assert "complete: 120 frames" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "\ncomplete: " in told and "×1.000 of what was proved" in told
     assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
     (tmp_path / "lab.toml").write_text(LAB)
-    assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x")]) == 1
+    assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--turns", "1", "--out", "x"]) == 1
     assert "does-not-exist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("turns", ["1.5", "0.4", "two"])
+def test_turns_that_are_not_whole_are_refused(
+    turns: str, job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["print", str(job), "--rig", "emulated", "--turns", turns, "--out", str(tmp_path / "run")])
+    assert f"got {turns}; expected a whole number" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
@@ -148,7 +159,7 @@ def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
         return carry_out(wanted, machines, folder, board, *rest, **named)
 
     monkeypatch.setattr("vamgpu.hosts.realtime.printing.carry_out", pressed)
-    assert main(["print", str(job), "--rig", "emulated", "--out", str(tmp_path / "run")]) == 130
+    assert main(["print", str(job), "--rig", "emulated", "--turns", "1", "--out", str(tmp_path / "run")]) == 130
     assert "cancelled: 0 frames" in capsys.readouterr().out
     assert read_run(tmp_path / "run").message == "pressed"
 
@@ -171,6 +182,7 @@ def test_commands_look_at_folders_first(
     (tmp_path / "part.run").mkdir()
     assert main(["print", str(job), "--rig", "emulated"]) == 1
     assert main(["print", ".", "--rig", "emulated"]) == 1
-    assert main(["print", str(job), "--rig", "emulated", "--panel", "--port", "99999", "--out", "x"]) == 1
+    words = ["--turns", "1", "--panel", "--port", "99999", "--out", "x"]
+    assert main(["print", str(job), "--rig", "emulated", *words]) == 1
     told = capsys.readouterr().err
     assert "exists" in told and "has no name" in told and "another host or port" in told

@@ -30,7 +30,7 @@ def job(name: str, place: Path) -> Path:
 
 def planned(name: str, place: Path) -> PrintPlan:
     return plan(job(name, place), read_rig(RIGS / f"{name}.toml"), rehearsed=True,
-                speed=0.8 if name == "roll_bench" else None)  # fmt: skip
+                speed=0.8 if name == "roll_bench" else None, turns=1)  # fmt: skip
 
 
 def bound(name: str) -> float:
@@ -56,7 +56,7 @@ def test_there_are_three() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_rehearsed_from_its_file(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, run = job(name, tmp_path / "job.vam"), tmp_path / "out.run"
-    speed = ("--speed", "0.8") if name == "roll_bench" else ()
+    speed = ("--speed", "0.8") if name == "roll_bench" else ("--turns", "1")
     rig = str(RIGS / f"{name}.toml")
     assert main(["print", str(folder), "--rig", rig, "--dry-run", "--out", str(run), *speed]) == 0
     told = capsys.readouterr().out
@@ -79,8 +79,8 @@ def test_a_shift_by_one_slot_is_caught(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_inverted_motion_is_caught(name: str, tmp_path: Path) -> None:
     def invert(stand: Rehearsal) -> None:
-        true = stand.emulated.chamber._position
-        stand.emulated.chamber._position = lambda now: -true(now)
+        true = stand.emulated.recorder._position
+        stand.emulated.recorder._position = lambda now: -true(now)
 
     assert seen(planned(name, tmp_path / "job.vam"), tmp_path / "run", invert).greatest > 0.5
 
@@ -96,11 +96,13 @@ def test_an_index_ends_the_drift(tmp_path: Path) -> None:
         off.append(seen(one, tmp_path / f"run{number}").greatest)
     turn = 360.0 * APART / (360.0 / IMAGES)
     assert off[1] < 4 * turn < off[0], "what drifts until the second mark, in poses"
-    assert not plan(folder, parse_rig(INDEX.replace("drift = 0.25", "drift = 0.0")), rehearsed=True).guarantees.drift
+    assert not plan(
+        folder, parse_rig(INDEX.replace("drift = 0.25", "drift = 0.0")), rehearsed=True, turns=1
+    ).guarantees.drift
 
 
 def test_pose_0_is_at_the_index_wherever_the_motor_was(tmp_path: Path) -> None:
-    one = plan(vial(tmp_path / "job.vam", images=IMAGES), parse_rig(INDEX), rehearsed=True)
+    one = plan(vial(tmp_path / "job.vam", images=IMAGES), parse_rig(INDEX), rehearsed=True, turns=1)
 
     def turned(stand: Rehearsal) -> None:
         stand.emulated.stepper._pieces[0] = (0, 100_000.0, 0.0)
@@ -109,7 +111,7 @@ def test_pose_0_is_at_the_index_wherever_the_motor_was(tmp_path: Path) -> None:
 
 
 def test_the_drift_is_the_one_that_was_told(tmp_path: Path) -> None:
-    one = plan(vial(tmp_path / "job.vam", images=IMAGES), parse_rig(PI), rehearsed=True)
+    one = plan(vial(tmp_path / "job.vam", images=IMAGES), parse_rig(PI), rehearsed=True, turns=1)
     stand = rehearsal(one)
     carry_out(one, stand.machines, tmp_path / "run")
     stepper, clock = stand.emulated.stepper, stand.emulated.clock
@@ -151,7 +153,7 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
         "encoder = true\n"
         '[display]\ndriver = "lightcrafter"\n[light]\ndriver = "display"\n'
     )
-    one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True)
+    one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True, turns=1)
     assert [each.about for each in one.guarantees.lacking] == ["lease"]
     assert seen(one, tmp_path / "run").greatest < 0.02
 
@@ -159,7 +161,7 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
 def test_a_rig_that_drifts_is_refused_until_that_is_accepted(tmp_path: Path) -> None:
     rig = parse_rig(PI, ["safety.drift=0.2"])
     with pytest.raises(BadInput, match="drifts 0.24 deg a minute"):
-        plan(vial(tmp_path / "job.vam", images=IMAGES), rig)
+        plan(vial(tmp_path / "job.vam", images=IMAGES), rig, turns=1)
 
 
 @pytest.mark.slow

@@ -72,8 +72,8 @@ def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> No
 
 def test_drift_must_be_accepted(job: Path) -> None:
     with pytest.raises(BadInput, match=r"drifts 0.24 deg a minute .* accepts drift = 0.2; give it a trigger"):
-        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True)
-    planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True)
+        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1)
+    planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True, turns=1)
     assert "drifts" in dict(planned.lines())["no step"]
 
 
@@ -88,7 +88,7 @@ def test_combinations_that_cannot_be_are_told() -> None:
         ((BOX, ZABER, ALP, '[clock]\ndriver = "controller"\n'), "the motor that the controller itself moves"),
         ((STEPPER, VIDEO), "does not say it; add .*index"),
         ((ZABER, VIDEO, STAGE), "a video cable has no trigger input"),
-        ((ZABER, ALP, lens), "told_by"),
+        ((ZABER, ALP, lens), "controlled_by"),
         ((BOX, MOTOR, ALP, SHINES), "the controller gates it"),
         ((BOX, ZABER, VIDEO.replace("video", "vidoe")), "did you mean 'video'"),
         ((BOX, ZABER, ALP, '[clock]\ndriver = 3\n'), "driver is 3; expected one of controller"),
@@ -98,8 +98,8 @@ def test_combinations_that_cannot_be_are_told() -> None:
 
 
 def test_poses_must_be_whole_microsteps(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"a pose is 21333.3 microsteps of the stage.*: take 32 images a turn|take 40"):
-        plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True)
+    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps of the stage.*: take 32 images a turn|take 40"):
+        plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True, turns=1)
 
 
 OLD = """
@@ -221,7 +221,7 @@ def test_parts_from_outside_are_read_told_and_rehearsed(job: Path, tmp_path: Pat
     config = rig('[motion]\ndriver = "toy"\nteeth = 9\nmicrosteps = 1000\n', ALP)
     motion: Any = config.setup.motion
     assert (driver_of(motion), motion.teeth) == ("toy", 9)
-    planned = plan(job, config, rehearsed=True)
+    planned = plan(job, config, rehearsed=True, turns=1)
     stand = rehearsal(planned)
     assert carry_out(planned, stand.machines, tmp_path / "run")[0] is PrintState.COMPLETE
     assert stand.monitor.verdict().greatest < 1e-6

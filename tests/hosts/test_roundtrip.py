@@ -96,12 +96,12 @@ def test_vial(tmp_path: Path, vial: tuple[Projection, np.ndarray], bits: int) ->
     wanted = A.T(frames.irradiance()).numpy()
     source = VialFrames(frames, MIRRORS)
     emulated = printed(tmp_path / "run", schedule, [source])
-    light = seen(emulated.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
+    light = seen(emulated.recorder.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light) / 2, wanted) < 1e-4
     inverted = light[-np.arange(40)]
     assert off(shone(A, inverted) / 2, wanted) > 0.01
     shifted = printed(tmp_path / "shifted", schedule, [Shifted(source)])
-    light = seen(shifted.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
+    light = seen(shifted.recorder.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light) / 2, wanted) > 0.01
 
 
@@ -110,11 +110,11 @@ def test_a_stage_that_turns_the_other_way_is_seen(tmp_path: Path, vial: tuple[Pr
     frames = frames_of(bytes_)
     schedule = turned(40, speed=40, engines=TIMING)
     emulated = EmulatedMirrorRig(STEPS, MODEL)
-    emulated.chamber._position = lambda now: -emulated.controller.web.position(now) / STEPS
+    emulated.recorder._position = lambda now: -emulated.controller.web.position(now) / STEPS
     machines = emulated.machines(STEPS / float(schedule.advance))
     with RunFolder.begin(tmp_path / "run", {}, "") as folder:
         Print(TriggeredPlayer(schedule, machines, [VialFrames(frames, MIRRORS)]), folder).run()
-    light = seen(emulated.chamber.seconds(0, 40, turn=40)[0], schedule, frames.shape)
+    light = seen(emulated.recorder.seconds(0, 40, turn=40)[0], schedule, frames.shape)
     assert off(shone(A, light), A.T(frames.irradiance()).numpy()) > 0.01
 
 
@@ -127,7 +127,7 @@ def test_dual_color(tmp_path: Path, vial: tuple[Projection, np.ndarray]) -> None
     emulated = printed(tmp_path / "run", schedule, sources)
     doses = []
     for engine, frames in enumerate(colors):
-        light = seen(emulated.chamber.seconds(engine, 40, turn=40)[0], schedule, frames.shape)
+        light = seen(emulated.recorder.seconds(engine, 40, turn=40)[0], schedule, frames.shape)
         doses.append(shone(A, light))
         assert off(doses[-1], A.T(frames.irradiance()).numpy()) < 1e-4
     assert off(doses[0], doses[1]) > 0.01
@@ -157,15 +157,15 @@ def test_web_with_three_depth_bins(tmp_path: Path, film: tuple[WebProjection, Fo
     schedule = web(len(bytes_), **options)
     source = WebFrames(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
     emulated = printed(tmp_path / "run", schedule, [source], powers)
-    assert emulated.chamber.astray == 0.0, "no light while the lens moves"
-    seconds = emulated.chamber.seconds(0, len(bytes_))
+    assert emulated.recorder.astray == 0.0, "no light while the lens moves"
+    seconds = emulated.recorder.seconds(0, len(bytes_))
     parts = [seen(plane, schedule, frames.shape) for plane in seconds]
     for part, wanted in zip(parts, split(frames, masks), strict=True):
         assert off(part, wanted.irradiance().numpy()) < 1e-4, "every column through its own focus"
     wanted = A.T(frames.irradiance()).numpy()
     assert off(shone(A, np.sum(parts, axis=0)), wanted) < 1e-4
     shifted = printed(tmp_path / "shifted", schedule, [Shifted(source)], powers)
-    light = np.sum([seen(plane, schedule, frames.shape) for plane in shifted.chamber.seconds(0, len(bytes_))], axis=0)
+    light = np.sum([seen(plane, schedule, frames.shape) for plane in shifted.recorder.seconds(0, len(bytes_))], axis=0)
     assert off(shone(A, light), wanted) > 0.01
 
 
@@ -179,4 +179,4 @@ def test_a_lens_that_settles_slower_than_told_is_seen(
     schedule = web(len(bytes_), focus=(0.0, 0.7, 1.4), **options)
     source = WebFrames(lambda low, high: bytes_[low:high], len(bytes_), MIRRORS, masks)
     emulated = printed(tmp_path / "run", schedule, [source], (0.0, 0.7, 1.4))
-    assert emulated.chamber.astray > 0.0
+    assert emulated.recorder.astray > 0.0

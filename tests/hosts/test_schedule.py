@@ -121,8 +121,6 @@ def test_nothing_drifts_in_a_million_frames() -> None:
     # a speed whose decimal has seventeen digits leaves 64 bits, and still is exact
     odd = Cadence(Fraction(repr(pi)) * 10**7)
     assert odd.times(0, million)[-1] == (million - 1) * odd.period.numerator // odd.period.denominator
-    assert [odd.beat(odd.at(k)) for k in (0, 1, million)] == [0, 1, million]
-    assert odd.beat(odd.at(million) - 1) == million - 1
     fine = Cadence(5 + Fraction(1, 2**70 + 1))  # so fine that its parts leave 64 bits by themselves
     assert fine.times(7, 3).tolist() == [fine.at(beat) for beat in (7, 8, 9)] == [35, 40, 45]
 

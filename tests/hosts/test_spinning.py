@@ -62,7 +62,7 @@ class Room:
             integrate(slot)
             levels, middle = slot.levels[0].tolist(), (slot.start + slot.end) // 2
             if levels[0] and self.emulated.controller.lit(middle):
-                self.seen.append((levels[1] + 256 * levels[2], self.emulated.chamber._position(middle)))
+                self.seen.append((levels[1] + 256 * levels[2], self.emulated.recorder._position(middle)))
 
         self.emulated.screen.on_slot = slot
         self.machines = self.emulated.machines()
@@ -117,7 +117,7 @@ def test_the_lamp_opens_at_a_boundary_of_turns_and_closes_after_the_last(tmp_pat
     room = Room(tmp_path / "run")
     assert room.run() is PrintState.COMPLETE
     ((on, off, _, _),) = room.emulated.controller.intervals
-    position = room.emulated.chamber._position
+    position = room.emulated.recorder._position
     assert -40 * LEAD <= position(on) - 360 * round(position(on) / 360) < 0
     assert 0 < position(off) - 720 < 40 * 3 / 60, "dark within three video frames"
     assert room.emulated.stage.track.velocity(room.emulated.clock.now()) == 0
@@ -189,7 +189,7 @@ def test_what_no_added_turn_shows_is_told(tmp_path: Path) -> None:
     room.frames.ready = lambda number: number != 100
     assert room.run() is PrintState.INCOMPLETE and "3 slots of frames were missed; 1 added turns" in room.told.message
     assert (
-        "1 of 360 views" in room.told.message and not room.emulated.controller.light and room.slots().sum() == 359 * 3
+        "1 of 360 frames" in room.told.message and not room.emulated.controller.light and room.slots().sum() == 359 * 3
     )
 
 
@@ -373,7 +373,7 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     for other in (HdmiTiming(), HdmiTiming(pixels=(4, 1), bits=7), HdmiTiming(pixels=(4, 1), latency=2)):
         with pytest.raises(WrongDevice, match="rig's file"):
             refused(vial(360, speed=40 if other.bits == 8 else 60, display=other), other)
-    linear = ZaberStage(room.machines.stage._wire, MICROSTEPS, "mm")  # type: ignore[attr-defined]
+    linear = ZaberStage(room.machines.stage._link, MICROSTEPS, "mm")  # type: ignore[attr-defined]
     room.machines.stage = linear
     with pytest.raises(BadInput, match="moves in mm"):
         refused(room.schedule)

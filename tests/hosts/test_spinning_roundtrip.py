@@ -41,7 +41,7 @@ def printed(path: Path, emulated: EmulatedVideoRig, frames: VideoFrames, images:
     with RunFolder.begin(path, {}, "") as folder:
         assert Print(player, folder).run() is PrintState.COMPLETE
     assert len(read_run(path).shown) == len(schedule)
-    seconds = emulated.chamber.seconds(0, images, turn=images)[0]
+    seconds = emulated.recorder.seconds(0, images, turn=images)[0]
     shown = seconds[:, 4:12, 8:24]
     assert shown.sum() == pytest.approx(seconds.sum(), rel=1e-12), "no light beside the frames"
     return shown[:, ::-1, :].transpose(0, 2, 1) / (2 * share * 360 / 45 / images)

@@ -68,13 +68,13 @@ class Scene:
 
     def lit(self) -> bool:
         """Whether light falls through the mirrors, from now on for a second."""
-        before = sum(float(light.sum()) for light in self.emulated.chamber.light.values())
+        before = sum(float(light.sum()) for light in self.emulated.recorder.light.values())
         self.emulated.clock.sleep(SECOND)
-        return sum(float(light.sum()) for light in self.emulated.chamber.light.values()) > before
+        return sum(float(light.sum()) for light in self.emulated.recorder.light.values()) > before
 
     def dark_within(self, seconds: float) -> bool:
         """Whether the lamp went off so soon after what happened."""
-        times, channels = self.emulated.chamber._times, self.emulated.chamber._channels
+        times, channels = self.emulated.recorder._times, self.emulated.recorder._channels
         return channels[-1] == 0 and times[-1] - self.since <= seconds * SECOND
 
 
@@ -82,7 +82,7 @@ class Stray:
     """An edge on the trigger's wire as soon as the mirrors are ready for one."""
 
     def __init__(self, alp: Any) -> None:
-        self.alp, self.at = alp, alp._next_ready() + 1
+        self.alp, self.at = alp, alp._current[1] + 1
 
     def due(self) -> int | None:
         return self.at
@@ -156,7 +156,7 @@ def test_mirrors_that_count_wrongly_before_the_print_get_no_light(job: Path, tmp
     scene = Scene(job, tmp_path / "run")
     scene.emulated.lose_triggers = 3
     scene.fails("of which the mirrors counted")
-    assert not scene.emulated.chamber.light and not any(scene.emulated.chamber._channels)
+    assert not scene.emulated.recorder.light and not any(scene.emulated.recorder._channels)
 
 
 def test_a_stage_that_does_not_turn_gets_no_light(job: Path, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_a_stage_that_does_not_turn_gets_no_light(job: Path, tmp_path: Path) -> 
     run = scene.player._stage.run
     scene.player._stage.run = lambda speed: run(0.2 * speed)
     scene.fails("from its speed|does not turn")
-    assert not scene.emulated.chamber.light
+    assert not scene.emulated.recorder.light
 
 
 def test_an_unplugged_stage_or_line_is_dark_by_the_others(job: Path, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_an_unplugged_stage_or_line_is_dark_by_the_others(job: Path, tmp_path: P
     other.happens[9] = pull
     other.print.run()
     assert not other.lit(), "the laser shines on, and the mirrors have turned away"
-    assert other.emulated.chamber._channels[-1] == 1
+    assert other.emulated.recorder._channels[-1] == 1
 
 
 def open_door(scene: Scene) -> None:
@@ -223,7 +223,7 @@ def test_what_the_stage_triggered_when_the_light_went_off_is_told(job: Path, tmp
     with pytest.raises(VamError):
         scene.print.run()
     assert scene.print.states.state is PrintState.HELD
-    assert not scene.lit() and scene.emulated.chamber._channels[-1] == 0
+    assert not scene.lit() and scene.emulated.recorder._channels[-1] == 0
     repairs(scene)
     assert scene.print.run() is PrintState.INCOMPLETE
     scene.folder.close()
@@ -232,7 +232,7 @@ def test_what_the_stage_triggered_when_the_light_went_off_is_told(job: Path, tmp
     unseen = range(event["first"], event["stop"])
     assert unseen.start == 9 and len(unseen) <= most, "no more than could not be seen"
     assert record.shown["slot"].tolist() == list(range(36))
-    shares = light_of(scene.planned, scene.emulated.chamber) / table.on
+    shares = light_of(scene.planned, scene.emulated.recorder) / table.on
     assert (shares < 1.004).all(), "nothing is lit twice"
     short = np.flatnonzero(shares < 0.99).tolist()
     assert set(short) <= set(unseen) and (fault in ("line", "mirrors") or short)

@@ -196,7 +196,7 @@ def test_a_lens_is_brought_back_to_its_focus_by_another_host(run: Path) -> None:
     for first in range(1, 7):
         scene = Scene(run.with_name(f"run{first}"), schedule, powers=powers)
         assert scene.print.run(first) is PrintState.INCOMPLETE
-        assert scene.emulated.chamber.astray == 0.0
+        assert scene.emulated.recorder.astray == 0.0
 
 
 def test_light_of_an_earlier_host_counts(run: Path) -> None:
@@ -204,7 +204,7 @@ def test_light_of_an_earlier_host_counts(run: Path) -> None:
     assert scene.print.run() is PrintState.COMPLETE
     budget, shown = scene.print.guard.budget, scene.read().shown
     later = Scene(run.with_name("later"), roll(20))
-    later.print.recall(shown, 0)
+    later.print.restore(shown, 0)
     assert budget is not None and later.print.guard.budget is not None
     assert later.print.guard.budget.spent == pytest.approx(budget.spent)
 

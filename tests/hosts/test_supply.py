@@ -132,7 +132,7 @@ def test_late_frames_are_black_and_the_third_pose_ends_the_print() -> None:
 
 def test_a_plan_is_checked_before_the_light(tmp_path: Path) -> None:
     place = save_frames(tmp_path / "part.vam", frames_of("numpy")).path
-    planned = plan(place, read_rig("emulated"), speed=40)
+    planned = plan(place, read_rig("emulated"), speed=40, turns=1)
     stand = rehearsal(planned)
     machines, found = stand.machines, check(planned, stand.machines)
     assert isinstance(machines, MirrorMachines) and found is not None

@@ -16,7 +16,7 @@ from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.upload import UploadQueue
-from vamgpu.hosts.players import triggered
+from vamgpu.hosts.players import mirrors
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.resume import interrupted
@@ -77,7 +77,7 @@ class Stand:
 
     def seconds(self, poses: int, turn: int | None = None) -> np.ndarray:
         """How long light fell, by pose: the mirrors are white."""
-        return self.emulated.chamber.seconds(0, poses, turn)[:, :, 0, 0].sum(axis=0)
+        return self.emulated.recorder.seconds(0, poses, turn)[:, :, 0, 0].sum(axis=0)
 
 
 def stand(path: Path, schedule: Schedule, frames: White | None = None, depth: int | None = None) -> Stand:
@@ -108,7 +108,7 @@ def test_ten_minutes_of_web_at_48_mm_a_minute_lose_nothing(run: Path) -> None:
     at = stand(run, schedule)
     shown = at.run().shown
     assert schedule.duration > 599 * SECOND and len(shown) == len(schedule) > 18_000
-    assert not shown["dark"].any() and shown["late"].max() < 0 and at.emulated.chamber.astray == 0.0
+    assert not shown["dark"].any() and shown["late"].max() < 0 and at.emulated.recorder.astray == 0.0
     lit = at.seconds(poses)
     assert np.abs(lit / (3e-9 * schedule.on[0]) - 1).max() < 1e-4, "every pose got its three frames"
 
@@ -135,14 +135,14 @@ def hide(monkeypatch: pytest.MonkeyPatch, slots: set[int], end: int = 10_000) ->
                 return False
             return super().make(timeout)
 
-    monkeypatch.setattr(triggered, "UploadQueue", Torn)
+    monkeypatch.setattr(mirrors, "UploadQueue", Torn)
 
 
 def test_two_lost_poses_are_black_and_the_others_keep_their_place(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hide(monkeypatch, {100, 300, 700})
     at = stand(run, roll(800), depth=2)
     run_, shown = at.run(), read_run(run).shown
-    assert run_.state is PrintState.INCOMPLETE and "complete but for 3 of 800 views" in run_.message
+    assert run_.state is PrintState.INCOMPLETE and "3 of 800 frames are underexposed" in run_.message
     assert shown["slot"][shown["dark"] > 0].tolist() == [100, 300, 700] and at.print.board.now.dark == 3
     assert np.flatnonzero(at.seconds(800) == 0).tolist() == [100, 300, 700]
 
@@ -161,7 +161,7 @@ def test_the_third_in_a_turn_puts_the_light_out_and_then_stops_the_web(
         moving.append((channels, web.velocity(now)))
 
     at.emulated.controller.on_light = watched
-    with pytest.raises(Underrun, match="more than 2 of 360 poses were lost, the last at pose 458"):
+    with pytest.raises(Underrun, match="more than 2 of 360 poses were lost, the last at angle 458"):
         at.print.run()
     assert moving[-1][0] == 0 and moving[-1][1] > 0, "dark while the web still moves"
     assert web.velocity(at.emulated.clock.now() + SECOND) == 0
@@ -205,7 +205,7 @@ def test_a_source_that_stalls_too_long_lets_the_lease_run_out(run: Path) -> None
     at = stand(run, roll(400), White(lambda numbers: at.emulated.clock.sleep(SECOND if 200 in numbers else 0)))
     with pytest.raises(InterlockOpen, match="lease"):
         at.print.run()
-    times, channels = np.array(at.emulated.chamber._times), np.array(at.emulated.chamber._channels)
+    times, channels = np.array(at.emulated.recorder._times), np.array(at.emulated.recorder._channels)
     dark, last = times[channels == 0].max(), times[channels > 0].max()
     assert 0 < dark - last <= at.print.limits.lease
 
@@ -216,7 +216,7 @@ def test_mirrors_that_count_wrongly_before_the_print_get_no_light(run: Path) -> 
     at.emulated.lose_triggers = 1
     with pytest.raises(InterlockOpen, match="frame 0 is on show; expected frame 1"):
         at.print.run()
-    assert not at.emulated.chamber.light and at.read().shown.size == 0
+    assert not at.emulated.recorder.light and at.read().shown.size == 0
 
 
 def test_a_trigger_that_the_mirrors_missed_ends_the_print_within_a_poll(run: Path) -> None:
@@ -296,7 +296,7 @@ def test_a_pause_that_is_too_long_is_the_end(run: Path) -> None:
         while at.print.step():
             at.player.wait()
     at.emulated.clock.sleep(31 * SECOND)
-    with pytest.raises(BadInput, match="forgotten"):
+    with pytest.raises(BadInput, match="decayed"):
         at.print.run()
 
 
@@ -310,7 +310,7 @@ def died(run: Path, schedule: Schedule) -> Stand:
     at.print.guard._release_process()
     at.emulated.clock.sleep(SECOND)
     assert not at.emulated.controller.light, "the lease has run out"
-    at.emulated.alps[0].forsake()
+    at.emulated.alps[0].disconnect()
     return at
 
 
@@ -321,7 +321,7 @@ def test_another_host_goes_on_where_one_died(run: Path, schedule: Schedule) -> N
     found = interrupted(run, machines.controller, schedule)
     assert found.unseen < found.first <= found.unseen + 10 and found.lost == ((),)
     player = TriggeredPlayer(schedule, machines, [White()], origin=found.origin)
-    player.recall(found.lost)
+    player.restore(found.lost)
     with RunFolder.again(run) as folder:
         found.take_up(folder, schedule, machines.clock.now())
         assert Print(player, folder).run(found.first) is PrintState.INCOMPLETE
@@ -336,13 +336,13 @@ def test_what_cannot_be_resumed_is_told(run: Path) -> None:
     old = died(run, schedule)
     per_mm = STEPS / float(schedule.advance)
     controller = old.emulated.machines(per_mm).controller
-    old.emulated.alps[0].forsake()
+    old.emulated.alps[0].disconnect()
     controller.go(5)
     controller.stop()
     with pytest.raises(BadInput, match="another program let the controller play"):
         interrupted(run, old.emulated.machines(per_mm).controller, schedule)
     for zero in (0, old.emulated.controller.zero + 1):
-        old.emulated.alps[0].forsake()
+        old.emulated.alps[0].disconnect()
         old.emulated.controller.zero = zero
         with pytest.raises(BadInput, match="does not know the print.*lost its power"):
             interrupted(run, old.emulated.machines(per_mm).controller, schedule)
@@ -350,7 +350,7 @@ def test_what_cannot_be_resumed_is_told(run: Path) -> None:
     lines = [json.loads(line) for line in events.read_text().splitlines()]
     lines[-1]["wall"] = time.time() - 60
     events.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    with pytest.raises(BadInput, match="forgotten"):
+    with pytest.raises(BadInput, match="decayed"):
         interrupted(run, controller, schedule)
     old.print.folder.close()
     whole = stand(run.with_name("whole"), roll(8))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,16 +12,15 @@ import pytest
 from doubles import MODEL, STEPS, late
 from test_stage_clocked import RIG
 
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.account import account
 from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-from vamgpu.hosts.frames.versions import Boundaries, FramePlans, FrameVersion
-from vamgpu.hosts.plans import keep, planned_versions, sources_of
+from vamgpu.hosts.frames.versions import Boundaries, FrameVersion, FrameVersions
 from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.proof import _shown
-from vamgpu.hosts.record import BEFORE, FrameRecord, RunFolder, RunRecord, read_run
+from vamgpu.hosts.record import FrameRecord, RunFolder, RunRecord, read_run
 from vamgpu.hosts.resume import asked_for, limits
 from vamgpu.hosts.rig import PrintPlan, carry_out, plan, player, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
@@ -33,6 +30,7 @@ from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import PrintState
+from vamgpu.hosts.version_store import keep, planned_versions, sources_of
 from vamgpu.printing.frames import Frames
 
 COUNT = 40
@@ -84,18 +82,18 @@ class Vial:
         timings = (MIRRORS,) * engines if engines > 1 else MIRRORS
         self.schedule = turned(COUNT, speed=240 if paced else 40, engines=timings, turns=turns)
         self.emulated = EmulatedMirrorRig(STEPS, MODEL, engines, clock=PacedClock() if paced else None)
-        self.plans = FramePlans([Column(0)] * engines, COUNT, turns, allowance=allowance)
+        self.versions = FrameVersions([Column(0)] * engines, COUNT, turns, allowance=allowance)
         self.player = TriggeredPlayer(
             self.schedule, self.emulated.machines(STEPS / float(self.schedule.advance)), [Column(0)] * engines,
-            depth=depth, plans=self.plans, sequences=resident or 2, turn=COUNT if resident else None,
+            depth=depth, versions=self.versions, sequences=resident or 2, turn=COUNT if resident else None,
         )  # fmt: skip
         limits = SafetyLimits(lease=SECOND)  # a busy machine
         self.print = Print(self.player, RunFolder.begin(path, {}, ""), limits=limits)
         self.happens: dict[int, Callable[[], object]] = {}
 
     def swap(self, turn: int, **options: float | int | None) -> int:
-        number = self.plans.last + 1
-        return self.plans.swap([Column(number)] * self.engines, turn, **options)  # type: ignore[arg-type]
+        number = self.versions.last + 1
+        return self.versions.swap([Column(number)] * self.engines, turn, **options)  # type: ignore[arg-type]
 
     def at(self, slot: int, act: Callable[[], object]) -> None:
         """Do something once a slot is about to be shown."""
@@ -122,7 +120,7 @@ class Vial:
 
     def columns(self, engine: int = 0) -> np.ndarray:
         """How long light fell [slots], by column and turn."""
-        light = self.emulated.chamber.seconds(engine, len(self.player.schedule))[0, :, 0]
+        light = self.emulated.recorder.seconds(engine, len(self.player.schedule))[0, :, 0]
         by_turn = light.reshape(-1, COUNT, 16).sum(axis=1).T
         return np.round(by_turn / (1e-9 * int(self.schedule.on[0])), 2)
 
@@ -203,9 +201,9 @@ def test_a_newer_offer_takes_the_place_of_one_that_waits_or_was_committed(run: P
 def test_a_turn_that_does_not_change_is_not_uploaded_again(run: Path) -> None:
     vial = Vial(run, turns=6, depth=10, resident=6)
     sources = [Column(0)]
-    vial.plans._versions[0] = FrameVersion(0, tuple(sources), 0)
+    vial.versions._versions[0] = FrameVersion(0, tuple(sources), 0)
     new = Column(1)
-    vial.at(90, lambda: vial.plans.swap([new], 3))
+    vial.at(90, lambda: vial.versions.swap([new], 3))
     told = vial.run()
     assert told.shown["version"].tolist() == [0] * 120 + [1] * 120
     assert (sources[0].made, new.made) == (COUNT, COUNT), "each version went to the mirrors once"
@@ -220,7 +218,7 @@ def test_what_was_missed_is_shown_again_in_its_own_version(run: Path, monkeypatc
     assert told.state is PrintState.COMPLETE
     shown = told.shown[(told.shown["slot"] >= 80) & (told.shown["frame"] >= 0)]
     assert [(int(each["frame"]), int(each["version"])) for each in shown] == [(10, 0), (12, 1)]
-    light = vial.emulated.chamber.seconds(0, COUNT, turn=COUNT)[0, :, 0, :2].T
+    light = vial.emulated.recorder.seconds(0, COUNT, turn=COUNT)[0, :, 0, :2].T
     assert np.abs(light / light[0, 0] - 1).max() < 1e-3, "each version gave each view its light once"
 
 
@@ -277,7 +275,7 @@ def test_versions_add_no_more_light_than_was_allowed(run: Path) -> None:
     with pytest.raises(BadInput, match="turns 2 to 2 of 4"):
         vial.swap(2, stop=2)
     with pytest.raises(BadInput, match="one for each projector"):
-        vial.plans.swap([Column(1)] * 2, 1)
+        vial.versions.swap([Column(1)] * 2, 1)
     with pytest.raises(BadInput, match="comes after version 1"):
         vial.swap(2, number=1)
 
@@ -287,7 +285,7 @@ def test_frames_of_versions_that_are_over_are_let_go(run: Path) -> None:
     for turn in range(1, 6):
         vial.at(40 * turn - 35, lambda turn=turn: vial.swap(turn))
     vial.run()
-    assert sorted(vial.plans._versions) == [0, 5]
+    assert sorted(vial.versions._versions) == [0, 5]
 
 
 @pytest.mark.parametrize("slot", [0, 3, 30, 37, 39, 40])
@@ -296,18 +294,13 @@ def test_a_horizon_is_the_next_boundary_until_the_lead(slot: int) -> None:
     assert Boundaries(40, 50, 3).horizon(slot) == 80, "nothing before the first slot counts"
 
 
-def test_records_without_versions_are_read_and_go_on(run: Path) -> None:
+def test_records_of_an_earlier_format_are_refused(run: Path) -> None:
     with RunFolder.begin(run, {}, "") as folder:
-        path = folder.path / "shown.bin"
-    body = struct.pack("<6q2H", 7, 3, 7, 100, 200, -5, 1, 0)
-    path.write_bytes(BEFORE + body + struct.pack("<I", zlib.crc32(body)) + b"torn")
-    found = read_run(run)
-    assert found.torn == 4 and found.shown[["slot", "frame", "late", "engine", "version"]].tolist() == [
-        (7, 3, -5, 1, 0)
-    ]
-    with RunFolder.again(run) as again:
-        again.shown(FrameRecord(8, 4, 8, 300, 200, version=6))
-    assert read_run(run).shown[["slot", "version"]].tolist() == [(7, 0), (8, 6)]
+        folder.shown(FrameRecord(7, 3, 7, 100, 200))
+    path = run / "shown.bin"
+    path.write_bytes(path.read_bytes().replace(b"VAMSHOWN\x02", b"VAMSHOWN\x01"))
+    with pytest.raises(StorageError, match="version 0.2 or earlier"):
+        read_run(run)
 
 
 # ---- other players, resuming, and what is proved afterwards ---------------------------------------------------------
@@ -324,13 +317,13 @@ class Planned:
     def __init__(self, job: Path, run: Path, rig: RigConfig, turns: int = 3) -> None:
         self.path, self.planned = run, plan(job, rig, turns=turns, rehearsed=True)
         self.stand = rehearsal(self.planned)
-        self.plans = planned_versions(self.planned, 10.0)
-        self.play: Any = player(self.planned, self.stand.machines, None, None, self.plans)
+        self.versions = planned_versions(self.planned, 10.0)
+        self.play: Any = player(self.planned, self.stand.machines, None, None, self.versions)
         self.happens: dict[int, Callable[[], object]] = {}
 
     def swap(self, level: int, turn: int, **options: Any) -> None:
         frames = shades(self.planned, level)
-        number = self.plans.swap(sources_of(frames, self.planned.mirrors), turn, **options)
+        number = self.versions.swap(sources_of(frames, self.planned.mirrors), turn, **options)
         keep(self.path, number, frames, {})
 
     def run(self, **options: Any) -> RunRecord:
@@ -351,7 +344,7 @@ class Planned:
         """What the resin saw of each view, in levels, summed over the turns."""
         on = 1e-9 * int(self.planned.schedule.on[0])
         down, across = self.planned.mirrors[0].place(6, 10)
-        light = self.stand.emulated.chamber.seconds(0, 36, turn=36)[0]
+        light = self.stand.emulated.recorder.seconds(0, 36, turn=36)[0]
         return light[:, down, across] * 255 / on
 
 
@@ -436,7 +429,7 @@ def test_another_host_goes_on_with_the_version_that_was_committed(job: Path, run
         RunFolder.state = state  # type: ignore[method-assign]
     keep(run, 3, shades(made.planned, 7), {})  # one that was not committed any more
     made.stand.emulated.clock.sleep(SECOND)
-    made.stand.emulated.alps[0].forsake()
+    made.stand.emulated.alps[0].disconnect()
     machines = made.stand.emulated.machines(made.stand.machines.microsteps)  # type: ignore[union-attr]
     state_, job_ = carry_out(made.planned, machines, run, resume=True)
     shown = read_run(run).shown
@@ -446,4 +439,4 @@ def test_another_host_goes_on_with_the_version_that_was_committed(job: Path, run
     assert frames is not None
     off = np.abs(made.levels() - frames.levels() - 130.0).max(axis=(1, 2))
     assert np.count_nonzero(off > 3) <= 1, "all but the frame that the lease cut"
-    assert job_.player.plans is not None and job_.player.plans.last == 3, "no number comes twice"
+    assert job_.player.versions is not None and job_.player.versions.last == 3, "no number comes twice"

@@ -12,9 +12,9 @@ import vamgpu
 from vamgpu.backend import open_device
 from vamgpu.cli.print import print_
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.live import watched
-from vamgpu.hosts.live.following import levels_of, light_of
-from vamgpu.hosts.live.watched import RedCamera
+from vamgpu.hosts.live import live_print
+from vamgpu.hosts.live.live_print import RedCamera
+from vamgpu.hosts.live.planner import levels_of, light_of
 from vamgpu.hosts.record import RunRecord, read_run
 from vamgpu.hosts.state import Board, PrintState
 from vamgpu.jobs.demo import _begun
@@ -56,7 +56,7 @@ OFF = Truth(inhibitor=0.5, lamp=0.95)
 def nut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     job, left = _begun(
         Job,
-        JOB.replace("iterations = 20", 'iterations = 20\nmethod = "window"'),
+        JOB.replace("iterations = 20", 'iterations = 20\nmethod = "lbfgs"'),
         tmp_path_factory.mktemp("nut"),
         "nut",
         (),
@@ -80,8 +80,8 @@ def versions(told: RunRecord) -> set[int]:
 
 
 def test_levels_show_the_light_that_was_decided(nut: Path) -> None:
-    frames = load_frames(nut, "numpy")
-    operator = prove(nut, "numpy").proof.operator
+    frames = load_frames(nut, "cpu")
+    operator = prove(nut, "cpu").proof.operator
     light = light_of(frames, TURNS)
     assert np.array_equal(levels_of(light, frames, TURNS, operator), frames.levels())
     half = levels_of(0.5 * light, frames, TURNS, operator).astype(float)
@@ -94,7 +94,7 @@ def test_light_for_bits_that_were_chosen_by_dose_is_shown_too() -> None:
     part = np.zeros((16, 16, 2), np.float32)
     part[5:11, 5:11] = 1.0
     A = vamgpu.Projection(vamgpu.Grid((16, 16, 2), 0.1), vamgpu.Beam((24, 2), 0.1), vamgpu.Turntable(40))
-    frames = vamgpu.pack(vamgpu.optimize(A, part, "window", 4, progress=False), 1, dither="fit")
+    frames = vamgpu.pack(vamgpu.optimize(A, part, "lbfgs", 4, progress=False), 1, dither="fit")
     given = light_of(frames, TURNS)
     shown = levels_of(0.5 * given, frames, TURNS, A)
     assert shown.dtype == np.uint8 and set(np.unique(shown)) == {0, 1}
@@ -135,15 +135,16 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
         live(nut, turns=TURNS, folder=run)
 
 
+@pytest.mark.slow
 def test_the_job_s_light_prints_whatever_its_unit_and_beam(
     dull: Path, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    proof = prove(dull, "numpy").proof
+    proof = prove(dull, "cpu").proof
     assert abs(proof.scores.threshold / 0.865 - 1.0) > 0.03, "else this tests nothing"
     unwatched = live(dull, turns=TURNS, watched=False)
     assert unwatched.iou == pytest.approx(proof.scores.iou, abs=0.02) and unwatched.turns == TURNS
-    monkeypatch.setattr(watched, "WAIT", 20.0)
-    monkeypatch.setattr(watched, "FOLLOW", "live_workers:raises")
+    monkeypatch.setattr(live_print, "WAIT", 20.0)
+    monkeypatch.setattr(live_print, "FOLLOW", "live_workers:raises")
     alone = live(dull, turns=TURNS, folder=run)
     assert np.allclose(alone.conversion, unwatched.conversion, atol=0.01), "the machines give what the plan does"
     assert str(alone).splitlines()[0].endswith(f"complete after {TURNS} turns")
@@ -151,7 +152,7 @@ def test_the_job_s_light_prints_whatever_its_unit_and_beam(
 
 def test_the_loop_plans_by_the_job_s_own_beam_and_names_its_device(dull: Path, run: Path) -> None:
     live(dull, turns=2, folder=run)
-    record, beam = LiveRecord(run / "live"), prove(dull, "numpy").proof.operator.beam
+    record, beam = LiveRecord(run / "live"), prove(dull, "cpu").proof.operator.beam
     setup = record.setup()
     assert setup.projection(setup.vial).beam == beam and beam.fill == 0.8 and beam.spread == pytest.approx(0.12)
     assert setup.camera().projection.beam.fill == 1.0, "the camera has a lens of its own"
@@ -166,8 +167,8 @@ def test_the_loop_plans_by_the_job_s_own_beam_and_names_its_device(dull: Path, r
 def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
     nut: Path, run: Path, monkeypatch: pytest.MonkeyPatch, function: str
 ) -> None:
-    monkeypatch.setattr(watched, "FOLLOW", f"live_workers:{function}")
-    monkeypatch.setattr(watched, "WAIT", 0.01 if function == "silent" else 20.0)
+    monkeypatch.setattr(live_print, "FOLLOW", f"live_workers:{function}")
+    monkeypatch.setattr(live_print, "WAIT", 0.01 if function == "silent" else 20.0)
     live(nut, turns=TURNS, folder=run, truth=OFF)
     told = read_run(run)
     kinds = {event["event"] for event in told.events}

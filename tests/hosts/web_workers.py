@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vamgpu.hosts.live.worker import Desk
+from vamgpu.hosts.live.worker import PlannerClient
 from vamgpu.live import WebDrift, WebReplanner
 from vamgpu.losses.band import Band
 from vamgpu.optics.film import Film
@@ -33,16 +33,16 @@ WEAK = 110
 """The frame from which the lamp gives four fifths."""
 
 
-def mends(desk: Desk) -> None:
+def mends(planner: PlannerClient) -> None:
     """Of that web: once the weak lamp was seen, the segment after the next, one by one."""
-    plan = WebFolder.open(desk.task["jobs"][0])
+    plan = WebFolder.open(planner.task["jobs"][0])
     web, done = (plan,), 0
-    for told in desk:
+    for told in planner:
         if "shown" not in told or (slot := int(told["shown"]["slot"].max())) < WEAK:
             continue
-        horizon = slot // desk.task["frames"] + 2
-        if horizon > done and horizon < desk.task["turns"]:
-            done, path = horizon, Path(desk.task["folder"]).parent / f"{horizon}.vam"
+        horizon = slot // planner.task["frames"] + 2
+        if horizon > done and horizon < planner.task["turns"]:
+            done, path = horizon, Path(planner.task["folder"]).parent / f"{horizon}.vam"
             new = WebReplanner(bars(), WebDrift(0.8, WEAK), iterations=10).write(path, web, horizon, count=1)
-            desk.propose([new.read("frames", *new.segments[horizon].frames)], horizon)
+            planner.propose([new.read("frames", *new.segments[horizon].frames)], horizon)
             web = (new, plan)

@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import vamgpu as vam
 from vamgpu.errors import JobError
 from vamgpu.geometry import Turntable
-from vamgpu.jobs.build import motion_of, read_angles
+from vamgpu.jobs.build import motion_of, projection_of, read_angles, target_of
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.read import parse_job
 from vamgpu.jobs.run import prove, solve
+from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.units import deg
 
-SMALL = ["target.pitch=900 um", "beam.pitch=1200 um", "solve.iterations=2", "solve.device=numpy"]
+SMALL = ["target.pitch=900 um", "beam.pitch=1200 um", "solve.iterations=2", "solve.device=cpu"]
 
 
 def job_of(*settings: str, folder: Path = Path()):  # noqa: ANN201
@@ -33,6 +35,25 @@ def test_a_range_and_a_file_become_turntables(tmp_path: Path) -> None:
     assert measured == Turntable(np.array([0, 10.5, 21.25]) * deg, dwell=[1, 1, 2])
     (tmp_path / "rad.csv").write_text("angle_rad\n0.5\n0.25\n", encoding="utf-8")
     assert read_angles(tmp_path / "rad.csv") == Turntable([0.5, 0.25])
+
+
+def test_a_job_says_how_the_vial_moves_while_it_is_lit(tmp_path: Path) -> None:
+    (tmp_path / "rad.csv").write_text("angle_rad\n0.5\n0.25\n", encoding="utf-8")
+    shares = [
+        motion_of(job_of(*given).file.turntable, tmp_path).lit_share
+        for given in (["turntable.range=90 deg"], ["turntable.lit_share=0.5"], ["turntable.angles=rad.csv"],
+                      ["turntable.angles=rad.csv", "turntable.lit_share=1"])
+    ]  # fmt: skip
+    assert shares == [1.0, 0.5, 0.0, 1.0]
+    with pytest.raises(JobError, match=r"turntable\.lit_share: got 1\.5; expected"):
+        job_of("turntable.lit_share=1.5")
+
+
+@pytest.mark.parametrize("motion", [Turntable(6), Turntable([0.0, 1.0], lit_share=0.3)])
+def test_manifests_keep_how_the_vial_moves_and_older_ones_were_at_rest(motion: Turntable) -> None:
+    said = described(motion)
+    assert turntable_from(said) == motion
+    assert turntable_from({name: value for name, value in said.items() if name != "lit_share"}) == motion.stepped
 
 
 @pytest.mark.slow
@@ -72,3 +93,20 @@ def test_a_missing_table_and_a_double_choice_are_told(tmp_path: Path) -> None:
         read_angles(tmp_path / "none.csv")
     with pytest.raises(JobError, match=r"turntable:? .*got a range and the file 'scan\.csv'.*remove one"):
         job_of("turntable.angles=scan.csv", "turntable.range=180 deg")
+
+
+def test_a_job_may_leave_out_what_its_pixels_ask_for() -> None:
+    """Voxels of a pixel in the resin, and angles from one to the next of which no point of the part moves farther."""
+    bare = JOB.replace("[turntable]\nangles = 360\n", "")
+    device = vam.open_device("numpy")
+    for settings, most in (((), 240), (("turntable.most=100",), 100), (("turntable.range=180 deg",), 120)):
+        job = parse_job(bare, ["beam.pitch=1200 um", *settings])
+        target = target_of(job, device)
+        A = projection_of(job.file, target, device)
+        width = vam.resin_pixel(A.beam, A.vessel)[0]
+        assert target.grid.pitch == pytest.approx(width) == pytest.approx(1.2 / 1.49962, rel=1e-4)
+        whole = vam.enough_angles(A.beam, A.vessel, target.radius)
+        assert whole >= 2.0 * np.pi * target.radius / width > whole - 60
+        assert A.motion.angles == min(most, whole) if "range" not in str(settings) else -(-whole // 2)
+    with pytest.raises(JobError, match="turntable.most: got 100 beside angles = 24; remove one"):
+        job_of("turntable.angles=24", "turntable.most=100")

@@ -49,7 +49,7 @@ absorption = "0.1 /mm"
 [solve]
 method = "lbfgs"
 iterations = 8
-device = "numpy"
+device = "cpu"
 """
 
 
@@ -94,8 +94,11 @@ PART = '[target]\npitch = "0.2 mm"\n[beam]\npitch = "0.2 mm"\n'
 WRONG = {
     "role": ('[[body]]\nshape = "boat"\nrole = "ornament"\n', "body.0.role"),
     "both": ('[[body]]\nshape = "boat"\nmesh = "a.stl"\n', "expected exactly one of mesh"),
-    "no dose": ('[[body]]\nshape = "boat"\n[[body]]\nshape = "boat"\nrole = "gray"\n', "expected a dose of gray"),
-    "a dose": ('[[body]]\nshape = "boat"\ndose = 0.4\n', "expected a dose of gray and keep out"),
+    "no dose": (
+        '[[body]]\nshape = "boat"\n[[body]]\nshape = "boat"\nrole = "gray"\n',
+        "expected dose = 0.7, say, for gray",
+    ),
+    "a dose": ('[[body]]\nshape = "boat"\ndose = 0.4\n', "no dose for other roles"),
     "index": ('[[body]]\nshape = "boat"\nindex = 1.5\n', "expected index and absorption of inserts"),
     "nothing printed": ('[[body]]\nshape = "boat"\nrole = "insert"\n', "got no [[body]] that is printed"),
     "key": ('[[body]]\nshape = "boat"\nroll = "print"\n', "did you mean 'role'"),
@@ -111,6 +114,14 @@ def test_wrong_bodies_are_named(case: str) -> None:
     with pytest.raises(JobError) as caught:
         parse_job(PART + text)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("wrong", ['role = "gray"', 'weight = "much"', "roll = 3"])
+def test_the_line_is_that_of_the_body_that_is_meant(wrong: str) -> None:
+    text = PART + '[[body]]\nshape = "boat"\nweight = 2.0\n[[body]]\nshape = "nut"\n' + wrong + "\n"
+    line = text[: text.rindex("[[body]]" if "gray" in wrong else wrong)].count("\n") + 1
+    with pytest.raises(JobError, match=rf"line {line}: body\.1"):
+        parse_job(text)
 
 
 def test_keys_of_one_part_and_of_bodies_are_not_mixed() -> None:
@@ -133,7 +144,7 @@ def test_garbled_bodies_of_a_manifest_are_refused(job: Path) -> None:
     assert isinstance(back, Limits) and back.bodies == limits.bodies
     assert limits_from(None, array, limits.dose.shape) is None
     for wrong in (3, {}, said | {"void": "x"}, said | {"bodies": []}, said | {"bodies": [{"nme": "a"}]}):
-        with pytest.raises(StorageError, match="garbles its bodies"):
+        with pytest.raises(StorageError, match="has malformed bodies"):
             limits_from(wrong, array, limits.dose.shape)
-    with pytest.raises(StorageError, match="garbles its bodies"):
+    with pytest.raises(StorageError, match="has malformed bodies"):
         limits_from(said, array, (1, 2, 3))

@@ -91,7 +91,7 @@ def test_a_web_goes_on_with_what_a_cluster_left(tmp_path: Path) -> None:
     assert [one.sha256 for one in found.segments] == [one.sha256 for one in alone.segments]
 
 
-VIAL = ["target.pitch=0.5 mm", "beam.pitch=0.5 mm", "beam.pixels=[36, 28]", "turntable.angles=24", "solve.device=numpy"]
+VIAL = ["target.pitch=1 mm", "beam.pitch=1 mm", "beam.pixels=[18, 14]", "turntable.angles=12", "solve.device=numpy"]
 """A job of some seconds."""
 
 
@@ -103,7 +103,7 @@ def light_of(path: Path) -> np.ndarray:
 @pytest.mark.timeout(600)
 def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """To rounding that of one device, and bit by bit that of a cluster where nobody was killed."""
-    job = Job.parse(JOB, [*VIAL, "solve.iterations=30"])
+    job = Job.parse(JOB, [*VIAL, "solve.iterations=8"])
     began = time.perf_counter()
     alone = light_of(solve(job, tmp_path / "alone").path)
     print("alone", time.perf_counter() - began)
@@ -140,7 +140,7 @@ def test_a_job_that_is_replaced_is_solved_anew_whoever_is_lost(tmp_path: Path, m
     other, job = (Job.parse(JOB, [*VIAL, f"solve.iterations={count}"]) for count in (2, 5))
     alone = light_of(solve(job, tmp_path / "alone").path)
     standing = light_of(solve(other, tmp_path / "boat").path)
-    monkeypatch.setattr(cluster, "slabs", slabs)
+    monkeypatch.setattr(run, "slabs", slabs)
     monkeypatch.setattr(run, "CHECKPOINT", 0.0)
     monkeypatch.setattr(run, "RARELY", 0.0)
     with pytest.warns(ClusterWarning, match="kept last"):
@@ -173,7 +173,6 @@ def test_ctrl_c_in_a_terminal_reaches_workers_too_and_leaves_the_plan(
     assert len(working) == 2 and stopped.value.plan is not None and run.is_interrupted(tmp_path / "boat")
 
 
-@pytest.mark.slow
 class Deserted:
     """The client of a scheduler whose workers are gone for good."""
 

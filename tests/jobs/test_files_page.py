@@ -29,7 +29,11 @@ def test_the_page_s_commands_and_programs_run_one_after_the_other(
             continue
         for line in text.splitlines():
             words = shlex.split(line, comments=True)
-            small = [part for setting in SMALL for part in ("--set", setting)] if words[1] == "solve" else []
+            small = (
+                [part for setting in SMALL for part in ("--set", setting)]
+                if words[1] == "solve" or "--job" in words
+                else []
+            )
             assert words[0] == "vam" and main([*words[1:], *small]) == 0, capsys.readouterr().err
     assert known["job"].file.target.shape == "boat" and known["projector"].gray.intensity[128] < 0.3
     assert {"boat.html", "theirs.vam", "stack.vam", "film.vam", "projector.mp4", "boat.npz"} <= {

@@ -21,6 +21,7 @@ from vamgpu.errors import BadInput, JobError, StorageError
 from vamgpu.jobs.build import target_of
 from vamgpu.jobs.foreign.drtvam import export_drtvam, read_drtvam, write_drtvam
 from vamgpu.jobs.foreign.importing import import_patterns, import_task
+from vamgpu.jobs.foreign.patterns import STEPPED
 from vamgpu.jobs.foreign.pictures import Layout, read_pictures
 from vamgpu.jobs.foreign.vamtoolbox import read_vamtoolbox
 from vamgpu.jobs.read import read_job
@@ -77,7 +78,7 @@ def test_a_pixel_of_dr_tvam_lights_the_voxels_along_its_ray(
     found = read_drtvam(path)
     device = vam.open_device("numpy")
     grid = vam.Grid((24, 24, 16), 0.25)
-    A = vam.Projection(grid, vam.Beam((24, 8), PITCH, spread=0.0), vam.Turntable(24), None, device)
+    A = vam.Projection(grid, vam.Beam((24, 8), PITCH, spread=0.0), vam.Turntable(24, lit_share=0), None, device)
     dose = A.T(device.upload(found.light)).numpy()
     start, along = ray(*pixel, clockwise)
     places = np.stack(np.meshgrid(*grid.axes(), indexing="ij"), axis=-1) - start
@@ -89,26 +90,41 @@ def test_a_pixel_of_dr_tvam_lights_the_voxels_along_its_ray(
 def test_a_configuration_of_dr_tvam_becomes_a_job_that_proves(tmp_path: Path) -> None:
     np.savez(tmp_path / "patterns.npz", patterns=np.ones((24, 8, 24), np.float32))
     path = configuration(tmp_path)
-    done = import_patterns(path, tmp_path / "flat.vam", device="numpy")
+    done = import_patterns(path, tmp_path / "flat.vam", device="cpu")
     flat = prove(done.folder.path, "numpy").proof
-    plan: Any = vam.load(tmp_path / "flat.vam", "numpy")
+    plan: Any = vam.load(tmp_path / "flat.vam", "cpu")
     A, part = plan.plan.operator, plan.plan.target
     assert (A.vessel.radius, A.vessel.inner_radius, A.vessel.absorption) == (8.0, 7.0, 0.1)
-    assert (A.beam.pitch, A.beam.pixels, A.motion, A.grid.pitch) == (PITCH, (24, 8), vam.Turntable(24), 0.5)
+    assert (A.beam.pitch, A.beam.pixels, A.motion, A.grid.pitch) == (
+        PITCH,
+        (24, 8),
+        vam.Turntable(24, lit_share=0),
+        0.5,
+    )
     places = np.argwhere(part.numpy() > 0.5) * 0.5 - 0.25 * (np.array(A.grid.shape) - 1) * 2 * 0.5
     assert np.allclose(places.mean(axis=0), (0.75, -0.5, 0.4), atol=0.26) and part.height == pytest.approx(2.0)
     write_drtvam(vam.optimize(A, part, iterations=8).sinogram.numpy(), tmp_path / "patterns.npz")
-    import_patterns(path, tmp_path / "good.vam", device="numpy")
-    good = prove(tmp_path / "good.vam", "numpy")
+    import_patterns(path, tmp_path / "good.vam", device="cpu")
+    good = prove(tmp_path / "good.vam", "cpu")
     assert not good.plan.history and good.proof.scores.iou > 0.9 > flat.scores.iou
     said = Folder.open(tmp_path / "good.vam").manifest.inputs["imported"]
     assert said["program"] == "Dr.TVAM" and said["source"] == "config.json"
 
 
+def test_patterns_of_dr_tvam_are_judged_in_all_of_its_sensor_that_lies_in_resin(tmp_path: Path) -> None:
+    np.savez(tmp_path / "patterns.npz", patterns=np.ones((24, 8, 24), np.float32))
+    film = {"resx": 80, "resy": 26, "resz": 20}
+    path = configuration(tmp_path, sensor={"type": "dda", "scalex": 40, "scaley": 13, "scalez": 10, "film": film})
+    import_patterns(path, tmp_path / "flat.vam", device="cpu")
+    flat: Any = vam.load(tmp_path / "flat.vam", "cpu")
+    assert flat.plan.operator.grid == vam.Grid((28, 26, 20), 0.5)  # 14 mm of resin
+
+
 def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: Path) -> None:
     path, place = configuration(tmp_path, loss={"type": "threshold"}, n_steps=40), tmp_path / "box.toml"
-    assert import_task(path, place) == ("its loss, n_steps left out: `vam solve` has methods of its own",)
+    assert import_task(path, place) == (STEPPED, "its loss, n_steps left out: `vam solve` has methods of its own")
     job = read_job(place)
+    assert job.file.turntable.lit_share == 0.0
     assert (job.file.beam.pixels, job.file.beam.pitch, job.file.target.pitch) == ((24, 8), PITCH, 0.5)
     part = target_of(job, vam.open_device("numpy"))
     places = np.argwhere(part.numpy() > 0.5) * 0.5 - 0.25 * (np.array(part.grid.shape) - 1)
@@ -128,9 +144,9 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
     [
         ({"vial": VIAL | {"type": "square", "w_int": 10, "w_ext": 12}}, "expected index_matched or cylindrical"),
         ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions"),
-        ({"projector": {"type": "lens"}}, "lacks or garbles 'pixel_size'"),
+        ({"projector": {"type": "lens"}}, "lacks 'pixel_size'"),
         ({"projector": {"type": "lens", "pixel_size": 0.1}}, "expected a collimated or telecentric"),
-        ({"target": {}}, "lacks or garbles 'filename'"),
+        ({"target": {}}, "lacks 'filename'"),
         ({"sensor": 3}, "sensor, which is no table"),
         ({"vial": VIAL | {"r_ext": 0.1}}, "r_ext, which is 0.1; expected a number above"),
         ({"vial": VIAL | {"ior": None}}, "ior, which is None; expected a number from 1"),
@@ -142,7 +158,7 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
 def test_a_set_up_without_a_model_is_refused(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
     np.savez(tmp_path / "patterns.npz", patterns=np.ones((24, 8, 24), np.float32))
     with pytest.raises(BadInput, match=said):
-        import_patterns(configuration(tmp_path, **changes), tmp_path / "a.vam", device="numpy")
+        import_patterns(configuration(tmp_path, **changes), tmp_path / "a.vam", device="cpu")
     assert not (tmp_path / "a.vam").exists()
 
 
@@ -160,6 +176,12 @@ def test_what_is_no_configuration_at_all_is_told(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text("[1, 2]")
     with pytest.raises(BadInput, match=r"its outermost braces: it is a list, no table; expected a configuration"):
         import_task(tmp_path / "list.json", tmp_path / "job.toml")
+
+
+def test_what_is_no_json_is_told(tmp_path: Path) -> None:
+    (tmp_path / "cut.json").write_text('{"vial":')
+    with pytest.raises(StorageError, match=r"cannot read .*cut\.json': Expecting value.*; expected a configuration"):
+        import_task(tmp_path / "cut.json", tmp_path / "job.toml")
 
 
 def test_negative_light_is_not_called_dark(tmp_path: Path) -> None:
@@ -242,15 +264,16 @@ def test_a_sinogram_and_its_voxels_become_a_job_that_proves(toolbox: Any, tmp_pa
     part[4:9, 6:12] = 1.0
     np.save(tmp_path / "part.npy", part)
     target = vam.Target.from_array(part.transpose(1, 0, 2), 0.5)
-    A = vam.Projection(target.grid, vam.Beam((18, 4), 0.5, spread=0.0), vam.Turntable(20), None, "numpy")
+    A = vam.Projection(target.grid, vam.Beam((18, 4), 0.5, spread=0.0), vam.Turntable(20, lit_share=0), None, "numpy")
     plan = vam.optimize(A, target, iterations=6)
     light = plan.sinogram.numpy()
     angles = np.mod(-np.degrees(A.motion.poses) - 90.0, 360.0)
     geometry = toolbox(angles=angles, projector_pixel_size=0.05)
     (tmp_path / "a.sino").write_bytes(pickle.dumps(toolbox(array=light.transpose(1, 0, 2), proj_geo=geometry), 5))
-    import_patterns(tmp_path / "a.sino", tmp_path / "a.vam", target=tmp_path / "part.npy", device="numpy",
+    import_patterns(tmp_path / "a.sino", tmp_path / "a.vam", target=tmp_path / "part.npy", device="cpu",
                     settings=["beam.spread=0 mm"])  # fmt: skip
-    found = prove(tmp_path / "a.vam", "numpy").proof.scores
+    found = prove(tmp_path / "a.vam", "cpu").proof.scores
+    assert STEPPED in Folder.open(tmp_path / "a.vam").manifest.inputs["imported"]["notes"]
     own = vam.simulate(A, vam.pack(plan, quantile=1.0), target).scores
     assert own.iou > 0.9 and (found.iou, found.missing) == pytest.approx((own.iou, own.missing))
     assert found.window == pytest.approx(own.window, abs=2e-3)
@@ -311,8 +334,8 @@ def test_what_was_exported_comes_back(name: str, bits: int, tmp_path: Path) -> N
     found = read_pictures(tmp_path / name, Layout())
     assert found.full == pytest.approx(frames.scale) and found.motion == vam.Turntable(16)
     assert np.allclose(found.light / frames.scale, light, atol=1e-6)
-    import_patterns(tmp_path / name, tmp_path / "a.vam", job=tmp_path / "boat.toml", device="numpy")
-    assert prove(tmp_path / "a.vam", "numpy").proof.scores.iou > 0.2
+    import_patterns(tmp_path / name, tmp_path / "a.vam", job=tmp_path / "boat.toml", device="cpu")
+    assert prove(tmp_path / "a.vam", "cpu").proof.scores.iou > 0.2
 
 
 @pytest.mark.parametrize("flip_r", [False, True])
@@ -340,20 +363,27 @@ def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
     place = export(frames, tmp_path / "png")
     (place / "frames.json").unlink()
     with pytest.raises(JobError, match="target"):
-        import_patterns(place, tmp_path / "a.vam", device="numpy")
+        import_patterns(place, tmp_path / "a.vam", device="cpu")
     job = tmp_path / "boat.toml"
+    sinogram = tmp_path / "own.npy"
+    np.save(sinogram, np.ones((24, 16, 8), np.float32))  # VAMToolbox's axes are r, angle, z
+    with pytest.raises(BadInput, match=r"own.npy' has patterns for 16 angles, the job 99; expected as many"):
+        import_patterns(sinogram, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
+    with pytest.raises(JobError, match=r"(?s)own.npy' does not say .*: --job job.toml\n.*target is missing"):
+        import_patterns(sinogram, tmp_path / "a.vam", device="cpu")
+    assert not (tmp_path / "a.vam").exists()
     with pytest.raises(BadInput, match="patterns for 16 angles, the job 99"):
-        import_patterns(place, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="numpy")
+        import_patterns(place, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
     with pytest.raises(BadInput, match="leave beam.pixels out"):
-        import_patterns(place, tmp_path / "a.vam", job=job, settings=["beam.pixels=[3, 4]"], device="numpy")
+        import_patterns(place, tmp_path / "a.vam", job=job, settings=["beam.pixels=[3, 4]"], device="cpu")
     with pytest.raises(BadInput, match="axis is at pixel 99"):
-        import_patterns(place, tmp_path / "a.vam", job=job, layout=Layout(axis=99.0), device="numpy")
+        import_patterns(place, tmp_path / "a.vam", job=job, layout=Layout(axis=99.0), device="cpu")
     with pytest.raises(BadInput, match="cannot import"):
-        import_patterns(job, tmp_path / "a.vam", device="numpy")
+        import_patterns(job, tmp_path / "a.vam", device="cpu")
 
 
 def test_a_job_goes_to_dr_tvam_and_back(tmp_path: Path) -> None:
-    target = vam.Target.from_mesh(shapes.build("boat"), height=6.0, pitch=1.0)
+    target = vam.Target.from_mesh(shapes.build("boat"), height=6.0, pitch=1.0, shape=(14, 15, 9))
     vial = vam.Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.47, bath_index=1.0, absorption=0.05)
     A = vam.Projection(target.grid, vam.Beam((18, 10), 1.0, spread=0.0), vam.Turntable(12), vial, "numpy")
     plan = vam.optimize(A, target, iterations=2)
@@ -361,9 +391,10 @@ def test_a_job_goes_to_dr_tvam_and_back(tmp_path: Path) -> None:
     export_drtvam(frames, tmp_path / "theirs")
     found = read_drtvam(tmp_path / "theirs" / "config.json")
     assert np.allclose(found.light, plan.sinogram.numpy(), rtol=1e-6)
-    import_patterns(tmp_path / "theirs" / "config.json", tmp_path / "back.vam", device="numpy")
-    back: Any = vam.load(tmp_path / "back.vam", "numpy")
+    import_patterns(tmp_path / "theirs" / "config.json", tmp_path / "back.vam", device="cpu")
+    back: Any = vam.load(tmp_path / "back.vam", "cpu")
     assert back.plan.operator.vessel == vial and back.plan.operator.beam == A.beam
+    assert back.plan.operator.grid == A.grid
     assert back.plan.target.volume == pytest.approx(target.volume, rel=0.02)
     square = vam.Projection(target.grid, A.beam, vam.Turntable([0.0, 0.1]), None, "numpy")
     with pytest.raises(BadInput, match="expected even ones"):

@@ -11,6 +11,7 @@ import pytest
 
 from vamgpu import SquareBath
 from vamgpu.errors import BadInput, JobError
+from vamgpu.jobs.build import pitch_of
 from vamgpu.jobs.curethrough import parse_curethrough
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.keys import EXAMPLES, FILES, commented, explained, keys_of
@@ -23,7 +24,7 @@ from vamgpu.schema.read import model_in
 
 def test_the_demo_reads_in_mm_and_mj() -> None:
     wanted = parse_job(JOB).file
-    assert wanted.target.pitch == pytest.approx(0.09)
+    assert wanted.target.pitch is None and pitch_of(wanted) == pytest.approx(0.08, rel=1e-3)
     assert wanted.vial is not None and wanted.vial.radius == 12.4
     assert wanted.print is not None and wanted.print.irradiance == pytest.approx(0.65)
     assert wanted.print.critical_dose == pytest.approx(0.05)
@@ -49,6 +50,12 @@ def line_with(text: str, words: str) -> int:
     ("old", "new", "said"),
     [
         ('"12.4 mm"', '"12.4 s"', "vial.radius: got '12.4 s'; unit 's'; expected a length"),
+        (
+            '"12.4 mm"',
+            '"12400 mm"',
+            "vial.radius: got '12400 mm'; is 12400 mm; expected 0.05 to 1000 mm: check the unit; "
+            'was "12400 um" meant?',
+        ),
         ('"12.4 mm"', "12.4", "vial.radius: got 12.4; expected a length with its unit in quotes"),
         ('radius = "12.4 mm"', 'raduis = "12.4 mm"', "vial.raduis: unknown key; did you mean 'radius'?"),
         ("[frames]", "[framse]", "framse: unknown key; did you mean 'frames'?"),
@@ -111,14 +118,14 @@ def test_the_old_name_of_a_job_s_file_warns() -> None:
 
 
 def test_every_wrong_value_is_named_at_once() -> None:
-    text = JOB.replace('"90 um"', "90").replace("bits = 8", "bits = 3")
-    with pytest.raises(JobError, match=r"(?s)target\.pitch.*frames\.bits"):
+    text = JOB.replace('"11.5 mm"', "11.5").replace("bits = 8", "bits = 3")
+    with pytest.raises(JobError, match=r"(?s)target\.height.*frames\.bits"):
         parse_job(text)
 
 
 def test_a_missing_key_and_a_double_choice_say_what_to_write() -> None:
-    with pytest.raises(JobError, match=r"target\.pitch is missing; add pitch = … to \[target\]"):
-        parse_job(JOB.replace('pitch = "90 um"\n', "", 1))
+    with pytest.raises(JobError, match=r"beam\.pitch is missing; add pitch = … to \[beam\]"):
+        parse_job(JOB.replace('[beam]\npitch = "120 um"\n', "[beam]\n", 1))
     with pytest.raises(JobError, match=r"exactly one of mesh"):
         parse_job(JOB.replace('shape = "boat"', 'shape = "boat"\nmesh = "a.stl"'))
     with pytest.raises(JobError, match=r"both \[vial\] and \[vat\]"):

@@ -20,7 +20,8 @@ FULL = 0.25
 def camera(device: Any, open_field: Any = 200.0, vessel: Any = None, **given: Any) -> MonitoringCamera:
     pitch = GRID.pitch * (1.0 if vessel is None else vessel.resin_index / vessel.bath_index)
     beam = vam.Beam((24, 24), pitch)
-    return MonitoringCamera(vam.Projection(GRID, beam, vam.Turntable(9), vessel, device), open_field, **given)
+    rest = vam.Turntable(9, lit_share=0.0)
+    return MonitoringCamera(vam.Projection(GRID, beam, rest, vessel, device), open_field, **given)
 
 
 def vial(bath_index: float) -> vam.Vial:

@@ -28,7 +28,7 @@ def setup() -> tuple[np.ndarray, KineticModel, Pair, ColorReplanner]:
     """Part, model, light of one turn of the plan, and a replanner."""
     beam, grid = Beam((22, 2), 0.1, spread=0.0), Grid((22, 22, 2), 0.1)
     vats = (Vat(2.2, radius=1.1, absorption=mu) for mu in (0.05, 0.1))
-    A, B = (Projection(grid, beam, Turntable(POSES), vat, "numpy") for vat in vats)
+    A, B = (Projection(grid, beam, Turntable(POSES, lit_share=0.0), vat, "numpy") for vat in vats)
     x, y, _ = np.meshgrid(*grid.axes(), indexing="ij")
     part = ((np.hypot(x, y) < 0.75) & (np.hypot(x - 0.2, y) > 0.26)).astype(float)
     rates = Rates(k_a=1 / 30, k_b=0.2138 / 30, k_c=1 / 30, k_2=0.43, supply=5.0)

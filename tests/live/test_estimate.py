@@ -12,7 +12,7 @@ from vamgpu.chemistry.history import ResinHistory
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.live import Estimator, Prior, estimate
-from vamgpu.live.estimate import NAMES, NOMINAL
+from vamgpu.live.prior import NAMES, NOMINAL
 from vamgpu.losses.response import GeneralizedLogistic
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
@@ -58,12 +58,25 @@ def test_parameters_lie_within_two_standard_errors_as_often_as_promised() -> Non
     assert rms < 0.02 and 0.3 < rms / np.sqrt(np.mean(first.deviation[within] ** 2)) < 1.5
 
 
+def test_errors_widen_where_noise_was_told_too_small() -> None:
+    """Told a third of it, errors stay those of the noise that is there; told three times as much, they are three times
+    as wide where images tell more than what was known before."""
+    estimator, light, _ = setup()
+    told, less, more = (estimator.estimate(light, seen(0), share * NOISE, Prior.of()) for share in (1.0, 1 / 3, 3.0))
+    assert less.chi_square / less.voxels == pytest.approx(9.0, rel=0.1)
+    errors = np.sqrt([np.diag(one.covariance)[:6] for one in (told, less, more)])
+    np.testing.assert_allclose(errors[1] / errors[0], 1.0, rtol=0.2)
+    assert (np.abs(less.values - TRUE)[:6] < 2.0 * errors[1]).all()
+    places = [NAMES.index(name) for name in ("across", "height", "along_z")]
+    np.testing.assert_allclose(errors[2, places] / errors[0, places], 3.0, rtol=0.2)
+
+
 def test_derivatives_of_the_dose_are_those_of_the_real_operator() -> None:
     estimator, light, _ = setup()
     used = np.arange(light.size)[: estimator.operator.grid.shape[0] ** 2 * 16]
     near = estimator._near(estimator.operator.device.field(light), NOMINAL, used, 0.0)
     for index, step in ((0, 0.01), (1, 0.02), (2, 0.003), (3, 0.01), (4, 0.01), (5, 0.01)):
-        ends = [estimator.delivering(NOMINAL + side * step * (np.arange(7) == index)).T(light) for side in (-1, 1)]
+        ends = [estimator.calibrated(NOMINAL + side * step * (np.arange(7) == index)).T(light) for side in (-1, 1)]
         real = (np.asarray(ends[1], float) - np.asarray(ends[0], float)).reshape(-1) / (2.0 * step)
         scale = np.abs(real).max()
         assert np.sqrt(np.mean((near.rates(NOMINAL)[index] - real) ** 2)) < 0.02 * scale, NAMES[index]
@@ -73,12 +86,12 @@ def test_resin_that_has_had_some_dose_is_told_from_a_stronger_lamp() -> None:
     estimator, light, dose = setup()
     conversion = estimator.conversion(dose + 0.2)
     conversion += NOISE * np.random.default_rng(0).standard_normal(dose.shape)
-    found = estimator.estimate(light, conversion, NOISE, Prior.of(None, {"head_start": 0.3}))
-    value, deviation = found.parameters["head_start"]
+    found = estimator.estimate(light, conversion, NOISE, Prior.of(None, {"initial_dose": 0.3}))
+    value, deviation = found.parameters["initial_dose"]
     assert value == pytest.approx(0.2, abs=3.0 * deviation) and deviation < 0.05
     within = estimator.operator.grid.cylinder()
     assert np.sqrt(np.mean((found.dose - dose - 0.2)[within] ** 2)) < 0.02
-    with pytest.raises(BadInput, match="no print has"):  # by six parameters, all of them wrong
+    with pytest.raises(BadInput, match="impossible for a print"):  # by six parameters, all of them wrong
         estimator.estimate(light, conversion, NOISE, Prior.of())
 
 

@@ -70,7 +70,7 @@ def test_rings_give_the_dose_of_light_that_is_like_what_was_known() -> None:
     A, part, light, _ = setup()
     estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7), rings=True)
     values = np.array([0.8, 1.15, 0.03, 0.02, 0.05, -0.03, 0.1])
-    exact = estimator.delivering(values)
+    exact = estimator.calibrated(values)
     nearly = estimator.nearly(values, light, np.asarray(exact.T(light)))
     assert estimator.quick is not None and nearly.dot_test() < 1e-6
     rng, wide = np.random.default_rng(0), A.grid.cylinder()[:, :, None]
@@ -112,11 +112,11 @@ def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
     def proved(images: np.ndarray) -> np.ndarray:
         return np.asarray(exposure.averaged(A.device.upload(images))[0], float) * gain
 
-    delivering, delivered = lean.delivering(np.array([1.0, 1.0, 0.0, 0.0, 0.05, 0.0, 0.0])), proved(SHOWN * light)
-    given, wanted = np.asarray(delivering.T(SHOWN * light)), np.asarray(A.T(TURNS * light))
+    calibrated, delivered = lean.calibrated(np.array([1.0, 1.0, 0.0, 0.0, 0.05, 0.0, 0.0])), proved(SHOWN * light)
+    given, wanted = np.asarray(calibrated.T(SHOWN * light)), np.asarray(A.T(TURNS * light))
     off = []
     for aim in (None, wanted):
-        plan = replanner.replan(delivering, given, light, 3, range(6), evaluations=8, wanted=aim)
+        plan = replanner.replan(calibrated, given, light, 3, range(6), evaluations=8, wanted=aim)
         off.append(border.off(delivered + proved(plan.expected.turns * np.asarray(plan.light))))
         assert plan.evaluations <= 8
     best = min(border.off(delivered + share * proved(light)) for share in np.arange(2.0, 4.0, 0.05))

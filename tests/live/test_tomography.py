@@ -11,7 +11,7 @@ from live import oracle
 
 import vamgpu as vam
 from vamgpu.errors import BadInput
-from vamgpu.live import MonitoringCamera, Seen, SensorNoise, Tomograph, Turbidity
+from vamgpu.live import MonitoringCamera, Reconstruction, SensorNoise, Tomograph, Turbidity
 
 GRID = vam.Grid((40, 40, 40), 0.2)
 EDGE = 1.5 * GRID.pitch
@@ -48,7 +48,7 @@ def noisy(kind: str, seed: int) -> np.ndarray:
     return turn(kind) + 2.0 * np.random.default_rng(seed).standard_normal(turn(kind).shape)
 
 
-def error(seen: Seen) -> float:
+def error(seen: Reconstruction) -> float:
     """RMS of the error over that of the conversion, in the cylinder that every image has whole."""
     x, y, _ = GRID.axes()
     inside = (np.hypot(x[:, None], y) < 3.9)[:, :, None]
@@ -96,7 +96,7 @@ def test_depths_less_their_bias_are_what_rays_add_up_to(fast_device: Any) -> Non
     tomograph = Tomograph(eye, Turbidity(extinction=(0.0, FULL)))
     told, rays = tomograph.measure(eye.transmitted(field)), np.asarray(eye.projection(field))
     lifted = fast_device.upload(field)
-    less = tomograph._unbiased(told.depth, lifted, Seen(lifted, lifted, 1, 1.0, 0.0)).numpy()
+    less = tomograph._unbiased(told.depth, lifted, Reconstruction(lifted, lifted, 1, 1.0, 0.0)).numpy()
     good = told.weight.numpy() > 0.0
     assert told.pixels == np.count_nonzero(good) > 0.3 * good.size
     assert np.abs(less - rays)[good].max() < 1e-3 < 0.1 * np.abs(told.depth.numpy() - rays)[good].max()

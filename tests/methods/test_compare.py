@@ -29,7 +29,7 @@ def test_thresholds_are_those_asked_for(name: str) -> None:
     method = at_thresholds(name, 0.5, 0.8)
     asked = {"outside": 0.5, "inside": 0.8}
     held = {field.name: getattr(method, field.name) for field in fields(method) if field.name in asked}  # type: ignore[arg-type]
-    assert held == asked or (name in ("bclp", "cal", "recipe", "fbp", "widest", "best") and not held)
+    assert held == asked or (name in ("bclp", "cal", "recipe", "fbp") and not held)
     if name in ("bclp", "cal"):
         assert method.response.middle == pytest.approx(0.65)  # type: ignore[attr-defined]
 
@@ -47,7 +47,7 @@ def test_the_budget_is_kept_and_spent(name: str, budget: float) -> None:
 
 
 def test_wrong_terms_are_refused() -> None:
-    with pytest.raises(BadInput, match="to compare; there are best, window"):
+    with pytest.raises(BadInput, match="to compare; there are ramp, lbfgs, bclp"):
         at_thresholds("magic")
     with pytest.raises(BadInput, match="expected 0 ≤ outside < inside"):
         at_thresholds("fbp", 0.9, 0.8)

@@ -8,17 +8,10 @@ import pytest
 from vamgpu import Beam, Grid, Projection, Turntable, Vat, open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
-from vamgpu.methods.dual import (
-    METHODS,
-    Colors,
-    Contrast,
-    DualColor,
-    LeastSquares,
-    PointProjection,
-    Tolerant,
-    superpose,
-)
+from vamgpu.methods.dual import METHODS, Colors, DualColor, LeastSquares, Tolerant, superpose
+from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.methods.dual.passes import DualState
+from vamgpu.methods.dual.points import PointProjection
 
 N = 32
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning
+from vamgpu.errors import BadInput, EmptyMesh, OpticsWarning, SamplingWarning
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.update import linear
 from vamgpu.losses.band import Band
-from vamgpu.methods import BCLP, LBFGS, METHODS, OSMO, GradientDescent, PenaltyMinimization, ProcessWindow, optimize
+from vamgpu.methods import BCLP, LBFGS, METHODS, OSMO, GradientDescent, PenaltyMinimization, optimize
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 
@@ -80,7 +80,6 @@ def test_a_weight_of_nothing_is_refused(fast_device: Device, value: float, told:
         lambda: OSMO(gain=np.inf),
         lambda: LBFGS(efficiency=np.inf),
         lambda: LBFGS(power=1e3),
-        lambda: ProcessWindow(step=np.inf),
         lambda: Band((np.nan, 1.0), (0.0, 0.0)),
         lambda: optimize(operator(), block(), evaluations=0.0),
         lambda: optimize(operator(), block(), evaluations=float("nan")),
@@ -124,6 +123,7 @@ def test_a_part_that_reaches_the_wall_is_answered_and_one_beyond_it_told(fast_de
     touching *= disc()
     with warnings.catch_warnings():
         warnings.simplefilter("error", OpticsWarning)
+        warnings.simplefilter("ignore", SamplingWarning)
         plan = optimize(A, touching, method, 3)
     assert np.isfinite(plan.sinogram.numpy()).all() and -1.0 <= plan.window <= 1.0
     beyond = touching.copy()

@@ -10,7 +10,7 @@ import pytest
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.kernels.filter import filter_rows, filtered_step
-from vamgpu.kernels.loss import band_loss, sampled_loss
+from vamgpu.kernels.loss import band_loss, ramp_loss, sampled_loss
 from vamgpu.kernels.signature import Field, Kernel
 from vamgpu.kernels.update import apply_penalty, correct_by_difference, correct_by_ratio, fill_background, linear
 from vamgpu.operators.reductions import folded, parts_for
@@ -34,8 +34,8 @@ BAND = {
 LINE = {"start": 0.0, "density": 1.0}
 CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (linear, {"a": 0.5, "b": -1.5, "floor": 0.0}),
-    (apply_penalty, {"weight": 0.1, "power": 4.0, "hold": 0}),
-    (apply_penalty, {"weight": 0.0, "power": 1.0, "hold": 1}),
+    (apply_penalty, {"weight": 0.1, "power": 4.0, "hold": 0, "most": 1.0}),
+    (apply_penalty, {"weight": 0.0, "power": 1.0, "hold": 1, "most": 1.0}),
     (fill_background, {"low": 0.6, "high": 1.0, "reach": 11.0}),
     (correct_by_ratio, {"scale": 1.2, "low": 0.6, "high": 1.0, "most": 3.0}),
     (
@@ -50,6 +50,7 @@ CASES: list[tuple[Kernel, dict[str, Any]]] = [
     (band_loss, {**BAND, **LINE, "response": FLAT, "power": 1.0, "binary": 1}),
     *((sampled_loss, {"weighted": k, "outer": CURVE, "inner": CURVE[::-1] ** 2, "start": -1.0, "density": 13.0,
                       "binary": 1 - k, "reach": 15.0}) for k in (0, 1)),
+    *((ramp_loss, {"weighted": k, "outside": 0.3, "inside": 0.8, "most": 0.9, "reach": 15.0}) for k in (0, 1)),
 ]  # fmt: skip
 
 

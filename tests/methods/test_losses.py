@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -180,6 +180,43 @@ def test_a_loss_of_all_voxels_together_is_lowered_too(device: Device) -> None:
     assert plan.dose().numpy()[inside].mean() == pytest.approx(0.5, abs=0.02)
     assert not Even().separable and OWN.separable and (OWN + Band.thresholds(0.5, 0.9)).separable
     assert "voxels" in (OWN**2.0).coupling and "Even" in (OWN + Even()).coupling
+
+
+class OwnTrouble(Exception):
+    """Raised by losses of one's own."""
+
+
+@dataclass(frozen=True)
+class Failing(Even):
+    """Raises what it is told, at the third look."""
+
+    error: Exception = field(default_factory=OwnTrouble)
+    looks: list[DeviceArray] = field(default_factory=list)
+
+    def value_and_gradient(
+        self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = 1e18
+    ) -> float:
+        self.looks.append(dose)
+        if len(self.looks) == 3:
+            raise self.error
+        return super().value_and_gradient(dose, target, out, reach)
+
+
+@pytest.mark.parametrize("kind", [OwnTrouble, ValueError, KeyError, MemoryError])
+@pytest.mark.parametrize("tolerances", [None, vam.Tolerances(axis=0.05)])
+def test_a_loss_that_raises_shows_its_own_error(kind: type[Exception], tolerances: Any) -> None:
+    """The very error, from a look in the middle of a run as from the samples of a function."""
+    A, error = operator("numpy"), kind("my own trouble")
+    with pytest.raises(kind, match="my own trouble") as caught:
+        optimize(A, part(), Failing(0.5, error) + OWN, iterations=9, tolerances=tolerances, progress=False)
+    assert caught.value is error
+
+    def troubled(dose: np.ndarray) -> np.ndarray:
+        raise error
+
+    with pytest.raises(kind) as caught:
+        optimize(A, part(), VoxelLoss(troubled, lack), iterations=2, progress=False)
+    assert caught.value is error
 
 
 def test_what_is_no_loss_is_refused() -> None:

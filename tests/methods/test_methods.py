@@ -16,17 +16,18 @@ from vamgpu.methods import (
     LBFGS,
     METHODS,
     OSMO,
-    BestWindow,
     FilteredBackProjection,
     GradientDescent,
     Linear,
     PenaltyMinimization,
     Plan,
-    ProcessWindow,
     Recipe,
+    SurfaceRamp,
     optimize,
 )
+from vamgpu.methods.choose import chosen
 from vamgpu.operators.projection import Projection
+from vamgpu.schema.read import read
 from vamgpu.targets.target import Target
 
 SIZE, ANGLES = 24, 30
@@ -36,7 +37,6 @@ ITERATIVE = [
     OSMO(),
     PenaltyMinimization(),
     Recipe(background=0.8),
-    ProcessWindow(),
     BCLP.paper_002(),
     BCLP(p=2.0, q=1.0, response=Linear()),
     LBFGS(history=3, efficiency=0.01),
@@ -101,9 +101,12 @@ def test_filtered_back_projection_is_done_at_once(fast_device: Device) -> None:
 
 
 def test_a_plan_knows_its_own_window(fast_device: Device) -> None:
-    plan = solved(fast_device, ProcessWindow(), 8)
+    knows_its_window(solved(fast_device, LBFGS(), 8))
+
+
+def knows_its_window(plan: Plan) -> None:
     dose, inside = plan.dose().numpy().astype(float), part() >= 0.5
-    disc = operator(fast_device).grid.cylinder()[:, :, None]
+    disc = plan.operator.grid.cylinder()[:, :, None]
     wanted = (dose[inside].min() - dose[~inside & disc].max()) / dose[np.broadcast_to(disc, dose.shape)].max()
     assert plan.window == pytest.approx(wanted, abs=1e-5)
 
@@ -154,6 +157,31 @@ def test_a_stopped_run_keeps_its_plan(stop: str) -> None:
     assert optimize(operator("numpy"), part(), Recipe(), 4, resume=plan).history[:3] == plan.history
 
 
+@pytest.mark.parametrize("method", ["default", "lbfgs", BCLP()])
+def test_no_iteration_is_the_light_to_begin_with(method: Any) -> None:
+    """Filtered back projection, or one's own light in units of the part's dose; runs go on from either."""
+    A = operator("numpy")
+    plan = optimize(A, part(), method, iterations=0, progress=False)
+    assert plan.history == () and plan.best_iteration == 0 and "after" in repr(plan)
+    assert 0.5 <= np.mean(plan.dose().numpy()[part() > 0]) <= 2.0
+    knows_its_window(plan)
+    going = optimize(A, part(), method, iterations=2, resume=plan, progress=False)
+    assert len(going.history) == 2 and optimize(A, part(), method, iterations=0, resume=going) is going
+    own = filtered().sinogram.numpy() ** 2
+    light = optimize(A, part(), method, iterations=0, start=7.0 * own, progress=False).sinogram.numpy()
+    assert np.allclose(light, own * (light.max() / own.max()), atol=1e-9)
+    assert 0.5 <= np.mean(A.T(light)[part() > 0]) <= 2.0
+    with pytest.raises(BadInput, match="OSMO begins with the target"):
+        optimize(A, part(), "osmo", iterations=0, progress=False)
+    with pytest.raises(BadInput, match="exposure_limit=.* iterations=0"):
+        optimize(A, part(), method, iterations=0, exposure_limit=3.0, irradiance=1.0, critical_dose=1.0)
+
+
+@cache
+def filtered() -> Plan:
+    return optimize(operator("numpy"), part(), "fbp", progress=False)
+
+
 def test_the_stop_rule_ends_a_run_early() -> None:
     plan = optimize(operator("numpy"), part(), OSMO(), 20, tolerance=0.5)
     assert plan.history[-1].loss <= 0.5 * plan.history[0].loss
@@ -182,7 +210,7 @@ def test_bad_input_is_named() -> None:
         optimize(here, part(), OSMO)  # type: ignore[arg-type]
     with pytest.raises(ShapeMismatch, match="the target"):
         optimize(here, np.zeros((3, 4, 5)))
-    for iterations in (0, 1.5, True, "ten", np.nan, np.inf):
+    for iterations in (-1, False, 1.5, True, "ten", np.nan, np.inf):
         with pytest.raises(BadInput, match="iterations"):
             optimize(here, part(), iterations=iterations)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="build the operator on target.grid"):
@@ -190,7 +218,7 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(BadInput, match="same method"):
         optimize(here, part(), OSMO(), resume=solved("numpy", Recipe(), 3))
     for wrong in (
-        lambda: ProcessWindow(outside=0.97),
+        lambda: LBFGS(outside=0.97),
         lambda: Recipe(background=1.0),
         lambda: BCLP(p=0.5),
         lambda: BCLP(p=2.0, q=0.5),
@@ -218,15 +246,24 @@ def test_a_part_that_sticks_out_of_the_light_is_named() -> None:
         optimize(narrow, target, "fbp")
 
 
-def test_the_default_opens_a_window_twice_as_wide_as_what_costs_as_little(fast_device: Device) -> None:
-    here, budget = operator(fast_device), 30
-    plan = optimize(here, part(), evaluations=budget)
-    assert plan.evaluations <= budget and isinstance(plan.method, BestWindow)
-    assert plan.window >= 0.1
-    for other in (Recipe(), GradientDescent(), FilteredBackProjection()):
-        assert optimize(here, part(), other, budget).window < 0.5 * plan.window
-
-
 def test_every_method_names_its_papers_and_iterations() -> None:
     assert {name for name in METHODS if METHODS[name].iterations < 1} == set()
     assert all(METHODS[name].papers for name in METHODS)
+
+
+@pytest.mark.parametrize(("said", "kind"), [("OSMO", OSMO), ("Ramp", SurfaceRamp), ("L-BFGS", LBFGS)])
+def test_a_method_is_known_in_any_spelling(said: str, kind: type[Any]) -> None:
+    assert isinstance(chosen(said), kind)
+
+
+def test_a_method_that_is_nearly_known_is_offered() -> None:
+    with pytest.raises(BadInput, match="no method 'OSMOO'.*did you mean 'osmo'"):
+        chosen("OSMOO")
+
+
+@pytest.mark.parametrize("name", ["best", "window", "Widest"])
+def test_a_removed_method_is_refused_with_the_one_that_replaces_it(name: str) -> None:
+    with pytest.raises(BadInput, match=f'no method {name!r}.*the default, "ramp", replaces it'):
+        chosen(name)
+    with pytest.raises(BadInput, match='the default, "ramp", replaces it'):
+        read("method", {"kind": name.lower()})

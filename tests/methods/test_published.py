@@ -9,11 +9,12 @@ import pytest
 
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.losses import Band, cross_entropy
-from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, ProcessWindow, Recipe
+from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, Recipe
 from vamgpu.methods import optimize as run
-from vamgpu.methods.dual import Colors, PointProjection, Tolerant, superpose
+from vamgpu.methods.dual import Colors, Tolerant, superpose
+from vamgpu.methods.dual.points import PointProjection
 from vamgpu.methods.exposure import DoseObjective
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import capped_ramp, identity
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
@@ -193,7 +194,7 @@ def test_the_recipe_begins_with_a_background_of_60_percent() -> None:
     dose = wanted @ matrix()
     again = first_light(asked * DISC * np.minimum(10.0, asked / np.maximum(dose, asked / 10.0)))
     assert np.abs(light_of(Recipe(), 2)[0] - again).max() <= 1e-9
-    start = run(slice_operator(), target(), ProcessWindow(passes=2), 1)
+    start = run(slice_operator(), target(), Recipe(), 1)
     assert np.abs(start.state["light"].numpy().ravel() - wanted).max() <= 1e-9
 
 
@@ -203,9 +204,9 @@ def test_momentum_is_dropped_where_the_loss_rises() -> None:
     """Adaptive restart by function values: after a rise the point ahead is the light itself."""
     state = OptimizerState(slice_operator(), slice_operator().device.upload(target()), {})
     state.memory["light"] = state.device.upload(first_light().reshape(state.operator.range.shape))
-    pace = Pace(share=0.15, soon=1.0)
-    exposure = DoseObjective(state, Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), pace)
-    steps = minimize(exposure, (Channel(state, identity(state.operator)),), pace)
+    rule = StepRule(share=0.15, soon=1.0)
+    exposure = DoseObjective(state, Band((0.0, 1.0), (0.0, 0.0), (0.5, 0.5)), rule)
+    steps = minimize(exposure, (Channel(state, identity(state.operator)),), rule)
     losses, restarts = [], 0
     for (loss, _), _ in zip(steps, range(150), strict=False):
         apart = np.abs(state.buffer("ahead").numpy() - state.buffer("light").numpy()).max()

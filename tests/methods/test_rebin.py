@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.kernels.rebin import rebin_rays
-from vamgpu.methods import Plan, ProcessWindow, optimize, rebin
+from vamgpu.methods import LBFGS, Plan, optimize, rebin
 from vamgpu.operators.projection import Projection
 
 GRID, POSES = Grid((56, 56, 4), 0.18), Turntable(240)
@@ -29,7 +29,7 @@ def cross() -> np.ndarray:
 def solve(device: Device | str, vessel: Any = None, method: Any = None) -> Plan:
     columns = int(2 * 8.0 / 0.18) if vessel else 56
     operator = Projection(GRID, Beam((columns, 4), 0.18), POSES, vessel, device=device)
-    return optimize(operator, cross(), method or ProcessWindow(), 20)
+    return optimize(operator, cross(), method or LBFGS(), 20)
 
 
 @pytest.mark.slow

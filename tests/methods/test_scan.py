@@ -12,7 +12,8 @@ from vamgpu.chemistry.exposure_plan import TurnLight
 from vamgpu.errors import BadInput
 from vamgpu.methods import METHODS, optimize
 from vamgpu.methods.dual import Colors, LeastSquares, superpose
-from vamgpu.methods.joint import KineticModel, PoseRuns, TwoColorResin
+from vamgpu.methods.joint import KineticModel, TwoColorResin
+from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.quadrature import balance, directions, is_complete
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.rebin import rebin
@@ -46,7 +47,6 @@ def part() -> np.ndarray:
         pytest.param(scan, method, marks=() if scan == "jittered" or method in ("recipe", "fbp") else pytest.mark.slow)
         for scan in SCANS
         for method in METHODS
-        if method != "window"
     ],
 )
 def test_every_method_runs_on_every_scan_or_says_why_not(fast_device: vam.Projection, scan: str, method: str) -> None:
@@ -70,7 +70,7 @@ def test_windows_are_those_of_an_even_turn(scan: str) -> None:
     windows = {}
     for name, motion in (("even", vam.Turntable(SCANS[scan].angles)), (scan, SCANS[scan])):
         A = vam.Projection(GRID, BEAM, motion, device="numpy")
-        windows[name] = optimize(A, part(), "window", iterations=15).window
+        windows[name] = optimize(A, part(), "lbfgs", iterations=15).window
     assert windows["even"] > 0.1 and windows[scan] > windows["even"] - 0.05
 
 

@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 
 import vamgpu as vam
-from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ToleranceError, ToleranceWarning
-from vamgpu.methods import default, widest
-from vamgpu.methods.active import ActiveScenarios
-from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.tolerances import Corner, Tolerances, at
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.optics.beams import Misaligned
@@ -45,36 +41,35 @@ def light(seed: int = 0) -> np.ndarray:
 # ---- scenarios -------------------------------------------------------------------------------------------------------
 def test_scenarios_are_the_operators_side_by_side_and_their_transpose(device: Device) -> None:
     operators = [at(projection(device), corner) for corner in BOTH.corners()]
-    mix = np.eye(5)
+    mix = np.eye(9)
     mix[1, 0], mix[4, 4] = 0.5, 1.1
     stack = Scenarios(operators, mix)
     assert stack.dot_test() < 1e-7
     dose, every = stack.T(light()), [each.T(light()) for each in operators]
-    for s in range(5):
+    for s in range(9):
         expected = sum(share * one for share, one in zip(mix[s], every, strict=True))
         assert np.allclose(dose[:, :, 3 * s : 3 * s + 3], expected, rtol=1e-5, atol=1e-7)
 
 
-def test_a_scenario_that_rests_costs_nothing_and_another_dose_stands_for_it(device: Device) -> None:
+def test_a_volume_that_is_zero_is_not_projected(device: Device) -> None:
     A = projection(device)
     stack = Scenarios([A, at(A, Corner(axis=0.02)), at(A, Corner(axis=-0.02))])
-    assert stack.cost == 3.0
-    stack.rest((False, True, False), A.device.upload(np.full(GRID.shape, 7.0, np.float32)))
-    dose = stack.T(light())
-    assert stack.cost == 2.0 and stack.projections == 1.0
-    assert np.allclose(dose[:, :, :3], A.T(light()), rtol=1e-6) and np.all(dose[:, :, 3:6] == 7.0)
     volume = np.zeros(stack.domain.shape, np.float32)
     volume[:, :, 6:] = ring()
     image = stack(volume)
-    assert stack.projections == 1.5, "a volume that is 0 is not projected"
+    assert stack.cost == 3.0 and stack.projections == 0.5
     assert np.allclose(image, at(A, Corner(axis=-0.02))(ring()), rtol=1e-5, atol=1e-6)
 
 
 # ---- corners ---------------------------------------------------------------------------------------------------------
-def test_corners_are_every_combination_of_ends_and_the_nominal_print() -> None:
+def test_corners_are_every_combination_of_ends_the_nominal_print_and_the_middles_of_faces() -> None:
     every = Tolerances(axis=0.02, spread=(0.04, 0.08), absorption=0.1, index=0.01, wobble=0.03, dose=0.02).corners()
-    assert every[0] == Corner() and len(every) == 1 + 2**5 * 4
-    assert {(c.axis, c.spread) for c in BOTH.corners()[1:]} == {(a, s) for a in (-0.015, 0.015) for s in (0.05, 0.07)}
+    assert every[0] == Corner() and len(every) == 1 + 2**5 * 4 + 2 * (4 * 2 + 4)
+    ends = {(a, s) for a in (-0.015, 0.015) for s in (0.05, 0.07)}
+    faces = {(-0.015, 0.06), (0.015, 0.06), (0.0, 0.05), (0.0, 0.07)}
+    found = [(c.axis, c.spread and round(c.spread, 9)) for c in BOTH.corners()[1:]]
+    assert set(found) == ends | faces and len(found) == 8
+    assert len(Tolerances(axis=0.02, dose=0.02).corners()) == 5  # the nominal print stands for the middle
 
 
 def test_every_corner_has_the_operator_that_it_says() -> None:
@@ -113,18 +108,16 @@ def test_mean_and_spread_brings_corners_nearer_to_their_mean() -> None:
 # ---- light -----------------------------------------------------------------------------------------------------------
 def test_one_light_prints_at_all_corners_with_one_threshold(device: Device) -> None:
     A = projection(device)
-    few: dict[str, Any] = {"method": "widest", "iterations": 64}
+    few: dict[str, Any] = {"iterations": 24}
     plan = vam.optimize(A, ring(), **few, tolerances=BOTH)
     plain = vam.optimize(A, ring(), **few)
     told = BOTH.doses(A, plan, ring())
     assert plan.corners is not None and plan.window == pytest.approx(told.window, abs=1e-5)
-    assert plan.window > BOTH.doses(A, plain, ring()).window + 0.02
+    assert plan.window > BOTH.doses(A, plain, ring()).window + 0.003
     least = min(float(d[ring() > 0.5].min()) for d in doses(A, plan))
     leak = max(float(d[near() & (ring() < 0.5)].max()) for d in doses(A, plan))
     top = max(float(d[near()].max()) for d in doses(A, plan))
     assert plan.window == pytest.approx((least - leak) / top, abs=1e-5)
-    assert plan.bound is not None and plan.bound.value >= plan.window
-    assert plain.bound is not None and plan.corners.nominal <= plain.bound.value
 
 
 def doses(A: vam.Projection, plan: vam.Plan) -> list[np.ndarray]:
@@ -136,10 +129,10 @@ def near() -> np.ndarray:
 
 
 def test_every_method_takes_tolerances() -> None:
-    for method in ("osmo", "recipe", "window"):
+    for method in ("osmo", "recipe", "lbfgs"):
         with pytest.warns(ToleranceWarning) if method == "recipe" else no_warning():
             plan = vam.optimize(projection(), ring(), method, iterations=6, tolerances=BOTH)
-        assert plan.corners is not None and len(plan.corners.corners) == 5
+        assert plan.corners is not None and len(plan.corners.corners) == 9
 
 
 class no_warning:  # noqa: N801 - stands for a context manager
@@ -150,82 +143,12 @@ class no_warning:  # noqa: N801 - stands for a context manager
 
 def test_a_resumed_run_is_the_whole_run_and_takes_the_same_tolerances() -> None:
     A = projection()
-    whole = vam.optimize(A, ring(), "widest", iterations=40, tolerances=BOTH)
-    half = vam.optimize(A, ring(), "widest", iterations=25, tolerances=BOTH)
-    rest = vam.optimize(A, ring(), "widest", iterations=40, tolerances=BOTH, resume=half)
+    whole = vam.optimize(A, ring(), iterations=10, tolerances=BOTH)
+    half = vam.optimize(A, ring(), iterations=6, tolerances=BOTH)
+    rest = vam.optimize(A, ring(), iterations=10, tolerances=BOTH, resume=half)
     assert np.array_equal(whole.sinogram.numpy(), rest.sinogram.numpy())
     with pytest.raises(BadInput, match="tolerances|Tolerances"):
-        vam.optimize(A, ring(), "widest", iterations=50, resume=half)
-
-
-def test_thresholds_are_asked_for_little_beyond_what_there_is_at_few_scenarios() -> None:
-    """Prices come to +0.053 by as many iterations."""
-    A, off = projection(), BOTH
-    plan = vam.optimize(A, ring(), "window", iterations=60, tolerances=off)
-    assert plan.window == pytest.approx(off.doses(A, plan, ring()).window, abs=1e-5)
-    assert plan.window > 0.053 and plan.evaluations < 0.9 * 5 * 60
-    half = vam.optimize(A, ring(), "window", iterations=35, tolerances=off)
-    rest = vam.optimize(A, ring(), "window", iterations=60, tolerances=off, resume=half)
-    assert np.array_equal(plan.sinogram.numpy(), rest.sinogram.numpy())
-
-
-def _by_prices(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the light of no pose turn, as that of a vial that stands off its axis does not."""
-    for module in (default, widest):
-        monkeypatch.setattr(module, "split_steps", lambda *given: None)
-
-
-def test_the_first_prices_are_what_voxels_that_are_off_weigh(monkeypatch: pytest.MonkeyPatch) -> None:
-    _by_prices(monkeypatch)
-    monkeypatch.setattr(default, "FIRST", 20.0)
-    monkeypatch.setattr(default, "CORNERS", 25.0)
-    A = projection()
-    plan = vam.optimize(A, ring(), evaluations=130, tolerances=BOTH)
-    prices, part = plan.state["wall anchor"].numpy(), np.tile(ring() >= 0.5, (1, 1, 5))
-    assert prices.min() == 0.0 and prices[part].sum() == pytest.approx(1.0) == plan.state["inside anchor"]
-    assert prices[~part].sum() == pytest.approx(1.0) == plan.state["outside anchor"]
-    signed = np.where(part, -prices, prices).astype(np.float32)
-    assert BOTH.scenarios(A)(signed).min() > -0.2 * BOTH.scenarios(A)(prices).max(), "few pixels gain by them"
-
-
-@pytest.mark.slow
-def test_prices_that_follow_thresholds_are_resumed_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    _by_prices(monkeypatch)
-    monkeypatch.setattr(default, "FIRST", 50.0)
-    monkeypatch.setattr(default, "CORNERS", 100.0)
-    A = projection(open_device())
-    whole = vam.optimize(A, ring(), iterations=140, tolerances=BOTH)
-    thresholds = vam.optimize(A, ring(), "window", iterations=50, tolerances=BOTH)
-    prices = vam.optimize(A, ring(), "widest", iterations=140, tolerances=BOTH)
-    assert whole.bound is not None and prices.bound is not None and whole.window > thresholds.window
-    assert whole.window < whole.bound.value < prices.bound.value, (whole.bound, prices.bound)
-    for split in (30, 100):
-        half = vam.optimize(A, ring(), iterations=split, tolerances=BOTH)
-        rest = vam.optimize(A, ring(), iterations=140, tolerances=BOTH, resume=half)
-        assert np.array_equal(whole.sinogram.numpy(), rest.sinogram.numpy())
-        assert rest.bound is not None and rest.bound.value == whole.bound.value
-
-
-@pytest.mark.slow
-def test_few_scenarios_are_computed_and_light_is_that_of_all() -> None:
-    """Of 17 corners about half; of the five of `BOTH` nearly all hold the window."""
-    A, many = projection(), Tolerances(axis=0.01, spread=(0.05, 0.06), wobble=0.01)
-    plan = vam.optimize(A, ring(), "widest", iterations=60, tolerances=many)
-    assert plan.evaluations < 0.6 * 17 * 60
-    assert plan.window == pytest.approx(many.doses(A, plan, ring()).window, abs=1e-5)
-
-
-def test_a_scenario_that_is_beyond_the_others_is_taken_up() -> None:
-    A = projection()
-    stack = Scenarios([A, at(A, Corner(spread=0.08))])
-    state = OptimizerState(stack, A.device.upload(np.tile(ring(), (1, 1, 2))), {})
-    active = ActiveScenarios(state)
-    dose = stack.stacked([A.device.upload(ring() + 0.2), A.device.upload(0.5 * ring() + 0.2)])
-    active._rest((False, True))
-    zero = A.device.upload(np.zeros(stack.domain.shape, np.float32))
-    beam = A.device.upload(light())
-    assert active.look({"light": beam, "held": dose, "wall": zero, "cap": zero})
-    assert stack.resting == (False, False)
+        vam.optimize(A, ring(), iterations=12, resume=half)
 
 
 # ---- what contradicts ------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
-from vamgpu.metrics import Parts, light_efficiency, score, score_slices
+from vamgpu.metrics import Parts, mean_brightness, score, score_slices
 from vamgpu.metrics.light import light_sent, outside_over_inside
 
 
@@ -121,17 +121,17 @@ def test_light_that_floods_the_void_is_bright_and_yet_told(device: Device) -> No
     """Even light is as bright as light can be, and gives the void as much as the part."""
     _, target = plain.example((24, 24, 8), 3, 0.0)
     even = device.upload(np.ones((6, 24, 8)))
-    assert light_efficiency(even) == 1.0
+    assert mean_brightness(even) == 1.0
     assert outside_over_inside(device.upload(np.ones((24, 24, 8))), device.upload(target)) == pytest.approx(1.0)
     assert outside_over_inside(device.upload(target >= 0.5), device.upload(target)) == 0.0
 
 
-def test_light_efficiency_is_the_mean_over_the_greatest(device: Device) -> None:
+def test_mean_brightness_is_the_mean_over_the_greatest(device: Device) -> None:
     light = np.random.default_rng(0).random((19, 33, 21)).astype(np.float32) ** 4
     field = device.upload(light)
-    assert light_efficiency(field) == pytest.approx(light.mean(dtype=np.float64) / light.max(), rel=1e-6)
-    assert light_efficiency(field, full=2.0) == pytest.approx(light.mean(dtype=np.float64) / 2, rel=1e-6)
-    assert light_efficiency(device.upload(np.zeros((2, 3, 4)))) == 0.0
+    assert mean_brightness(field) == pytest.approx(light.mean(dtype=np.float64) / light.max(), rel=1e-6)
+    assert mean_brightness(field, full=2.0) == pytest.approx(light.mean(dtype=np.float64) / 2, rel=1e-6)
+    assert mean_brightness(device.upload(np.zeros((2, 3, 4)))) == 0.0
     assert light_sent(field) == pytest.approx(light.sum(dtype=np.float64), rel=1e-6)
 
 

@@ -138,6 +138,39 @@ def test_prints_are_compared_pair_by_pair() -> None:
     assert np.array_equal(rms, rms.T)
 
 
+def test_the_automatic_exposure_papers_deviations_come_back_from_prints_that_have_them() -> None:
+    """Boats of 11.5 mm, as scans of prints lie: an RMS of 0.100 mm to the reference and 0.053 mm from print to print.
+
+    That is 0.093 mm that all prints share and 0.037 mm of each alone, as bends over 5 mm. Alignment takes some of the
+    bends for motion, and the nearest point is not the one that was bent: within 6 % the paper's numbers come back.
+    """
+    boat, random = build("boat"), np.random.default_rng(3)
+    corners = boat.vertices[boat.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+
+    def bent(rms: float) -> np.ndarray:
+        """Smooth shifts of the vertices (n, 3), so much RMS along the normals over the surface."""
+        ways = random.normal(size=(12, 3))
+        ways *= 2.0 * np.pi / 5.0 / np.linalg.norm(ways, axis=1)[:, None]
+        waves = np.cos(boat.vertices @ ways.T + random.uniform(0.0, 2.0 * np.pi, 12))
+        shift = waves @ random.normal(size=(12, 3))
+        along = (shift[boat.faces].mean(axis=1) * normal).sum(axis=1) / area
+        return shift * (rms / np.sqrt(np.average(along**2, weights=area)))
+
+    accuracy, repeatability = 0.100, 0.053
+    shared = boat.vertices + bent(np.sqrt(accuracy**2 - repeatability**2 / 2.0))
+    prints = [
+        Solid((shared + bent(repeatability / np.sqrt(2.0))) @ turn(degrees, (1, 2, 3)).T + move, boat.faces, "boat")
+        for degrees, move in ((4.0, (0.3, -0.2, 0.1)), (-3.0, (0.0, 0.4, 0.0)))
+    ]
+    reference = Nearest(boat)
+    found = [surface_distance(one, reference, samples=1000).rms for one in prints]
+    assert np.mean(found) == pytest.approx(accuracy, rel=0.06)
+    between = print_to_print(prints, samples=1000)[0, 1]
+    assert between == pytest.approx(repeatability, rel=0.06)
+
+
 @pytest.mark.parametrize(("mean", "sigma"), [(0.099, 0.200), (0.229, 0.307), (-0.05, 0.02)])
 def test_a_gaussian_is_found_again(mean: float, sigma: float) -> None:
     found = fit_gaussian(np.random.default_rng(7).normal(mean, sigma, 100_000))

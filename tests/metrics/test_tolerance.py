@@ -55,7 +55,6 @@ def test_a_soft_edge_gives_the_window_it_must() -> None:
         wanted = (min(0.5 + 2.5 * distance, 0.9) - max(0.5 - 2.5 * distance, 0.1)) / 0.9
         assert found.at(distance) == pytest.approx(wanted, abs=0.02)
         assert found.at(distance) >= wanted - 1e-4
-    assert found.half_voxel == found.at(0.05)
     assert (np.diff(found.window) >= 0).all()
     assert found.judged_at(0.0) == 1 and found.judged_at(0.1) == pytest.approx((0.7 / 0.8) ** 3, rel=0.01)
 
@@ -87,7 +86,7 @@ def test_depths_of_coarse_fractions_serve_a_fine_dose() -> None:
     assert np.sqrt(np.mean((depth(*axes) - true)[near] ** 2)) < 0.06 * GRID.pitch
     dose = soft(true)
     exact, found = (tolerance_window(slabs(dose), d, GRID.pitch) for d in (ball, depth))
-    assert found.half_voxel == pytest.approx(exact.half_voxel, abs=0.06)
+    assert found.at(0.05) == pytest.approx(exact.at(0.05), abs=0.06)
 
 
 def test_depths_of_a_part_that_is_sampled_again() -> None:
@@ -122,8 +121,10 @@ def test_a_part_thinner_than_the_tolerance_has_no_window_there() -> None:
     def sheet(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.broadcast_to((0.04 - np.abs(x))[:, None, None], (len(x), len(y), len(z)))
 
-    found = tolerance_window(slabs(np.ones((56, 52, 48))), sheet, GRID.pitch)
-    assert found.at(0.0) == 0 and np.isnan(found.half_voxel) and found.judged_at(0.05) == 0
+    x, y, z = positions()
+    found = tolerance_window(slabs(dose := 1.0 + sheet(x, y, z)), sheet, GRID.pitch)
+    assert found.at(0.0) > 0 and np.isnan(found.at(0.05)) and found.judged_at(0.05) == 0
+    assert found.limits(0.1) == (dose.max(), dose[sheet(x, y, z) <= -0.1].max()), "its deepest voxels are asked"
 
 
 def test_the_peak_is_the_greatest_dose_of_all() -> None:

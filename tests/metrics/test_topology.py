@@ -49,3 +49,14 @@ def test_a_body_that_grazes_another_is_not_merged_with_it() -> None:
 def test_an_empty_volume_has_nothing() -> None:
     found = topology(np.zeros((4, 4, 4), bool))
     assert (found.bodies, found.cavities, found.holes.size) == (0, 0, 0)
+
+
+def test_specks_that_sampling_breaks_off_are_no_bodies() -> None:
+    """Seven voxels beside 125,000 are none; eight are one, and so are seven beside a small part."""
+    for edge, speck, bodies in ((50, 7, 1), (50, 8, 2), (10, 7, 2)):
+        part = np.zeros((edge + 12, edge + 4, edge + 4), bool)
+        part[2 : 2 + edge, 2 : 2 + edge, 2 : 2 + edge] = True
+        printed = part.copy()
+        part[edge + 5, 2, 2 : 2 + speck] = True
+        found = body_changes(topology(part), topology(printed), 1.0)
+        assert (found.bodies, found.bodies_lost) == (bodies, bodies - 1) and found.none == (bodies == 1)

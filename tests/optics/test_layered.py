@@ -121,7 +121,11 @@ def test_dose_of_a_turn(name: str, device: Device) -> None:
     vessel = VESSELS[name]
     pitch = 0.25 * vessel.lit_radius / 12
     A = vam.Projection(
-        vam.Grid((24, 24, 1), pitch), vam.Beam((160, 1), 0.2, spread=0.0), vam.Turntable(11), vessel, device
+        vam.Grid((24, 24, 1), pitch),
+        vam.Beam((160, 1), 0.2, spread=0.0),
+        vam.Turntable(11, lit_share=0),
+        vessel,
+        device,
     )
     dose = np.asarray(A.T(np.ones(A.range.shape)), float)[:, :, 0]
     x, y = np.meshgrid(*A.grid.axes()[:2], indexing="ij")

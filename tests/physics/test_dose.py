@@ -23,7 +23,7 @@ def operator(case: str, device: Device) -> vam.Projection:
     pitch = 2.0 * vessel.printable_radius / N
     width = 25.0 if vessel is not WATER else 16.1
     pixels = (int(width / column), int(SLICES * pitch / column) + 2)
-    grid, motion = vam.Grid((N, N, SLICES), pitch), vam.Turntable(POSES)
+    grid, motion = vam.Grid((N, N, SLICES), pitch), vam.Turntable(POSES, lit_share=0)
     return vam.Projection(grid, vam.Beam(pixels, column, spread=0), motion, vessel, device)
 
 

@@ -71,7 +71,7 @@ def some_ellipses(count: int = 32) -> list[Ellipse]:
 @cache
 def pictures(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Volume [x, y, ellipse] and chords [angle, r, ellipse]: slices never mix."""
-    angles = vam.Turntable(ANGLES).poses
+    angles = vam.Turntable(ANGLES, lit_share=0).poses
     ellipses = some_ellipses()
     volume = np.stack([e.fractions(n) for e in ellipses], axis=-1).astype(np.float32)
     return volume, np.stack([e.chords(angles, n) for e in ellipses], axis=-1)
@@ -81,7 +81,7 @@ def errors(device: Device, n: int) -> np.ndarray:
     """Relative L2 error of the sinogram of each ellipse."""
     volume, wanted = pictures(n)
     grid, beam = vam.Grid((n, n, volume.shape[2]), 1 / n), vam.Beam((n, volume.shape[2]), 1 / n, spread=0)
-    A = vam.Projection(grid, beam, vam.Turntable(ANGLES), None, device)
+    A = vam.Projection(grid, beam, vam.Turntable(ANGLES, lit_share=0), None, device)
     return np.linalg.norm(A(volume) - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
 
 

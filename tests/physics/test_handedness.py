@@ -31,7 +31,9 @@ def ellipse() -> np.ndarray:
 
 def sinogram(device: Device, vessel: vam.Vial | vam.Vat | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Poses, columns and the ellipse's sinogram [angle, r]."""
-    A = vam.Projection(vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0), vam.Turntable(12), vessel, device)
+    A = vam.Projection(
+        vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0), vam.Turntable(12, lit_share=0), vessel, device
+    )
     return A.range.angles, A.beam.columns(), A(ellipse())[..., 0]
 
 
@@ -74,7 +76,7 @@ def around(dose: np.ndarray, place: np.ndarray) -> float:
 @every_vessel
 def test_dose_falls_along_the_light(device: Device, vessel: str) -> None:
     grid, beam = vam.Grid((N, N, 1), PITCH), vam.Beam((N, 1), PITCH, spread=0)
-    A = vam.Projection(grid, beam, vam.Turntable(4), VESSELS[vessel], device)
+    A = vam.Projection(grid, beam, vam.Turntable(4, lit_share=0), VESSELS[vessel], device)
     source, side = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]), np.array([(0, 1), (-1, 0), (0, -1), (1, 0)])
     for pose in range(4):
         light = np.zeros(A.range.shape)

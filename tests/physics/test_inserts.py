@@ -105,7 +105,7 @@ def pieces(vial: vam.Vial, angle: np.ndarray, u: np.ndarray, index: float | None
 
 
 BEAMS = {name: vam.Beam((2 * int(vial.aperture / PITCH) + 2, 1), PITCH) for name, vial in VIALS.items()}
-TURN = vam.Turntable(POSES)
+TURN = vam.Turntable(POSES, lit_share=0)
 AXIS = (np.arange(N) - 0.5 * (N - 1)) * PITCH
 
 

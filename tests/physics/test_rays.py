@@ -65,7 +65,7 @@ every_case = pytest.mark.parametrize("case", CASES)
 def operator(case: str, device: Device | str, angles: int) -> vam.Projection:
     vessel, pixels, pitch, *_ = CASES[case]
     grid = vam.Grid((N, N, SLICES), PITCH)
-    return vam.Projection(grid, vam.Beam(pixels, pitch, spread=0), vam.Turntable(angles), vessel, device)
+    return vam.Projection(grid, vam.Beam(pixels, pitch, spread=0), vam.Turntable(angles, lit_share=0), vessel, device)
 
 
 def some_voxels() -> tuple[np.ndarray, np.ndarray]:

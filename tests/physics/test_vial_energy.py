@@ -49,7 +49,9 @@ def shares(motion: vam.Turntable, columns: int, disc: np.ndarray) -> np.ndarray:
 
 def projection(columns: int, rows: int, poses: int, pitch: float = PITCH) -> vam.Projection:
     """A perfect lens, whose light ends where its pixels end."""
-    return vam.Projection(GRID, vam.Beam((columns, rows), pitch, spread=0.0), vam.Turntable(poses), VIAL, "numpy")
+    return vam.Projection(
+        GRID, vam.Beam((columns, rows), pitch, spread=0.0), vam.Turntable(poses, lit_share=0), VIAL, "numpy"
+    )
 
 
 @pytest.mark.slow

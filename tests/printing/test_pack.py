@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from needs import optional
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, NoLight, ShapeMismatch
+from vamgpu.jobs.run import prove
+from vamgpu.printing.folder import load_frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
 
@@ -24,6 +29,34 @@ def plan_of(device: Device, light: np.ndarray) -> Any:
 def some_light(seed: int = 0, shape: tuple[int, int, int] = SHAPE) -> np.ndarray:
     """Light as plans have it: dark in half of all pixels, float32 so that every device starts from the same."""
     return np.maximum(np.random.default_rng(seed).normal(size=shape), 0.0).astype(np.float32)
+
+
+class Foreign:
+    """An array of a library that knows DLPack alone."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values, self.shape = values, values.shape
+
+    def __dlpack__(self, **how: Any) -> Any:
+        return self.values.__dlpack__(**how)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.values.__dlpack_device__()
+
+
+def foreign_double(values: np.ndarray) -> Foreign:
+    """One that a reference device of float64 need not cast."""
+    return Foreign(values.astype(float))
+
+
+class Listed:
+    """An array of a library that knows ``__array__`` alone."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values, self.shape = values, values.shape
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype)
 
 
 CASES = {
@@ -100,6 +133,85 @@ def test_bits_are_folded_from_the_left(device: Device) -> None:
     assert frames.images.shape == (24, 35, 3) and levels.shape == (24, 35, 21)
     assert np.array_equal(frames.images.numpy(), np.packbits(levels, axis=-1))
     assert set(np.unique(levels)) == {0, 1}
+
+
+def of_jax(values: np.ndarray) -> Any:
+    optional("jax", "install JAX: pip install vamgpu[jax]")
+    return __import__("jax").numpy.asarray(values)
+
+
+def of_torch(values: np.ndarray) -> Any:
+    optional("torch", "install PyTorch: pip install vamgpu[torch]")
+    return __import__("torch").tensor(values)
+
+
+LIBRARIES = [np.array, partial(np.array, dtype=float), Foreign, foreign_double, Listed, of_jax, of_torch]
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_light_of_ones_own_is_packed(device: Device, library: Any, tmp_path: Path) -> None:
+    """Arrays that are NumPy's, of another type, known by DLPack or ``__array__`` alone, other libraries'; copied."""
+    A = vam.Projection(vam.Grid((21, 21, 35), 0.1), vam.Beam((21, 35), 0.1), vam.Turntable(24), device=device)
+    own = some_light()
+    given = library(own)
+    frames = pack(A, given, dither="round")
+    wanted = pack(Solved(device.upload(own), A))
+    assert np.array_equal(frames.levels(), wanted.levels()) and frames.scale == wanted.scale
+    own *= 2.0
+    for theirs in (given, getattr(given, "values", None)):
+        if isinstance(theirs, np.ndarray) and theirs is not own:
+            theirs *= 2.0
+    assert np.array_equal(frames.plan.sinogram.numpy() * 2.0, own), "the light is a copy"
+    again = load_frames(frames.save(tmp_path / "own.vam"), device)
+    assert np.array_equal(again.levels(), frames.levels())
+
+
+def test_light_of_ones_own_is_proved_from_its_folder(tmp_path: Path) -> None:
+    A = vam.Projection(vam.Grid((21, 21, 9), 0.1), vam.Beam((25, 9), 0.1), vam.Turntable(24))
+    part = np.zeros(A.domain.shape, np.float32)
+    part[8:13, 8:13] = 1.0
+    light = A(part)
+    frames = pack(A, light, target=part)
+    proof = vam.simulate(A, frames, part)
+    assert proof.scores.iou > 0.5
+    again = prove(frames.save(tmp_path / "own.vam")).proof
+    assert again.scores == proof.scores
+    light /= A.T(light)[part > 0].mean()
+    begun = vam.optimize(A, part, start=light, iterations=0, progress=False)
+    assert begun.history == () and np.allclose(begun.sinogram.numpy(), light)
+    assert np.array_equal(pack(begun).levels(), frames.levels()), "rounded, as no evaluations were spent"
+
+
+@pytest.mark.parametrize("library", [np.asarray, Foreign])
+def test_light_that_cannot_be_shown_is_refused(device: Device, library: Any) -> None:
+    A = vam.Projection(vam.Grid((21, 21, 35), 0.1), vam.Beam((21, 35), 0.1), vam.Turntable(24), device=device)
+    for value, message in ((-1.0, "the light reaches from -1 to"), (np.nan, "holds NaN"), (np.inf, "infinity")):
+        light = some_light()
+        light[3, 4, 5] = value
+        with pytest.raises(BadInput, match=message):
+            pack(A, library(light))
+    with pytest.raises(ShapeMismatch, match=r"the light has shape \(24, 35, 21\); expected \(24, 21, 35\)"):
+        pack(A, library(some_light(shape=(24, 35, 21))))
+    with pytest.raises(NoLight):
+        pack(A, library(np.zeros(SHAPE, np.float32)))
+    with pytest.raises(BadInput, match=r"alone; expected .* vam\.pack\(A, light\)"):
+        pack(A)
+    with pytest.raises(BadInput, match="expected the operator that makes dose of it"):
+        pack(plan_of(device, some_light()), library(some_light()))
+    with pytest.raises(BadInput, match=r"got a ndarray alone; expected .* vam\.pack\(A, light\)"):
+        pack(some_light())  # pyright: ignore[reportArgumentType]
+    with pytest.raises(BadInput, match="^got light beside a ndarray; expected the operator"):
+        pack(some_light(), A)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ShapeMismatch, match=r"the target has shape \(3, 3, 3\); expected \(21, 21, 35\)"):
+        pack(A, library(some_light()), target=np.ones((3, 3, 3)))
+
+
+def test_bits_by_place_are_those_by_name(device: Device) -> None:
+    plan = plan_of(device, some_light())
+    with pytest.warns(DeprecationWarning, match=r"bits=, gray= by name"):
+        frames = pack(plan, 1, GrayCurve.linear(black=0.01), dither="round")  # type: ignore[misc]
+    wanted = pack(plan, bits=1, gray=GrayCurve.linear(black=0.01), dither="round")
+    assert frames.gray == wanted.gray and np.array_equal(frames.levels(), wanted.levels())
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, 0.25)])

@@ -59,11 +59,11 @@ def test_frames_come_back_with_their_angles_and_print_what_was_planned(fast_devi
     proof = vam.simulate(A, again, part(), irradiance=10.0, critical_dose=5.0, absorption=0.05)
     assert proof.scores.window == pytest.approx(plan.window, abs=2 / 255)
     light = frames.irradiance(A.device).numpy() * motion.times[:, None, None]
-    assert proof.light_efficiency == pytest.approx(light.mean() / frames.scale, rel=1e-4)
+    assert proof.mean_brightness == pytest.approx(light.mean() / frames.scale, rel=1e-4)
     assert proof.exposure is not None
     sent = light.sum() * 10.0 / frames.scale * BEAM.pixel_area * proof.exposure.seconds / motion.angles
     assert proof.exposure.energy == pytest.approx(sent, rel=1e-4)
-    assert proof.part_share == pytest.approx(proof.dose.numpy()[part() > 0].sum() / light.sum(), rel=1e-3)
+    assert proof.light_efficiency == pytest.approx(proof.dose.numpy()[part() > 0].sum() / light.sum(), rel=1e-3)
 
 
 def test_frames_of_other_angles_are_refused() -> None:
@@ -72,7 +72,7 @@ def test_frames_of_other_angles_are_refused() -> None:
     frames = vam.pack(vam.optimize(one, part(), "recipe", iterations=1))
     with pytest.raises(BadInput, match=r"frames are for Turntable\(angles=\[.*has Turntable\(angles=40\).*same angles"):
         vam.simulate(other, frames, part())
-    with pytest.raises(ShapeMismatch, match="40 frames are for 7 over a full turn angles"):
+    with pytest.raises(ShapeMismatch, match="40 frames are for 7 over a full turn"):
         vam.Frames(frames.images, 8, frames.gray, frames.scale, frames.columns, motion=vam.Turntable(7))
 
 
@@ -80,11 +80,11 @@ def test_errors_diffuse_among_poses_that_are_lit_as_long() -> None:
     plans = [vam.optimize(vam.Projection(GRID, BEAM, MOTIONS[scan], device="numpy"), part(), "recipe", iterations=1)
              for scan in ("arc", "unequal times")]  # fmt: skip
     light = plans[0].sinogram.numpy()
-    sums = [vam.pack(plans[0], 1, dither=dither, quantile=1.0).irradiance().numpy().sum(axis=0) - light.sum(axis=0)
+    sums = [vam.pack(plans[0], bits=1, dither=dither, quantile=1.0).irradiance().numpy().sum(axis=0) - light.sum(axis=0)
             for dither in ("round", "error-diffusion")]  # fmt: skip
     assert np.abs(sums[1]).max() < 0.5 * np.abs(sums[0]).max()
     with pytest.raises(BadInput, match=r'error-diffusion got 40 over a full turn, each lit .* take dither="round"'):
-        vam.pack(plans[1], 1, dither="error-diffusion")
+        vam.pack(plans[1], bits=1, dither="error-diffusion")
 
 
 @pytest.mark.parametrize(
@@ -95,12 +95,12 @@ def test_a_turntable_comes_back_from_json_to_the_last_bit(motion: vam.Turntable)
 
 
 def test_folders_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    assert turntable_from({"angles": 360}) == vam.Turntable(360)
+    assert turntable_from({"angles": 360}) == vam.Turntable(360, lit_share=0.0)
     plan = vam.optimize(vam.Projection(GRID, BEAM, vam.Turntable(8), device="numpy"), part(), "recipe", iterations=1)
     save_frames(tmp_path / "part.vam", vam.pack(plan))
     file = tmp_path / "part.vam" / "manifest.json"
     manifest = json.loads(file.read_text(encoding="utf-8"))
-    assert manifest["details"]["frames"].pop("turntable") == {"angles": 8}
+    assert manifest["details"]["frames"].pop("turntable") == {"angles": 8, "lit_share": 1.0}
     file.write_text(json.dumps(manifest), encoding="utf-8")
     old = load_frames(tmp_path / "part.vam", "numpy")
     assert old.motion is None and "turntable" not in describe(old)
@@ -116,5 +116,5 @@ def test_folders_of_earlier_versions_are_read(tmp_path: Path) -> None:
     ],
 )
 def test_a_garbled_turntable_is_told(said: str, garbled: dict) -> None:
-    with pytest.raises(StorageError, match=said if said != "theta" else "garbles its turntable"):
+    with pytest.raises(StorageError, match=said if said != "theta" else "turntable in the manifest is malformed"):
         turntable_from(garbled)

@@ -85,8 +85,8 @@ def test_the_predicted_exposure_brings_the_threshold_to_the_critical_dose(device
     )
     sent = frames.light.sum() / frames.scale * 6.0 * BEAM.pixel_area * dwell
     assert proof.exposure.energy == pytest.approx(sent, rel=1e-5)
-    assert proof.part_share == pytest.approx(dose[inside].sum() * GRID.voxel_volume / sent, rel=1e-5)
-    assert proof.light_efficiency == pytest.approx(frames.light.mean() / frames.scale, rel=1e-5)
+    assert proof.light_efficiency == pytest.approx(dose[inside].sum() * GRID.voxel_volume / sent, rel=1e-5)
+    assert proof.mean_brightness == pytest.approx(frames.light.mean() / frames.scale, rel=1e-5)
 
 
 def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
@@ -118,6 +118,11 @@ def test_scores_do_not_change_with_the_scale_of_the_light(device: Device) -> Non
     assert bright.scores.window == pytest.approx(dim.scores.window, abs=1e-5)
     assert bright.scores.iou == pytest.approx(dim.scores.iou, abs=1e-5)
     assert bright.seconds == pytest.approx(dim.seconds, rel=1e-4)
+    assert dim.seconds is not None
+    within = 0.99 * 86_400.0 / dim.seconds  # times as much dose, for which a day does
+    assert simulate(A, shown(A, 0.5), target, irradiance=6 / within, critical_dose=2).seconds is not None
+    with pytest.raises(BadInput, match=r"would take .* s, 1\.0\d* days, at .*expected a day at most: check"):
+        simulate(A, shown(A, 0.5), target, irradiance=6 * 0.97 / within, critical_dose=2)
 
 
 def test_one_pixel_changes_the_dose(device: Device) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_cdt
 
 from vamgpu import Beam, Grid, Projection, Turntable, Vat, Vial
 from vamgpu.backend.array import DeviceArray
@@ -15,7 +16,7 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import optimize
 from vamgpu.metrics import score
 from vamgpu.optics.beams import Misaligned
-from vamgpu.printing import opening
+from vamgpu.printing import summary
 from vamgpu.printing.judgement import judged
 from vamgpu.printing.scenarios import SCENARIOS, Scenario, clouded, displaced, softer
 from vamgpu.printing.simulate import simulate
@@ -56,17 +57,10 @@ def only(table: ToleranceTable, name: str, change: str) -> ToleranceRow:
     return row
 
 
-def half_voxel(dose: DeviceArray) -> float:
-    """W at half a voxel of the bar, whose surface lies on faces of voxels: every center counts."""
-    values, inside, disc = dose.numpy(), bar() > 0, np.broadcast_to(GRID.cylinder()[..., None], GRID.shape)
-    return (values[inside & disc].min() - values[~inside & disc].max()) / values[disc].max()
-
-
 def test_the_nominal_row_is_the_print_itself(printed: Print) -> None:
     scores = score(printed.dose(), printed.fraction)
     nominal = printed.table.nominal
     assert scores.window > 0.02 and nominal.window == pytest.approx(scores.window, abs=1e-6)
-    assert nominal.half_voxel >= nominal.window - 1e-6
     assert nominal.wrong == 0
 
 
@@ -84,7 +78,6 @@ def test_a_row_is_the_same_light_through_what_it_names(printed: Print, name: str
     other = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")  # type: ignore[arg-type]
     wanted = score(printed.dose(other), printed.fraction, threshold=scores.threshold)
     row = only(printed.table, name, change)
-    assert row.half_voxel == pytest.approx(half_voxel(printed.dose(other)), abs=1e-6)
     assert row.window == pytest.approx(wanted.window, abs=1e-6)
     assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
     assert abs(row.window - scores.window) > 1e-5
@@ -151,11 +144,9 @@ def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
     dose = own * (1 + 0.02 * rng.random(GRID.shape))
     proved = printed.A.device.upload(dose)
     at = 1.02 * score(proved, printed.fraction).threshold
-    table = tolerance_table(
-        printed.A, printed.light, printed.fraction, proved=proved, threshold=at, half_voxel=0.5,
-    )  # fmt: skip
+    table = tolerance_table(printed.A, printed.light, printed.fraction, proved=proved, threshold=at)
     as_proved = score(proved, printed.fraction, threshold=at)
-    assert table.nominal.window == pytest.approx(as_proved.window, abs=1e-6) and table.nominal.half_voxel == 0.5
+    assert table.nominal.window == pytest.approx(as_proved.window, abs=1e-6)
     for change, vessel in (("+0.5 pixel", Misaligned(VIAL, 0.1)), ("−0.5 pixel", Misaligned(VIAL, -0.1))):
         other = Projection(GRID, BEAM, Turntable(36), vessel, "numpy")
         changed = printed.A.device.upload(dose + printed.dose(other).numpy() - own)
@@ -163,7 +154,6 @@ def test_changes_are_added_to_what_was_proved(printed: Print) -> None:
         row = only(table, "axis of rotation", change)
         assert row.window == pytest.approx(wanted.window, abs=1e-6)
         assert (row.missing, row.excess) == (wanted.missing, wanted.excess)
-        assert row.half_voxel - 0.5 == pytest.approx(half_voxel(changed) - half_voxel(proved), abs=1e-6)
     below, above = table.limits("dose")
     assert below.amount == pytest.approx(at / as_proved.least_in - 1, rel=1e-5)
     assert above.amount == pytest.approx(at / as_proved.greatest_out - 1, rel=1e-5)
@@ -194,27 +184,53 @@ def test_an_amount_that_means_nothing_leaves_the_others_their_numbers(printed: P
     table = tolerance_table(printed.A, printed.light, printed.fraction, scenarios=(off_by(0.1),))
     below, near, next_, far = table.rows
     assert [row.note for row in table.rows] == ["-0.1 is too far", "", "", "0.5 is too far"]
-    assert (near.wrong, next_.wrong) == (0, 0) and np.isfinite([near.window, next_.half_voxel]).all()
+    assert (near.wrong, next_.wrong) == (0, 0) and np.isfinite([near.window, next_.window]).all()
     assert (below.missing, below.excess, below.wrong, far.wrong) == (None, None, None, None)
     under, over = table.limits("axis")
     assert (under.farthest, under.text) == (0.0, "not exposed") and np.isnan([under.amount, over.amount]).all()
     assert (over.farthest, over.text) == (0.02, "none up to +0.02 pixel")
-    groups = opening.table(table)
+    groups = summary.table(table)
     assert [row["wrong"] for row in groups[1]["rows"]] == ["–", "0", "0", "–"]
     assert groups[1]["note"] == "not exposed: -0.1 is too far; 0.5 is too far"
 
 
-def test_a_flat_print_has_its_half_voxel_window_from_its_sides_alone() -> None:
+def test_voxels_near_the_surface_count_only_where_they_are_asked_for(printed: Print) -> None:
+    """Two voxels deep, the least dose of a bar is that of its inner voxels, however the others print."""
+    own = printed.dose().numpy()
+    inside = bar() > 0
+    depth = np.asarray(distance_transform_cdt(np.pad(inside, 3), "chessboard"))[3:-3, 3:-3, 3:-3]
+    deep = 1.4 * GRID.pitch
+    dose = np.where(inside & (depth == 1), 0.0, own)
+    at = score(printed.dose(), printed.fraction).threshold
+    proved = printed.A.device.upload(dose)
+    near, far, thin = (
+        tolerance_table(printed.A, printed.light, printed.fraction, proved=proved, threshold=at, scenarios=(), deep=d)
+        for d in (0.0, deep, 9.0)
+    )
+    assert near.nominal.missing == (inside & (depth == 1) & GRID.cylinder()[..., None]).sum() > 0
+    assert far.nominal.wrong == 0 and far.nominal.window > near.nominal.window
+    assert thin.nominal == near.nominal, "where nothing lies so deep, all counts"
+    (low, high) = tolerance_table(
+        printed.A, printed.light, printed.fraction, proved=proved, threshold=at, scenarios=(DOSE,), deep=deep
+    ).first_wrong
+    around = np.asarray(distance_transform_cdt(np.pad(~inside, 3, constant_values=True), "chessboard"))[
+        3:-3, 3:-3, 3:-3
+    ]
+    outside = (around >= 2) & GRID.cylinder()[..., None]
+    assert low.amount == pytest.approx(at / dose[depth >= 2].min() - 1.0, rel=1e-4), "of the voxels that count"
+    assert high.amount == pytest.approx(at / dose[outside].max() - 1.0, rel=1e-4)
+
+
+def test_a_flat_print_is_judged_from_its_sides_alone() -> None:
     A = Projection(Grid((17, 17, 1), 0.2), Beam((24, 1), 0.2), Turntable(24), None, "numpy")
     fraction = np.zeros(A.grid.shape)
-    fraction[5:12, 6:11] = 1.0
+    fraction[4:13, 4:13] = 1.0
     light = optimize(A, fraction, iterations=20).sinogram
-    nominal = tolerance_table(A, light, A.device.upload(fraction), scenarios=()).nominal
-    assert nominal.half_voxel == pytest.approx(nominal.window, abs=1e-6) and nominal.window > 0.1
+    nominal = tolerance_table(A, light, A.device.upload(fraction), scenarios=(), deep=0.4).nominal
+    assert nominal.wrong == 0 and nominal.window > 0.3
     shown: Any = SimpleNamespace(irradiance=lambda device: light, scale=1.0)
-    proof = simulate(A, shown, fraction)
-    over = judged(proof).over_tolerance
-    assert -0.1 < over.at(0.0) < over.half_voxel == pytest.approx(proof.scores.window, abs=0.1)
+    found = judged(simulate(A, shown, fraction))
+    assert found.deep == pytest.approx(0.4) and found.over_tolerance.at(0.4) == pytest.approx(nominal.window, abs=0.1)
 
 
 def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(printed: Print) -> None:

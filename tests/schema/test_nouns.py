@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from vamgpu.schema.noun import MISSING
 from vamgpu.schema.read import read
 from vamgpu.schema.registry import FAMILIES, find
 from vamgpu.storage.folder import Folder, write_folder
+from vamgpu.targets import shapes
 from vamgpu.units import deg
 
 GRID, MOTION = vam.Grid((12, 12, 8), 0.2), vam.Turntable(6)
@@ -182,7 +184,7 @@ def test_garbled_geometry_is_named() -> None:
 
 def test_defaults_are_what_constructors_have() -> None:
     """A table of the required fields alone gives the noun that Python makes of them."""
-    assert read("method", {}) == vam.ProcessWindow() and read("method", {"kind": "osmo"}) == vam.OSMO()
+    assert read("method", {}) == vam.SurfaceRamp() and read("method", {"kind": "osmo"}) == vam.OSMO()
     vial = {"kind": "vial", "radius": "12.4 mm", "wall": "1 mm", "resin_index": 1.5, "wall_index": 1.4}
     assert read("vessel", vial) == vam.Vial(radius=12.4, wall=1.0, resin_index=1.5, wall_index=1.4)
     assert read("lens", {"powers": ["5 dpt", "8 dpt"]}) == vam.TunableLens(powers=(5.0, 8.0))
@@ -219,7 +221,7 @@ def test_wrong_tables_are_named(family: str, table: dict[str, Any], said: str) -
         (lambda: vam.Occluded(transmittance=1.5), r"Occluded transmittance is 1.5; expected a share in 0\.\.1"),
         (lambda: vam.Beam((4, 4), 0.1, 1.5), "Beam fill is 1.5; expected a share of the pixel's area"),
         (lambda: vam.TunableLens(bins=2.5), "TunableLens bins is 2.5; expected a whole number"),  # type: ignore[arg-type]
-        (lambda: vam.Defocus(0.1, 4.0, "a"), r"Defocus focus \[mm\] is 'a'"),  # type: ignore[arg-type]
+        (lambda: vam.Defocus(0.1, 4.0, "a"), r"Defocus focus: got 'a'; expected a length"),  # type: ignore[arg-type]
     ],
 )
 def test_constructors_check_by_the_same_bounds(make: Any, said: str) -> None:
@@ -243,3 +245,60 @@ def test_every_noun_says_what_its_fields_mean(family: str, kind: str) -> None:
     assert cls.__module__.startswith(("vamgpu.methods", "vamgpu.losses")) or not silent
     assert (cls.__doc__ or "").strip()
     assert all(field.default is MISSING or not field.required for field in fields_of(cls))
+
+
+untyped: Any = vam
+"""Type checkers know numbers alone."""
+AS_TEXT: dict[str, tuple[Any, Any]] = {
+    "vial": (
+        lambda: untyped.Vial("12.4 mm", "1000 um", 1.5, 1.47, absorption="0.5 /cm"),
+        untyped.Vial(12.4, 1.0, 1.5, 1.47, absorption=0.05),
+    ),
+    "beam": (lambda: untyped.Beam((24, 8), "67 um", spread="25 µm"), untyped.Beam((24, 8), 0.067, spread=0.025)),
+    "grid": (lambda: untyped.Grid((4, 4, 4), "0.1 mm"), untyped.Grid((4, 4, 4), 0.1)),
+    "web": (lambda: untyped.WebGrid((4, 4, 4), ("50 um", 0.1, "0.2 mm")), untyped.WebGrid((4, 4, 4), (0.05, 0.1, 0.2))),
+}
+
+
+@pytest.mark.parametrize("name", AS_TEXT)
+def test_a_constructor_takes_text_with_units(name: str) -> None:
+    make, expected = AS_TEXT[name]
+    assert make() == expected
+
+
+def test_targets_and_scenes_take_text_with_units() -> None:
+    mesh, mask = shapes.build("boat"), np.pad(np.ones((4, 4, 4)), 2)
+    at = untyped.Target.from_mesh(mesh, height=2.0, pitch=0.2, device="numpy")
+    text = untyped.Target.from_mesh(mesh, height="2 mm", pitch="200 um", device="numpy")
+    assert at.grid == text.grid and at.height == text.height
+    assert untyped.Target.from_array(mask, "250 um").grid == untyped.Target.from_array(mask, 0.25).grid
+    body = untyped.Body(mask, pitch="250 um")
+    assert body.pitch == 0.25 and untyped.Scene(body).grid("250 um") == untyped.Scene(body).grid(0.25)
+    clear = untyped.Body(mask, "insert", index=1.5, absorption="0.2 /mm", pitch=0.25)
+    assert clear.absorption == 0.2
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: untyped.Vial("12.4", 1.0, 1.5, 1.47), "Vial radius: got '12.4'; no unit; expected a length in mm"),
+        (
+            lambda: untyped.Vial("12 m", 1.0, 1.5, 1.47),
+            "Vial radius: got '12 m'; is 12000 mm; expected 0.05 to 1000 mm",
+        ),
+        (lambda: untyped.Vial(12.4, 1.0, "1.5", 1.47), "Vial resin_index is '1.5'"),
+        (lambda: untyped.Beam((1, 1), "67 mW/cm2"), "Beam pitch: got '67 mW/cm2'; unit 'mW/cm2'; expected a length"),
+        (lambda: untyped.Target.from_array(np.ones((2, 2, 2)), "one"), "Grid pitch: got 'one'; expected a length"),
+        (
+            lambda: untyped.Target.from_mesh("a.stl", height="-2 mm", pitch=0.1),
+            "height: got '-2 mm'; expected a length >",
+        ),
+        (
+            lambda: untyped.Target.from_mesh("a.stl", height=2.0, pitch="2 s"),
+            "pitch: got '2 s'; unit 's'; expected a length",
+        ),
+    ],
+)
+def test_wrong_text_is_named(make: Any, said: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(said)):
+        make()

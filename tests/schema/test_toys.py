@@ -104,7 +104,7 @@ loss.regret = toys_of_vamgpu:Regret
 lens.eyeglass = toys_of_vamgpu:Eyeglass
 method.sorry = toys_of_vamgpu:Sorry
 """
-SMALL = ["target.pitch=600 um", "beam.pitch=600 um", "turntable.angles=12", "solve.iterations=2", "solve.device=numpy"]
+SMALL = ["target.pitch=600 um", "beam.pitch=600 um", "turntable.angles=12", "solve.iterations=2", "solve.device=cpu"]
 ABSORBED = "print.absorption=0.05 1/mm"
 
 

@@ -26,15 +26,15 @@ def filled_by_points(rings: vam.PolarGrid, count: int = 48) -> np.ndarray:
     found, (ahead, behind) = np.zeros(rings.shape), (np.arange(count) + 0.5, count)
     edges = (np.arange(rings.slices + 1) - 0.5 * rings.slices) * rings.pitch
     high = np.clip(np.minimum(edges[1:], HIGH[2]) - np.maximum(edges[:-1], LOW[2]), 0.0, None) / rings.pitch
-    for belt in rings.belts:
-        for ring in range(belt.begin, belt.stop):
+    for band in rings.bands:
+        for ring in range(band.begin, band.stop):
             rho = np.sqrt(ring**2 + ahead / behind * (2 * ring + 1)) * rings.pitch
-            for q in range(belt.samples):
-                start = np.arange(rings.angles)[:, None] * belt.samples + q
-                turn = 2.0 * np.pi / (rings.angles * belt.samples) * (start + ahead / behind - 0.5)
+            for q in range(band.samples):
+                start = np.arange(rings.angles)[:, None] * band.samples + q
+                turn = 2.0 * np.pi / (rings.angles * band.samples) * (start + ahead / behind - 0.5)
                 x, y = rho[:, None, None] * np.cos(turn), rho[:, None, None] * np.sin(turn)
                 inside = (x > LOW[0]) & (x < HIGH[0]) & (y > LOW[1]) & (y < HIGH[1])
-                found[:, belt.cell + q * belt.rings + ring - belt.begin] = inside.mean(axis=(0, 2))[:, None] * high
+                found[:, band.cell + q * band.rings + ring - band.begin] = inside.mean(axis=(0, 2))[:, None] * high
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -112,7 +113,7 @@ def test_a_given_shape_is_kept_or_refused() -> None:
         ({"pitch": float("nan"), "height": 5.0}, "pitch"),
         ({"pitch": -0.1, "height": 5.0}, "pitch"),
         ({"pitch": 0.0, "height": 5.0}, "pitch"),
-        ({"pitch": "45 um", "height": 5.0}, "pitch"),
+        ({"pitch": "45 kg", "height": 5.0}, "pitch"),
         ({"pitch": 0.1}, "neither"),
         ({"pitch": 0.1, "height": 5.0, "factor": 1.0}, "one of them"),
         ({"pitch": 0.1, "height": -5.0}, "height"),
@@ -132,8 +133,34 @@ def test_what_is_no_part_is_refused(tmp_path: Path) -> None:
         Target.from_mesh(np.zeros((3, 3)), height=1.0, pitch=0.1)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match=r"no-such\.stl"):
         Target.from_mesh(tmp_path / "no-such.stl", height=1.0, pitch=0.1)
-    with pytest.raises(EmptyMesh, match="no voxel of 1000 mm is filled"):
-        Target.from_mesh(wedge(), height=5.0, pitch=1000.0, device="numpy")
+    with pytest.raises(EmptyMesh, match="no voxel of 5 mm is filled"):
+        Target.from_mesh(wedge(), height=0.12, pitch=5.0, device="numpy")
+
+
+def test_a_trimesh_is_a_target_as_its_file_is(tmp_path: Path) -> None:
+    """In mm, or in the unit that it says; a body of a scene takes it alike."""
+    mesh = trimesh.creation.annulus(1.0, 2.0, 3.0)
+    mesh.export(tmp_path / "ring.ply")
+    wanted = Target.from_mesh(tmp_path / "ring.ply", factor=1.0, pitch=0.25, device="numpy")
+    found = Target.from_mesh(mesh, factor=1.0, pitch=0.25, device="numpy")
+    np.testing.assert_array_equal(found.numpy(), wanted.numpy())
+    assert found.solid is not None and (wanted.name, found.name) == ("ring", "solid")
+    mesh.apply_scale(1e-3)
+    mesh.units = "meter"
+    named = Target.from_mesh(mesh, factor=1.0, pitch=0.25, device="numpy", name="washer")
+    assert named.name == named.solid.name == "washer"  # type: ignore[union-attr]
+    np.testing.assert_allclose(named.numpy(), wanted.numpy(), atol=1e-6)
+
+
+@pytest.mark.parametrize(("scale", "options", "said"), [
+    (1e-3, {"factor": 1.0}, r"is 0\.00\d+ mm at its longest; .* meant in m, take factor=1 \* vamgpu\.units\.m$"),
+    (1e3, {"factor": 1.0}, r"is [\d.e+]+ mm at its longest; .* meant in um, take factor=1 \* vamgpu\.units\.um$"),
+    (1.0, {"height": 0.005}, r"meant in m, take height=0\.005 \* vamgpu\.units\.m$"),
+    (1.0, {"height": 5e9}, r"expected 0\.1 to 1000 mm: check the unit$"),
+])  # fmt: skip
+def test_the_unit_of_an_odd_part_is_asked_for(scale: float, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        Target.from_mesh(wedge().scaled(scale), pitch=0.1, device="numpy", **options)
 
 
 def test_a_solid_is_repaired_as_a_file_is() -> None:

@@ -107,7 +107,7 @@ def test_a_film_with_nothing_in_it_is_the_plain_projection(step: float) -> None:
 @pytest.mark.parametrize("extinction", [None, 3.0])
 def test_dose_is_what_points_along_the_rays_leave(reflectivity: float, extinction: float | None) -> None:
     """By summing short steps along each ray as it was traced on the bent film, asking at each what is there."""
-    machine = roller(reflectivity=reflectivity, rays=3)
+    machine = roller(reflectivity=reflectivity, rays=3, lit_share=0.0)
     inserted = standing(slice(None))
     fields = {"opaque": inserted} if extinction is None else {"extinction": np.where(inserted, extinction, ALPHA)}
     pose, steps = 14, 6000

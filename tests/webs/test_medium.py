@@ -154,12 +154,12 @@ def test_a_medium_that_no_folder_keeps_is_refused_when_it_is_written(index: obje
     assert not place.exists()
 
 
-def test_a_garbled_medium_is_told(tmp_path: Path) -> None:
+def test_a_malformed_medium_is_refused(tmp_path: Path) -> None:
     folder = web(KEPT["grid"]).write(tmp_path / "web.vam")
     arrays = folder.details["wrap"]["arrays"]
     for entry in arrays.values():
         entry["shape"][0] += 1
-    with pytest.raises(StorageError, match="description of a Roller is garbled"):
+    with pytest.raises(StorageError, match="description of a Roller is malformed"):
         prove_web(WebFolder(folder.path, folder.details, folder.segments, True), "numpy")
 
 

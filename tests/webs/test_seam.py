@@ -16,7 +16,7 @@ from vamgpu.web import WebGrid
 from vamgpu.webs.stream import Stream
 
 PITCH, SLICES, LENGTH = 0.3, 2, 250.0
-ROLLER = Roller(7.5, Film(3.0, 1.49, 1.33, 0.22), PITCH / 9.0)
+ROLLER = Roller(7.5, Film(3.0, 1.49, 1.33, 0.22), PITCH / 9.0, lit_share=0.0)
 BEAM = Beam((70, SLICES), PITCH)
 CELLS = SheetGyroid(3.0)
 
@@ -26,7 +26,7 @@ def drifting(l: np.ndarray, rho: np.ndarray, z: np.ndarray) -> np.ndarray:  # no
     return CELLS(l + 2.0 * np.sin(l / 17.0), rho, z + 0.4)
 
 
-def solved(core: float, overlap: float = 1.0) -> tuple[Stream, np.ndarray]:
+def solved(core: float, overlap: float = Stream.overlap) -> tuple[Stream, np.ndarray]:
     """The light of the whole web, [pose, r, z], by the paper's 100 iterations."""
     job = Stream(
         drifting, ROLLER, BEAM, length=LENGTH, pitch=(ROLLER.advance, PITCH, PITCH), core=core, overlap=overlap

@@ -4,8 +4,9 @@
 OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
 
 Several share the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2`` those that are
-named. ``opencl:pocl:0@8GB`` lets fields take 8 GB of memory and keeps further ones in files, in the folder that TMPDIR
-names or in ``/var/tmp``.
+named. ``gpu`` and ``cpu`` are the best of their kind, and so is a part of a name: ``cuda``, ``cuda:1``, ``intel``.
+``opencl:pocl:0@8GB`` lets fields take 8 GB of memory and keeps further ones in files, in the folder that TMPDIR names
+or in ``/var/tmp``.
 """
 
 from __future__ import annotations
@@ -50,8 +51,9 @@ def open_device(name: str | Device | None = None) -> Device:
     """Open the device of that name; each is opened once.
 
     Args:
-        name: A name that `devices` lists, several joined by ``+``, all that begin alike as in ``warp:cuda:*``, an open
-            device, or None for the default.
+        name: A name that `devices` lists or a part of it such as ``cuda``, ``gpu`` or ``cpu`` for the best of a kind,
+            several joined by ``+``, all that begin alike as in ``warp:cuda:*``, an open device, or None for the
+            default. In any case of letters.
 
     Returns:
         The device.
@@ -102,6 +104,8 @@ def within(device: str | None, memory: str) -> str:
 def _open(name: str) -> Device:
     name, limited, size = name.partition("@")
     memory = bytes_of(size)
+    if (full := _full(name)) != name:
+        return _open(full + limited + size)
     kind, _, rest = name.partition(":")
     if limited and (memory is None or name not in _opencl_names()[1]):
         raise DeviceError(
@@ -128,6 +132,18 @@ def _open(name: str) -> Device:
 
         return WarpDevice(name, rest)
     raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
+
+
+def _full(name: str) -> str:
+    """The name of the best device here that ``gpu``, ``cpu`` or a part of its name means; else the name itself."""
+    name = name.lower()
+    in_full = name in ("numpy", "warp:cpu") or (name.startswith(("opencl:", "warp:")) and not name[-1].isalpha())
+    if in_full or "+" in name or not name[:1].isalpha():
+        return name
+    gpus, processors = _opencl_names()
+    kinds = {"gpu": (*_cuda_names(), *gpus), "cpu": (*processors, "warp:cpu", "numpy")}
+    alike = kinds.get(name) or [each for each in devices() if f":{name}:" in f":{each}:"]
+    return next((each for each in devices() if each in alike), name)
 
 
 def _has_cuda_driver() -> bool:

@@ -82,5 +82,9 @@ class DeviceArray:
         array = self.numpy()
         return array if dtype is None else array.astype(dtype)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle values and device, so that copies have memory of their own."""
+        return self.device.restored, (self.numpy(), not self.lanes)
+
     def __repr__(self) -> str:
         return f"DeviceArray(shape={self.shape}, dtype={self.dtype}, device={self.device.name})"

@@ -1,4 +1,4 @@
-"""How many threads work at once on what no kernel does."""
+"""The number of threads for work outside kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every device can do; one subclass a file, and every method here is either abstract or final."""
+"""The base of all devices; one subclass a file, and every method here is either abstract or final."""
 
 from __future__ import annotations
 
@@ -6,71 +6,26 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from math import prod
 from typing import Any, final
 
 import numpy as np
 
+from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import ahead
-from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch, TransferForbidden
+from vamgpu.backend.host_memory import from_dlpack, to_read
+from vamgpu.backend.ledger import Ledger
+from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch
 from vamgpu.kernels.inhibition import put_poses, take_poses
 from vamgpu.kernels.lanes import from_lanes, to_lanes
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 from vamgpu.kernels.update import linear
 
-SMALL = 4096
-"""Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
 STRIP = 1 << 23
 """Bytes that a thread brings into another layout at once: fields may be larger than the memory that is left."""
 HOST = (1, 0)
 """Host memory, as DLPack names it."""
-
-
-@dataclass
-class Ledger:
-    """Transfers and memory of a device; ``transfers`` lists (direction, bytes) of everything above 4 kB."""
-
-    transfers: list[tuple[str, int]] = field(default_factory=list)
-    small: int = 0
-    allocated: int = 0
-    peak: int = 0
-    _forbidden: int = 0
-
-    def cross(self, direction: str, nbytes: int) -> None:
-        """Book a transfer; raises `TransferForbidden` for a large one inside ``forbid()``."""
-        if nbytes <= SMALL:
-            self.small += 1
-            return
-        if self._forbidden:
-            raise TransferForbidden(
-                f"{direction} of {nbytes} bytes inside no_transfers(); at most {SMALL} are allowed: "
-                "keep the array on the device, or move the transfer out of the block"
-            )
-        self.transfers.append((direction, nbytes))
-
-    def take(self, nbytes: int) -> None:
-        """Book memory that was allocated."""
-        self.allocated += nbytes
-        self.peak = max(self.peak, self.allocated)
-
-    def give(self, nbytes: int) -> None:
-        """Book memory that was freed."""
-        self.allocated -= nbytes
-
-    def reset_peak(self) -> None:
-        """Start measuring the peak from what is allocated now."""
-        self.peak = self.allocated
-
-    @contextmanager
-    def forbid(self) -> Iterator[None]:
-        """Inside, large transfers are refused; may be nested."""
-        self._forbidden += 1
-        try:
-            yield
-        finally:
-            self._forbidden -= 1
 
 
 class Device(ABC):
@@ -91,6 +46,22 @@ class Device(ABC):
 
     def __str__(self) -> str:
         return self.name
+
+    @final
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the name, by which another process opens its own; raises `DeviceError` for one that has none."""
+        try:
+            is_named = open_device(self.name) is self
+        except DeviceError:
+            is_named = False
+        if not is_named:
+            raise DeviceError(f"got {self!r} to pickle, which no name opens in another process; expected a device of "
+                              "vamgpu.open_device: pickle what it computed as NumPy arrays")  # fmt: skip
+        return open_device, (self.name,)
+
+    @final
+    def __deepcopy__(self, memo: Any) -> Device:
+        return self
 
     # ---- abstract: one file a backend -------------------------------------------------------------------------
     @abstractmethod
@@ -114,10 +85,7 @@ class Device(ABC):
         """Run a kernel on handles and scalars that already fit its declaration."""
 
     def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
-        """Copy memory of another device into a handle of as many bytes; False where that takes the host.
-
-        Whatever either device is told to do after that happens after it.
-        """
+        """Copy memory of another device into a handle, in order with both queues; False where that takes the host."""
         return False
 
     def flush(self) -> None:
@@ -148,7 +116,7 @@ class Device(ABC):
 
     @abstractmethod
     def _exported(self, table: DeviceArray, copy: bool) -> Any:
-        """What exports a plain table by DLPack, sharing memory with it or not."""
+        """An object that exports a plain table by DLPack, sharing memory with it or not."""
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
         """A handle of the same memory for other lanes, which means the same there; None where it cannot be had."""
@@ -231,6 +199,14 @@ class Device(ABC):
                 f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
                 f"{least:.3g} or more: scale it"
             )
+        return array
+
+    @final
+    def restored(self, values: np.ndarray, table: bool) -> DeviceArray:
+        """The array that was downloaded as these values, to the last bit, NaN and all."""
+        array = self.empty(values.shape, values.dtype, table=table)
+        self.ledger.cross("upload", array.nbytes)
+        self._store(array, values)
         return array
 
     def _store(self, array: DeviceArray, source: np.ndarray, first: int = 0) -> None:
@@ -486,42 +462,6 @@ class Device(ABC):
         """Inside, a transfer above 4 kB raises `TransferForbidden`."""
         with self.ledger.forbid():
             yield
-
-
-def from_host(device: Device, foreign: Any) -> np.ndarray:
-    """A C contiguous NumPy array from host memory; a copy where that is strided or read-only. Raises `DeviceError`."""
-    array = foreign if isinstance(foreign, np.ndarray) else from_dlpack(device, foreign)
-    return np.require(array, requirements=["C", "W"])
-
-
-def from_dlpack(device: Device, foreign: Any) -> np.ndarray:
-    """The NumPy array of what lies in host memory and speaks DLPack. Raises `DeviceError`."""
-    try:
-        return np.from_dlpack(foreign)
-    except (AttributeError, TypeError, RuntimeError, ValueError, BufferError) as error:
-        raise DeviceError(
-            f"{device.name} adopts arrays in host memory that speak DLPack; got {type(foreign).__name__} ({error}): "
-            "upload a NumPy copy instead"
-        ) from error
-
-
-def to_read(array: np.ndarray) -> np.ndarray:
-    """The same memory for devices to read, also where it is read-only: JAX's arrays never change, but may be shared."""
-    if array.flags.writeable or not array.flags.c_contiguous or not array.size:
-        return array
-    return np.asarray(_Memory(array))
-
-
-class _Memory:
-    """Memory of a read-only array, without the ban; keeps it alive."""
-
-    def __init__(self, array: np.ndarray) -> None:
-        self.array = array
-
-    @property
-    def __array_interface__(self) -> dict[str, Any]:
-        given = self.array.__array_interface__
-        return given | {"data": (given["data"][0], False)}
 
 
 def _finite(source: np.ndarray) -> bool:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device, from_host
+from vamgpu.backend.device import Device
+from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.signature import Kernel
 

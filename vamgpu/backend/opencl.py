@@ -17,7 +17,8 @@ import pyopencl as cl
 import pyopencl.array as cla
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device, from_host
+from vamgpu.backend.device import Device
+from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
 
@@ -58,10 +59,7 @@ def _divisor(count: int) -> int:
 
 
 class OpenclDevice(Device):
-    """One OpenCL device with one in-order queue.
-
-    CPUs take a whole slab of 16 to 64 lanes per work item; GPUs give each item four lanes, and a slab to eight items.
-    """
+    """An OpenCL device with one in-order queue; an item takes 16 to 64 lanes on a CPU, four on a GPU."""
 
     def __init__(self, name: str, context: cl.Context, memory: int | None = None) -> None:
         (device,) = context.devices
@@ -172,10 +170,7 @@ class OpenclDevice(Device):
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
     ) -> cl.Kernel:
-        """The sibling of a kernel compiled for a layout of ``lanes`` and fixed numbers, by name.
-
-        Not cached, it tells its arguments everywhere.
-        """
+        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones tell their arguments everywhere."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         constants = self._constants(kernel, lanes) | {name.upper(): value for name, value in fixed if value}

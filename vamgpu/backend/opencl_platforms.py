@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.cache import writable
+
 SLUGS = {"Portable Computing Language": "pocl", "NVIDIA CUDA": "nvidia", "AMD Accelerated Parallel Processing": "amd"}
 PROBE = "__kernel void twice(__global float *a) { a[get_global_id(0)] = 2.0f * get_global_id(0); }"
 
@@ -29,6 +31,7 @@ def _wheel_drivers() -> list[Path]:
 @lru_cache(maxsize=1)
 def platforms() -> tuple[Any, ...]:
     """Every OpenCL platform, wheel drivers included; the environment is left as it was found."""
+    writable()  # PoCL and pyopencl read where their caches are once
     import pyopencl as cl
 
     drivers = _wheel_drivers()

@@ -18,18 +18,19 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import STRIP, Device, from_host
+from vamgpu.backend.device import STRIP, Device
+from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import DeviceError, VamError
 from vamgpu.kernels.signature import Kernel
 
 Order = tuple[Any, ...]
-"""What is to be done, and with what."""
+"""An action and its arguments."""
 Send = Callable[[list[Order]], Callable[[], list[Any]]]
 """Sends orders, and gives what waits for their answers."""
 
 
 class Facts(NamedTuple):
-    """What a device says of itself: its name, whether it is a GPU, its floating-point type, and what it is."""
+    """Facts of a device: its name, whether it is a GPU, its floating-point type, and its description."""
 
     name: str
     is_gpu: bool
@@ -44,14 +45,7 @@ class _Ref(NamedTuple):
 
 
 class Served:
-    """The device, in the process where it is.
-
-    Args:
-        name: Of the device; None takes the best one.
-
-    Raises:
-        DeviceError: There is no such device, or it is several.
-    """
+    """A device in the process where it is; None takes the best one. Raises `DeviceError`."""
 
     def __init__(self, name: str | None) -> None:
         self._device = open_device(name)
@@ -61,21 +55,11 @@ class Served:
         weakref.finalize(self, _let_go, self._handles, self._device).atexit = False
 
     def facts(self) -> Facts:
-        """What it says of itself."""
+        """The device's facts."""
         return Facts(self._device.name, self._device.is_gpu, self._device.real.name, self._device.description)
 
     def act(self, orders: list[Order]) -> list[Any]:
-        """Carry out orders.
-
-        Args:
-            orders: One after the other.
-
-        Returns:
-            The answers to those that ask.
-
-        Raises:
-            VamError: As the device does; what else fails is a `DeviceError`, for a process that answers is not lost.
-        """
+        """Carry out orders in turn and return the answers. Raises `VamError`; other failures become `DeviceError`."""
         try:
             return [answer for name, *given in orders if (answer := getattr(self, f"_{name}")(*given)) is not None]
         except VamError:
@@ -133,13 +117,7 @@ class _Handle:
 
 
 class RemoteDevice(Device):
-    """A device of another process.
-
-    Args:
-        name: As messages have it.
-        facts: What the device says of itself.
-        send: Brings orders to `Served.act` there; its answers come, or raise `WorkerLost`.
-    """
+    """A device of another process: ``send`` brings orders to `Served.act` there, or raises `WorkerLost`."""
 
     def __init__(self, name: str, facts: Facts, send: Send) -> None:
         super().__init__(name, facts.description)

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device, from_host
+from vamgpu.backend.device import Device
+from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import DeviceError
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
@@ -56,7 +57,7 @@ class Copies:
         self._whole, self._parts, self._bands = {table.device: table}, [], {}
 
     def parts(self) -> list[DeviceArray]:
-        """What each member wrote of it; nothing where it is whole."""
+        """The parts that members wrote; none where it is whole."""
         return [] if self._whole else self._parts
 
     def on(self, device: Device) -> DeviceArray:
@@ -81,7 +82,7 @@ class Copies:
         return self._parts
 
     def band(self, members: Sequence[Device], cuts: Cuts, taps: int, most: int) -> tuple[Cuts, list[DeviceArray]]:
-        """Of a table of first slices: what each cut's entries reach of ``most``, and the entries counted from there."""
+        """Cut first slices: what each cut's entries reach of ``most``, and the entries counted from there."""
         key = (tuple(cuts), taps, most)
         if key not in self._bands:
             each = [self.read()[begin:end] for begin, end in cuts]
@@ -177,7 +178,7 @@ class SlabDevice(Device):
             self._run_twice(kernel, bound)
         elif not _is_cut(kernel):
             self._run_whole(kernel, bound)
-        elif not kernel.reach:
+        elif not kernel.reach or _is_counted(kernel):
             self._run_apart(kernel, bound, sizes)
         elif isinstance(kernel.arguments.get(kernel.reach), Scalar):
             self._run_placed(kernel, bound, sizes)
@@ -187,7 +188,7 @@ class SlabDevice(Device):
             self._run_near(kernel, bound, sizes[kernel.reach] - 1)
 
     def _run_apart(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes its own slices."""
+        """Every member computes its own slices, of which it knows the number where the kernel asks for it."""
         spec: Any = kernel.arguments[kernel.over]
         shape = tuple(sizes[axis] for axis in spec.axes)
         cuts = {spec.axes[2]: self.cuts(shape[2])}
@@ -197,7 +198,8 @@ class SlabDevice(Device):
         shares = [self._shares(kernel.arguments[name], value, cuts) for name, value in bound.items()]
         for member, (begin, end), *mine in zip(self.members, cuts[spec.axes[2]], *shares, strict=True):
             if begin < end:
-                member.launch(kernel, **dict(zip(bound, mine, strict=True)))
+                given = dict(zip(bound, mine, strict=True))
+                member.launch(kernel, **given | ({kernel.reach: begin + given[kernel.reach]} if kernel.reach else {}))
                 member.flush()
 
     def _shares(self, spec: Field | Table | Scalar, value: Any, cuts: dict[str, Cuts]) -> Sequence[Any]:
@@ -358,6 +360,14 @@ def _is_cut(kernel: Kernel) -> bool:
         if isinstance(spec, Table) and spec.writes and not {"part", over.axes[2]} & set(spec.axes):
             return False
     return True
+
+
+@cache
+def _is_counted(kernel: Kernel) -> bool:
+    """Whether a slice's result depends on its number and on no other field."""
+    over: Any = kernel.arguments[kernel.over]
+    fields = [spec for spec in kernel.arguments.values() if isinstance(spec, Field)]
+    return isinstance(kernel.arguments.get(kernel.reach), Scalar) and all(spec.axes == over.axes for spec in fields)
 
 
 def _height(pieces: Pieces) -> int:

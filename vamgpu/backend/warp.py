@@ -13,7 +13,9 @@ import numpy as np
 import warp as wp
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device, from_host
+from vamgpu.backend.cache import writable
+from vamgpu.backend.device import Device
+from vamgpu.backend.host_memory import from_host
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel
 
@@ -31,8 +33,14 @@ TYPES: dict[str, type] = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.
 def start() -> None:
     """Start Warp without its banner, and without its word on a missing CUDA driver: libraries don't print."""
     wp.config.log_level = wp.LOG_ERROR
-    with _silent_stderr():
-        wp.init()
+    writable()
+    try:
+        with _silent_stderr():
+            wp.init()
+    except OSError as error:
+        raise DeviceError(
+            f"Warp cannot keep its compiled kernels: {error}; set WARP_CACHE_PATH to a folder that this user may write"
+        ) from error
 
 
 @contextmanager
@@ -78,7 +86,7 @@ class WarpDevice(Device):
         stride = int(np.prod(shape[1:], dtype=np.int64)) * dtype.itemsize * (4 if lanes else 1)
         if max(shape, default=0) >= STRIDE_LIMIT or stride >= STRIDE_LIMIT:
             raise OutOfMemory(f"{shape} of {dtype} has a stride of {stride} bytes; Warp addresses below 2 GiB a step: "
-                              "take a device of OpenCL, or fewer poses at once")  # fmt: skip
+                              "take a device of OpenCL, or fewer angles at once")  # fmt: skip
         try:
             return wp.empty(shape, dtype=kind, device=self._device)
         except RuntimeError as error:

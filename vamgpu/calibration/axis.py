@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite, noise_of
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import counts, positive
 
@@ -32,33 +33,25 @@ NEAR = 20.0
 
 @dataclass(frozen=True)
 class Edge:
-    """One edge of the shadow, in columns of the mirrors counted from 0.
+    """One edge of the shadow, in columns of the mirrors counted from 0."""
 
-    column: where half the light is let past.  width: standard deviation of its blur.  error: standard error of column.
-    rising: light comes after the shadow.
-    """
-
-    column: float
-    width: float
-    error: float
-    rising: bool
+    column: float  # where half the light is let past
+    width: float  # standard deviation of its blur
+    error: float  # standard error of column
+    rising: bool  # light comes after the shadow
 
 
 @dataclass(frozen=True)
 class RollerAxis:
-    """The axis of a roller on the mirrors, in columns counted from 0.
+    """The axis of a roller on the mirrors, in columns counted from 0."""
 
-    column: of the axis.  radius: of the roller in columns, measured where there are two edges, else as given.
-    error: standard error of the column.
-    """
-
-    column: float
-    radius: float
-    error: float
+    column: float  # of the axis
+    radius: float  # of the roller in columns, measured where there are two edges, else as given
+    error: float  # standard error of the column
     edges: tuple[Edge, ...]
 
     def shift(self, columns: int, *, flip_r: bool = False) -> float:
-        """What `pack` must move pictures of ``columns`` by, along r, so that their axis meets the roller's [pixels]."""
+        """Shift along r [pixels] for `pack`, by which frames of ``columns`` meet the roller's axis."""
         middle = 0.5 * (counts("columns", (columns,), 1)[0] - 1)
         return middle - self.column if flip_r else self.column - middle
 
@@ -66,14 +59,7 @@ class RollerAxis:
 def find_axis(
     light: ArrayLike, columns: ArrayLike | None = None, *, radius: float | None = None, dark: float | None = None
 ) -> RollerAxis:
-    """The axis from readings of a photodiode while one line of mirrors after another is lit.
-
-    light: readings, shape (columns,).  columns: where the lit line was, rising; 0, 1, 2, … by default.  radius: of the
-    roller in columns (its radius over the pitch of a column in the picture), needed where only one edge is in the scan.
-    dark: the reading without light; by default that of the shadow.
-
-    Raises `BadInput` where the shadow has no edge, one without a radius, or more than two.
-    """
+    """The axis, from readings (columns,) of a photodiode while mirrors are lit line by line. Raises `BadInput`."""
     place, read = _readings(light, columns)
     known = None if radius is None else positive("radius [columns]", radius)
     low, high, noise = _levels(read, dark)
@@ -121,18 +107,16 @@ def _readings(light: ArrayLike, columns: ArrayLike | None) -> tuple[np.ndarray, 
         raise ShapeMismatch(f"readings have shape {read.shape} and columns {place.shape}; expected one for each")
     if read.size < LEAST_COLUMNS:
         raise BadInput(f"the scan has {read.size} readings; expected {LEAST_COLUMNS} or more")
-    if not (np.isfinite(read).all() and np.isfinite(place).all()):
-        raise BadInput("readings or columns hold values that are not finite; expected finite numbers throughout")
+    check_finite("readings or columns", read, place)
     if (np.diff(place) <= 0).any():
         raise BadInput("the columns of the scan do not rise; expected each line once, in order")
     return place, read
 
 
 def _levels(read: np.ndarray, dark: float | None) -> tuple[float, float, float]:
-    """Shadow, light and the noise of one reading; the noise from neighbours that differ, which edges hardly touch."""
-    noise = 1.4826 * float(np.median(np.abs(np.diff(read)))) / np.sqrt(2.0)
+    """Shadow, light and the noise of one reading."""
     low, high = (float(q) for q in np.quantile(read, (0.03, 0.97)))
-    return (low if dark is None else float(dark)), high, noise
+    return (low if dark is None else float(dark)), high, noise_of(read)
 
 
 def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[tuple[int, bool]]:
@@ -152,10 +136,7 @@ def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[
 
 
 def _step(x: np.ndarray, column: float, shadow: float, light: float, tilt: float, width: float) -> np.ndarray:
-    """A blurred step, as a line one column wide sees it, from shadow (x < column) to light that may grow with x.
-
-    A negative width steps down. The line's own width is what keeps a step without blur sub-pixel.
-    """
+    """A step from shadow to light that may grow with x, blurred, as a line one column wide sees it; width < 0 falls."""
     from scipy.special import ndtr
 
     def below(u: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How evenly full-on mirrors shine, from readings of a photodiode while one block of them after another is lit."""
+"""Flat field of full-on mirrors, from readings of a photodiode while they are lit block by block."""
 
 from __future__ import annotations
 
@@ -8,26 +8,23 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite
 from vamgpu.errors import BadInput, ShapeMismatch
 
 ORDER = 4
 """Order of the surface along rows and columns together: tilt, vignetting, and what lenses add to them."""
 
 LEAST_CONTRAST = 20.0
-"""Light of a block over the noise of its mean, from which a field is told."""
+"""Light of a block over the noise of its mean, from which a field is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlatReading:
-    """Relative brightness of full-on mirrors, the brightest 1.
+    """Relative brightness of full-on mirrors, the brightest 1."""
 
-    field: [row, column].  error: greatest standard error of a mirror.  left: standard deviation of the blocks about the
-    surface, which noise alone would make as large as ``noise``; more is unevenness finer than the surface.
-    """
-
-    field: np.ndarray
-    error: float
-    left: float
+    field: np.ndarray  # [row, column]
+    error: float  # greatest standard error of a mirror
+    left: float  # standard deviation of the blocks about the surface
     noise: float
 
     @property
@@ -44,19 +41,14 @@ def cuts(length: int, count: int) -> np.ndarray:
 
 
 def fit_flat(readings: ArrayLike, dark: ArrayLike, mirrors: tuple[int, int], order: int = ORDER) -> FlatReading:
-    """The smooth surface nearest to the light of blocks, each as `cuts` borders it.
-
-    readings: [row block, column block, repeat], two repeats at least.  dark: without light, (repeats,).  mirrors: rows
-    and columns.  order: of the surface. Raises `ShapeMismatch`, and `BadInput` for too few blocks or too little light.
-    """
+    """The smooth surface nearest to readings [row block, column block, repeat]. Raises `BadInput`, `ShapeMismatch`."""
     read, base = np.asarray(readings, np.float64), np.asarray(dark, np.float64)
     if read.ndim != 3 or read.shape[2] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(
             f"readings have shape {read.shape} and dark ones {base.shape}; expected (blocks, blocks, 2 or more) and "
             "(1 or more,)"
         )
-    if not (np.isfinite(read).all() and np.isfinite(base).all()):
-        raise BadInput("the readings hold values that are not finite; expected what the meter read")
+    check_finite("readings", read, base)
     down, across = (cuts(length, count) for length, count in zip(mirrors, read.shape[:2], strict=True))
     area = np.outer(np.diff(down), np.diff(across))
     light = (read.mean(axis=2) - base.mean()) / area

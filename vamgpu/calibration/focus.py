@@ -6,13 +6,13 @@ known positions along the light; at each the lens steps through its powers while
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite, fitted
 from vamgpu.errors import BadInput
 
 LEAST_POWERS = 6
@@ -39,18 +39,14 @@ LEAST_SHARE = 0.6
 
 @dataclass(frozen=True)
 class Peak:
-    """A Lorentzian floor + height / (1 + ((p − power) / width)²) fitted to sharpness over lens power.
+    """A Lorentzian floor + height / (1 + ((p − power) / width)²) fitted to sharpness over lens power."""
 
-    power: of the sharpest picture [dpt].  width: half width at half height [dpt].  error: standard error of the power
-    [dpt], noise and what the curve misses both counted.  scatter: standard deviation of the readings about the curve.
-    """
-
-    power: float
-    width: float
+    power: float  # of the sharpest picture [dpt]
+    width: float  # half width at half height [dpt]
     height: float
     floor: float
-    error: float
-    scatter: float
+    error: float  # standard error of the power [dpt], noise and what the curve misses both counted
+    scatter: float  # standard deviation of the readings about the curve
 
     def __call__(self, power: ArrayLike) -> np.ndarray:
         """Sharpness at powers [dpt]; same shape."""
@@ -59,17 +55,13 @@ class Peak:
 
 @dataclass(frozen=True)
 class FocusLine:
-    """Focus against lens power: position = slope·power + intercept.
+    """Focus against lens power: position = slope·power + intercept."""
 
-    slope: [mm/dpt].  intercept: position [mm] of the focus at no power.  error: standard error of the slope [mm/dpt].
-    positions: of the camera [mm].  peaks: one for every position.
-    """
-
-    slope: float
-    intercept: float
-    error: float
-    positions: tuple[float, ...]
-    peaks: tuple[Peak, ...]
+    slope: float  # [mm/dpt]
+    intercept: float  # position [mm] of the focus at no power
+    error: float  # standard error of the slope [mm/dpt]
+    positions: tuple[float, ...]  # of the camera [mm]
+    peaks: tuple[Peak, ...]  # one for every position
 
     def power(self, position: ArrayLike) -> np.ndarray:
         """Powers [dpt] that focus at positions [mm] of the camera's stage; same shape."""
@@ -77,16 +69,13 @@ class FocusLine:
 
 
 def tenengrad(pictures: ArrayLike) -> np.ndarray:
-    """Mean squared Sobel gradient of pictures [..., row, column]; shape [...], float64. Raises `BadInput`.
-
-    Source: S. Pertuz et al., Pattern Recognition 46 (2013) 1415. The pictures' outermost pixels have no gradient.
-    """
+    """Mean squared Sobel gradient of pictures [..., row, column]; shape [...], float64. Raises `BadInput`."""
+    # S. Pertuz et al., Pattern Recognition 46 (2013) 1415
     given = np.asarray(pictures)
     if given.ndim < 2 or min(given.shape[-2:]) < 3:
         raise BadInput(f"the pictures have shape {given.shape}; expected [..., row, column] of 3 × 3 pixels at least")
     light = given.astype(np.float64)
-    if not np.isfinite(light).all():
-        raise BadInput("the pictures hold values that are not finite; expected what the camera read")
+    check_finite("pictures", light)
     up = light[..., :-2, :] + 2.0 * light[..., 1:-1, :] + light[..., 2:, :]
     side = light[..., :-2] + 2.0 * light[..., 1:-1] + light[..., 2:]
     across, along = up[..., 2:] - up[..., :-2], side[..., 2:, :] - side[..., :-2, :]
@@ -99,12 +88,7 @@ def lorentzian(x: np.ndarray, center: float, width: float, height: float, floor:
 
 
 def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
-    """The Lorentzian nearest to sharpness over lens powers [dpt], in least squares; both shape (powers,).
-
-    Raises `BadInput` where there are too few powers, or no peak between them that rises over the scatter.
-    """
-    from scipy.optimize import OptimizeWarning, curve_fit
-
+    """The Lorentzian nearest to sharpness over lens powers [dpt], both (powers,). Raises `BadInput` without a peak."""
     power, sharp = _readings(powers, sharpness)
     span, floor, top = float(np.ptp(power)), float(np.quantile(sharp, 0.1)), int(np.argmax(sharp))
     height = float(sharp[top]) - floor
@@ -114,12 +98,8 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
         )
     wide = power[sharp > floor + 0.5 * height]
     start = (power[top], max(0.5 * float(np.ptp(wide)), 0.5 * span / power.size), 1.0, 0.0)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", OptimizeWarning)
-            found, _ = curve_fit(lorentzian, power, (sharp - floor) / height, p0=start, maxfev=4000)
-    except (RuntimeError, OptimizeWarning) as error:
-        raise BadInput(f"no peak fits {power.size} readings: {error}; widen or refine the powers") from error
+    refusal = f"no peak fits {power.size} readings"
+    found, _ = fitted(lorentzian, power, (sharp - floor) / height, start, refusal, "widen or refine the powers")
     center, width, scaled, base = (float(value) for value in found)
     left = sharp - lorentzian(power, center, width, height * scaled, floor + height * base)
     scatter = float(np.sqrt(left @ left / max(power.size - 4, 1)))
@@ -129,11 +109,8 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
 
 
 def _centered(power: np.ndarray, sharp: np.ndarray, start: np.ndarray) -> tuple[float, float]:
-    """The middle of a peak and its standard error [dpt], by powers that count alike on both sides of it.
-
-    Real peaks are no Lorentzians: where powers reach farther on one side, the wings there would pull the middle. The
-    curve here is that of a grating whose lines a Gaussian blurs.
-    """
+    """The middle of a peak and its standard error [dpt], by powers that count alike on both sides of it."""
+    # Real peaks are no Lorentzians: where powers reach farther on one side, the wings there would pull the middle.
     from scipy.optimize import curve_fit
 
     low, high = float(power.min()), float(power.max())
@@ -163,22 +140,14 @@ def _centered(power: np.ndarray, sharp: np.ndarray, start: np.ndarray) -> tuple[
 def grating_sharpness(
     x: np.ndarray, center: float, width: float, height: float, floor: float, ratio: float
 ) -> np.ndarray:
-    """Mean squared gradient of a blurred Ronchi grating over lens power; shape of x.
-
-    Its odd harmonics k have gradients alike, and a Gaussian of standard deviation s leaves exp(−(2πks/p)²) of their
-    squares, where s² = s₀²·(1 + ((x − center) / width)²) and ratio = (2πs₀/p)².
-    """
+    """Mean squared gradient of a Ronchi grating blurred by a Gaussian, over lens power; shape of x."""
+    # Odd harmonics k have gradients alike; exp(−(2πks/p)²) of their squares is left, ratio = (2πs₀/p)², s ∝ 1 + u².
     blur = abs(ratio) * (1.0 + ((x - center) / width) ** 2)
     return floor + height * np.exp(-np.multiply.outer(blur, HARMONICS)).sum(axis=-1)
 
 
 def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLike]) -> FocusLine:
-    """The line of focus over lens power from recorded pictures.
-
-    positions: of the camera [mm], shape (positions,).  powers: of the lens [dpt], (powers,), or (positions, powers)
-    where they differ by position.  stacks: for every position its pictures [power, row, column]; one at a time is held,
-    so a generator that reads files will do. Raises `BadInput`, naming the position that has no peak.
-    """
+    """The line of focus, from pictures [power, row, column] at each position [mm]. Raises `BadInput`."""
     place = np.atleast_1d(np.asarray(positions, np.float64))
     if place.ndim != 1 or not np.isfinite(place).all() or np.unique(place).size < 2:
         raise BadInput(f"positions is {positions!r}; expected two or more different positions of the camera [mm]")
@@ -200,10 +169,8 @@ def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLik
 
 
 def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
-    """The line through peaks at positions of the camera [mm]. Raises `BadInput` where they do not move.
-
-    Powers are what is uncertain, so they are fitted over positions, each by its own error, and the line inverted.
-    """
+    """The line through peaks at positions of the camera [mm]. Raises `BadInput` where they do not move."""
+    # Powers are uncertain, positions are not: powers are fitted over positions and the line is inverted.
     place = np.asarray(positions, np.float64)
     if place.shape != (len(peaks),) or not np.isfinite(place).all() or np.unique(place).size < 2:
         raise BadInput(f"positions is {positions!r}; expected two or more different ones [mm], one for each peak")
@@ -218,9 +185,9 @@ def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
         raise BadInput(f"the sharpest power is {middle:.4g} dpt at every position; expected one that changes with it")
     off = power - middle - rise * (place - center)
     seen = float(weight @ off**2) / max(place.size - 2, 1)  # too few positions show less scatter than there is
-    doubt = np.sqrt(max(seen, 1.0 / float((1.0 / error**2).sum()) if (error > 0).all() else 0.0) / spread)
+    deviation = np.sqrt(max(seen, 1.0 / float((1.0 / error**2).sum()) if (error > 0).all() else 0.0) / spread)
     slope = 1.0 / rise
-    return FocusLine(slope, center - slope * middle, float(doubt) * slope**2, tuple(place.tolist()), tuple(peaks))
+    return FocusLine(slope, center - slope * middle, float(deviation) * slope**2, tuple(place.tolist()), tuple(peaks))
 
 
 def _readings(powers: ArrayLike, sharpness: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -229,8 +196,7 @@ def _readings(powers: ArrayLike, sharpness: ArrayLike) -> tuple[np.ndarray, np.n
         raise BadInput(f"there are powers of shape {power.shape} and sharpness of {sharp.shape}; expected one for each")
     if np.unique(power).size < LEAST_POWERS:
         raise BadInput(f"the lens took {np.unique(power).size} powers; expected {LEAST_POWERS} or more to fit a peak")
-    if not (np.isfinite(power).all() and np.isfinite(sharp).all()):
-        raise BadInput("powers or sharpness hold values that are not finite; expected finite numbers throughout")
+    check_finite("powers or sharpness", power, sharp)
     return power, sharp
 
 

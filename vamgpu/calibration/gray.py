@@ -1,4 +1,4 @@
-"""What gray levels are worth in light, from readings of a photodiode or of a camera's mean."""
+"""Light of gray levels, from readings of a photodiode or of a camera's mean."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite
 from vamgpu.errors import BadInput, ShapeMismatch
 
 TOP = 255
 LEAST_CONTRAST = 20.0
-"""Light of level 255 over the noise of a level's mean, from which a curve is told."""
+"""Light of level 255 over the noise of a level's mean, from which a curve is measured."""
 STUCK = 0.05
 """Rise over the last levels, relative to that of the whole curve, below which the meter counts as saturated."""
 FALLS = 6.0
@@ -21,16 +22,12 @@ FALLS = 6.0
 
 @dataclass(frozen=True)
 class GrayReading:
-    """Light over gray levels, the dark reading subtracted, never falling.
+    """Light over gray levels, the dark reading subtracted, never falling."""
 
-    levels: rising from 0 to 255.  intensity: at each, in the readings' unit.  error: standard error of each, the dark
-    reading's counted.  moved: the most that a level was moved so that none falls.
-    """
-
-    levels: tuple[int, ...]
-    intensity: tuple[float, ...]
-    error: tuple[float, ...]
-    moved: float
+    levels: tuple[int, ...]  # rising from 0 to 255
+    intensity: tuple[float, ...]  # at each, in the readings' unit
+    error: tuple[float, ...]  # standard error of each, the dark reading's counted
+    moved: float  # the most that a level was moved so that none falls
 
     @property
     def black(self) -> float:
@@ -39,21 +36,14 @@ class GrayReading:
 
 
 def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> GrayReading:
-    """The curve nearest to readings among those that never fall.
-
-    levels: shape (levels,), rising from 0 to 255.  readings: (levels, repeats), two repeats at least.  dark: readings
-    without light, (repeats,).
-
-    Raises `BadInput` for too little light, a meter that saturates, and light that falls by more than noise.
-    """
+    """The curve nearest to readings (levels, repeats) that never falls. Raises `BadInput`, `ShapeMismatch`."""
     level, read, base = np.asarray(levels), np.asarray(readings, np.float64), np.asarray(dark, np.float64)
     if read.ndim != 2 or level.shape != read.shape[:1] or read.shape[1] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(
             f"there are levels of shape {level.shape}, readings {read.shape} and dark ones {base.shape}; "
             "expected (levels,), (levels, 2 or more) and (1 or more,)"
         )
-    if not (np.isfinite(read).all() and np.isfinite(base).all()):
-        raise BadInput("the readings hold values that are not finite; expected what the meter read")
+    check_finite("readings", read, base)
     if (np.diff(level) <= 0).any() or (int(level[0]), int(level[-1])) != (0, TOP) or (level != np.round(level)).any():
         raise BadInput(f"the levels go from {level[0]} to {level[-1]}; expected whole numbers rising from 0 to {TOP}")
     from scipy.optimize import isotonic_regression

@@ -1,4 +1,4 @@
-"""How fine a projector's picture is: the modulation transfer function from a camera's picture of a slanted edge.
+"""Modulation transfer function of a projector, from a camera's picture of a slanted edge.
 
 Source: ISO 12233, edge-based spatial frequency response. A straight edge that crosses the camera's rows at a slant
 falls on its pixels at all fractions of one, so that pixels sorted by their distance from it sample the edge finer than
@@ -8,12 +8,12 @@ and the difference of neighbors take off is put back. The camera's own pixels an
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite, fitted, noise_of
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
@@ -33,34 +33,22 @@ FREQUENCIES = 401
 
 @dataclass(frozen=True)
 class EdgeResponse:
-    """What an edge tells.
+    """The modulation transfer function of an edge, and its blur."""
 
-    frequency: [1/mm], rising from 0 to half a cycle a pixel.  modulation: at each, 1 at 0.  half: frequency [1/mm] at
-    which half the modulation is left.  angle: of the edge against the nearer axis of the camera [deg].  width: standard
-    deviation [mm] of the Gaussian blur nearest to the edge's.  contrast: (light − dark) / (light + dark).
-    width_error: standard error of the width [mm].
-    """
-
-    frequency: np.ndarray
-    modulation: np.ndarray
-    half: float
-    angle: float
-    width: float
-    contrast: float
-    width_error: float = 0.0
+    frequency: np.ndarray  # [1/mm], rising from 0 to half a cycle a pixel
+    modulation: np.ndarray  # at each, 1 at 0
+    half: float  # frequency [1/mm] at which half the modulation is left
+    angle: float  # of the edge against the nearer axis of the camera [deg]
+    width: float  # standard deviation [mm] of the Gaussian blur nearest to the edge's
+    contrast: float  # (light − dark) / (light + dark)
+    width_error: float = 0.0  # standard error of the width [mm]
 
 
 def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
-    """The modulation transfer function across a slanted edge.
-
-    picture: of one straight edge between dark and light [row, column], the slant some degrees from rows or columns.
-    pixel: of the camera, in the plane that it looks at [mm].
-
-    Raises `BadInput` where there is no edge, too little contrast or slant, or too little picture beside it.
-    """
+    """The modulation transfer across a slanted edge; ``pixel`` of the camera in its plane [mm]. Raises `BadInput`."""
     pitch, light = positive("pixel [mm]", pixel), _upright(picture)
     _contrast(light)
-    (low, high, column, slope, width), doubt = _line(light)
+    (low, high, column, slope, width), width_error = _line(light)
     across = abs(slope) * (light.shape[0] - 1)
     if across < LEAST_SLANT:
         raise BadInput(
@@ -72,7 +60,7 @@ def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
     half = _half(frequency, modulation)
     return EdgeResponse(
         frequency / pitch, modulation, half / pitch, float(np.degrees(np.arctan(slope))), width * pitch,
-        abs(high - low) / max(high + low, 1e-12), doubt * pitch,
+        abs(high - low) / max(high + low, 1e-12), width_error * pitch,
     )  # fmt: skip
 
 
@@ -81,14 +69,13 @@ def _upright(picture: ArrayLike) -> np.ndarray:
     light = np.asarray(picture, np.float64)
     if light.ndim != 2 or min(light.shape) < 16:
         raise BadInput(f"the picture has shape {light.shape}; expected [row, column] of 16 × 16 pixels at least")
-    if not np.isfinite(light).all():
-        raise BadInput("the picture holds values that are not finite; expected what the camera read")
+    check_finite("pixels of the picture", light)
     along, across = (float(np.ptp(light.mean(axis=axis))) for axis in (1, 0))
     return light.T if along > across else light
 
 
 def _contrast(light: np.ndarray) -> None:
-    noise = 1.4826 * float(np.median(np.abs(np.diff(light, axis=0)))) / np.sqrt(2.0)
+    noise = noise_of(light)
     low, high = (float(q) for q in np.quantile(light, (0.05, 0.95)))
     if not high - low > LEAST_CONTRAST * noise:
         raise BadInput(
@@ -106,10 +93,7 @@ def _step(at: np.ndarray, low: float, high: float, column: float, slope: float, 
 
 
 def _line(light: np.ndarray) -> tuple[tuple[float, float, float, float, float], float]:
-    """Dark, light, and the edge's column at the middle row, columns a row, and blur [pixels]; a step fitted to all.
-    And the standard error of the blur."""
-    from scipy.optimize import OptimizeWarning, curve_fit
-
+    """Dark, light, column at the middle row, columns a row and blur [pixels] of a fitted step; error of the blur."""
     rows, columns = light.shape
     row, column = np.meshgrid(np.arange(rows) - 0.5 * (rows - 1), np.arange(columns, dtype=float), indexing="ij")
     low, high = (float(light[:, part].mean()) for part in (slice(0, columns // 8), slice(-(columns // 8), None)))
@@ -117,12 +101,10 @@ def _line(light: np.ndarray) -> tuple[tuple[float, float, float, float, float], 
     first = columns * (1.0 - np.clip(share, 0.05, 0.95))
     slope, middle = np.polyfit(np.arange(rows) - 0.5 * (rows - 1), first, 1)
     at = np.stack([column.ravel(), row.ravel()])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", OptimizeWarning)
-            found, covariance = curve_fit(_step, at, light.ravel(), p0=(low, high, middle, slope, 3.0), maxfev=400)
-    except (RuntimeError, OptimizeWarning) as error:
-        raise BadInput(f"no edge fits the picture: {error}; show one edge between dark and light") from error
+    found, covariance = fitted(
+        _step, at, light.ravel(), (low, high, middle, slope, 3.0), "no edge fits the picture",
+        "show one edge between dark and light", evaluations=400,
+    )  # fmt: skip
     dark, bright, place, tilt, width = (float(value) for value in found)
     if not 0.0 < place < columns - 1.0:
         raise BadInput(f"the edge lies at column {place:.1f} of {columns}; expected it inside the picture: center it")

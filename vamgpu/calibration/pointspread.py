@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.calibration.fits import read_result
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.storage.reading import load_toml
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class PointSpread:
 
     @classmethod
     def behind(cls, blur: float, pitch: float, fill: float = 1.0, pixel: float = 0.0) -> PointSpread:
-        """What the optics add to the pixels themselves.
+        """Subtract the blur of the pixels themselves from that of a measured edge.
 
         An edge of mirrors is a staircase: along the edge it averages to a step blurred by the lit box of one mirror, of
         variance fill · pitch² / 12, and a camera's pixel adds pixel² / 12. A `Beam` has that box already.
@@ -76,9 +76,7 @@ class PointSpread:
         Returns:
             The blur there.
         """
-        place = Path(path)
-        file = place / "result.toml" if place.is_dir() else place
-        positions, blurs, pixel = _measured(load_toml(file, "the calibration"), str(file))
+        positions, blurs, pixel, _ = _measured(path)
         return cls.behind(float(blurs[np.argmin(np.abs(positions - at))]), pitch, fill, pixel)
 
     @classmethod
@@ -98,33 +96,28 @@ class PointSpread:
         Returns:
             Both standard deviations [mm].
         """
-        place = Path(path)
-        file = place / "result.toml" if place.is_dir() else place
-        positions, blurs, pixel = _measured(load_toml(file, "the calibration"), str(file))
+        positions, blurs, pixel, file = _measured(path)
         near = blurs[np.abs(positions) <= reach]
         if not near.size:
             raise BadInput(
-                f"{str(file)!r} was measured at {positions.tolist()} mm; expected one within {reach:g} mm of the "
+                f"{file!r} was measured at {positions.tolist()} mm; expected one within {reach:g} mm of the "
                 "axis: take a greater reach, or measure there"
             )
         least, greatest = (cls.behind(float(blur), pitch, fill, pixel).width for blur in (near.min(), near.max()))
         return least, greatest
 
 
-def _measured(data: dict[str, Any], file: str) -> tuple[np.ndarray, np.ndarray, float]:
-    """Positions, blurs and the camera's pixel [mm] of a result."""
-    kind = data.get("calibration", "none")
-    if kind != "mtf":
-        raise BadInput(f"{file!r} holds the calibration {kind!r}; expected 'mtf', which vam calibrate mtf writes")
-    try:
-        found = data["measured"]
+def _measured(path: str | Path) -> tuple[np.ndarray, np.ndarray, float, str]:
+    """Positions, blurs and the camera's pixel [mm] of a result, and its file."""
+
+    def numbers(found: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, float]:
         positions, blurs = (np.array(found[name], dtype=np.float64) for name in ("positions_mm", "blur_mm"))
-        pixel = float(found["pixel_mm"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"{file!r} garbles its numbers: {error}; run vam calibrate mtf again") from error
+        return positions, blurs, float(found["pixel_mm"])
+
+    (positions, blurs, pixel), file = read_result(path, "mtf", numbers)
     if positions.ndim != 1 or positions.shape != blurs.shape or not positions.size:
         raise BadInput(
             f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected as many of each, "
             "one at least: run vam calibrate mtf again"
         )
-    return positions, blurs, pixel
+    return positions, blurs, pixel, file

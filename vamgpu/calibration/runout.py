@@ -1,4 +1,4 @@
-"""How a vial's axis runs out: where a pin stands over a turn, from a camera's pictures of its shadow on lit mirrors.
+"""Runout of a vial's axis: a pin's place over a turn, from a camera's pictures of its shadow on lit mirrors.
 
 A pin on the turntable goes round the axis of rotation once a turn. Its place across the light is the axis (the mean),
 plus its eccentricity (a sine of one period), plus what the bearing adds. The same holds for its slope: the mean is how
@@ -7,7 +7,6 @@ the axis leans against the mirrors' columns, the sine is how the pin, and the vi
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.calibration.fits import check_finite, fitted, noise_of, read_result
 from vamgpu.errors import BadInput, ShapeMismatch
-from vamgpu.storage.reading import load_toml
 
 LEAST_POSES = 8
-"""Poses of a turn from which a sine and its scatter are told."""
+"""Poses of a turn that a sine and its scatter need."""
 LEAST_CONTRAST = 8.0
 """Depth of the shadow over the noise of a pixel."""
 SHARE = 0.2
-"""Of a lit line's peak: so much is taken off before its place is the mean."""
+"""Share of a lit line's peak that is subtracted before its place is the mean."""
 OUTLYING = 4.0
 """Times the usual distance from where a lit line should be, beyond which the edge of the pin has moved it."""
 ROWS = 4
@@ -33,18 +32,13 @@ ROWS = 4
 
 @dataclass(frozen=True)
 class CameraMap:
-    """Where mirrors lie in a camera's pictures.
+    """Places of mirrors in a camera's pictures."""
 
-    column: pixel of mirror column 0 in the camera's row 0.  pitch: pixels a mirror column, below 0 where the camera
-    mirrors.  lean: pixels by which a mirror column moves from one row of the camera to the next.  row, height: of
-    mirror rows likewise.
-    """
-
-    column: float
-    pitch: float
-    lean: float
-    row: float
-    height: float
+    column: float  # pixel of mirror column 0 in the camera's row 0
+    pitch: float  # pixels a mirror column, below 0 where the camera mirrors
+    lean: float  # pixels by which a mirror column moves from one row of the camera to the next
+    row: float  # pixel of mirror row 0
+    height: float  # pixels a mirror row
     error: float = 0.0
     lean_error: float = 0.0
 
@@ -52,18 +46,7 @@ class CameraMap:
     def of(
         cls, columns: Sequence[tuple[float, ArrayLike]], rows: Sequence[tuple[float, ArrayLike]]
     ) -> CameraMap:  # fmt: skip
-        """Find it from pictures of single lit lines.
-
-        Args:
-            columns: Mirror columns and a picture of each alone [row, column], the dark subtracted.
-            rows: Mirror rows and a picture of each.
-
-        Returns:
-            The map.
-
-        Raises:
-            BadInput: The camera sees fewer than two lines of a kind.
-        """
+        """The map, from pictures [row, column] of single lit mirror columns and rows. Raises `BadInput`."""
         column, pitch, lean, error, lean_error = _lines("columns", columns)
         row, height, *_ = _lines("rows", [(number, np.asarray(each).T) for number, each in rows])
         return cls(column, pitch, lean, row, height, error, lean_error)
@@ -88,8 +71,7 @@ class CameraMap:
 
 
 def _lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, float, float, float, float]:
-    """Place of line 0 in the first row, pixels from line to line, pixels a line moves by from row to row; and the
-    standard errors of the lines' place in the middle row and of the last."""
+    """Place of line 0 in row 0, pixels a line, pixels a row; standard errors of the first and the last."""
     pictures = [(number, np.asarray(each, np.float64)) for number, each in lines]
     peak = max((float(each.max()) for _, each in pictures), default=0.0)
     found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
@@ -132,35 +114,19 @@ def _lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, 
 
 @dataclass(frozen=True)
 class PinShadow:
-    """The shadow of a straight pin in a picture.
+    """The shadow of a straight pin in a picture."""
 
-    column: of its middle in row 0 [pixels].  slope: pixels a row.  width: of the pin [pixels].
-    """
-
-    column: float
-    slope: float
-    width: float
+    column: float  # of its middle in row 0 [pixels]
+    slope: float  # pixels a row
+    width: float  # of the pin [pixels]
 
 
 def find_pin(picture: ArrayLike, corner: tuple[int, int] = (0, 0)) -> PinShadow:
-    """The shadow of an upright pin: a band between two blurred edges, in least squares.
-
-    Args:
-        picture: Lit evenly or with a tilt [row, column].
-        corner: Row and column of its first pixel, from which places are counted.
-
-    Returns:
-        The shadow.
-
-    Raises:
-        BadInput: There is no shadow of one pin inside the picture.
-    """
-    from scipy.optimize import OptimizeWarning, curve_fit
-
+    """The shadow of an upright pin, a band between two blurred edges, in least squares. Raises `BadInput`."""
     light = np.asarray(picture, np.float64)
     if light.ndim != 2 or min(light.shape) < 16 or not np.isfinite(light).all():
         raise BadInput(f"the picture has shape {light.shape}; expected finite [row, column] of 16 × 16 pixels or more")
-    noise = 1.4826 * float(np.median(np.abs(np.diff(light, axis=0)))) / np.sqrt(2.0)
+    noise = noise_of(light)
     binned = light[: light.shape[0] // ROWS * ROWS].reshape(-1, ROWS, light.shape[1]).mean(axis=1)
     profile = binned.mean(axis=0)
     bright = float(np.quantile(profile, 0.9))
@@ -179,14 +145,10 @@ def find_pin(picture: ArrayLike, corner: tuple[int, int] = (0, 0)) -> PinShadow:
         float((shade * deep) @ np.arange(light.shape[1]) / (shade * deep).sum()), 0.0, max(0.5 * deep.sum(), 1.0), 1.5,
         bright, 0.0, 0.0, min(shade.max() / bright, 0.99),
     )  # fmt: skip
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", OptimizeWarning)
-            found, _ = curve_fit(
-                _band, np.stack([column.ravel(), row.ravel() - middle]), binned.ravel(), p0=start, maxfev=600
-            )
-    except (RuntimeError, OptimizeWarning) as error:
-        raise BadInput(f"no pin fits the picture: {error}; show one straight pin before even light") from error
+    found, _ = fitted(
+        _band, np.stack([column.ravel(), row.ravel() - middle]), binned.ravel(), start, "no pin fits the picture",
+        "show one straight pin before even light", evaluations=600,
+    )  # fmt: skip
     place, slope, half = float(found[0]), float(found[1]), abs(float(found[2]))
     if not half < place < light.shape[1] - 1 - half:
         raise BadInput(f"the pin lies at column {place:.1f} of {light.shape[1]}; expected it inside: center the camera")
@@ -207,7 +169,7 @@ def _band(
 
 @dataclass(frozen=True)
 class Runout:
-    """What a turn says of the axis and of what stands on it, in columns of the mirrors.
+    """The axis over a turn and the pin that stands on it, in columns of the mirrors.
 
     Args:
         axis: Column of the axis at the middle row.
@@ -233,7 +195,7 @@ class Runout:
 
     @classmethod
     def read(cls, numbers: Mapping[str, Any]) -> Runout:
-        """From the numbers that a calibration keeps.
+        """Read the numbers that a calibration keeps.
 
         Args:
             numbers: By name.
@@ -242,7 +204,7 @@ class Runout:
             The runout.
 
         Raises:
-            KeyError, TypeError, ValueError: The numbers are garbled.
+            KeyError, TypeError, ValueError: The numbers are malformed.
         """
         (a, b), (c, d) = numbers["across"], numbers["tilt"]
         names = ("error_columns", "lean_error", "across_error", "tilt_error", "left")
@@ -265,22 +227,11 @@ class Runout:
             StorageError: The file cannot be read.
             BadInput: It holds no calibration of this kind.
         """
-        place = Path(path)
-        file = place / "result.toml" if place.is_dir() else place
-        data = load_toml(file, "the calibration")
-        if data.get("calibration") != "runout":
-            kind = data.get("calibration", "none")
-            raise BadInput(
-                f"{str(file)!r} holds the calibration {kind!r}; expected 'runout', which vam calibrate runout writes"
-            )
-        try:
-            return cls.read(data["measured"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise BadInput(f"{str(file)!r} garbles its numbers: {error}; run vam calibrate runout again") from error
+        return read_result(path, "runout", cls.read)[0]
 
     @property
     def eccentricity(self) -> float:
-        """How far the pin stands from the axis [columns]."""
+        """Distance of the pin from the axis [columns]."""
         return float(np.hypot(*self.across))
 
     @property
@@ -312,33 +263,18 @@ class Runout:
 def fit_runout(
     angles: ArrayLike, columns: ArrayLike, slopes: ArrayLike, place: CameraMap | None = None
 ) -> Runout:  # fmt: skip
-    """The axis and a sine of one period a turn, in least squares.
-
-    Args:
-        angles: Of the poses [rad], over a whole turn, (poses,).
-        columns: Of the pin at the mirrors' middle row, (poses,).
-        slopes: Of the pin, columns a row, (poses,).
-        place: The map that they were found by, whose errors the axis and its lean have too; None for no error.
-
-    Returns:
-        The runout; its errors follow from the scatter about the sine.
-
-    Raises:
-        ShapeMismatch: The numbers differ.
-        BadInput: Too few poses, or poses that do not go round.
-    """
+    """The axis and a sine of one period a turn, in least squares. Raises `BadInput`, `ShapeMismatch`."""
     theta, column, slope = (np.asarray(each, np.float64) for each in (angles, columns, slopes))
     if theta.ndim != 1 or column.shape != theta.shape or slope.shape != theta.shape:
         raise ShapeMismatch(
             f"there are angles of shape {theta.shape}, columns {column.shape} and slopes {slope.shape}; expected alike"
         )
-    if not all(np.isfinite(each).all() for each in (theta, column, slope)):
-        raise BadInput("angles, columns or slopes hold values that are not finite; expected what was measured")
+    check_finite("angles, columns or slopes", theta, column, slope)
     round_ = np.sort(theta % (2.0 * np.pi))
     gap = float(np.diff(np.append(round_, round_[:1] + 2.0 * np.pi)).max(initial=0.0))
     if theta.size < LEAST_POSES or gap > np.pi / 2.0:
         raise BadInput(
-            f"{theta.size} poses with a gap of {np.degrees(gap):.0f}°; expected {LEAST_POSES} or more all around a "
+            f"{theta.size} angles with a gap of {np.degrees(gap):.0f}°; expected {LEAST_POSES} or more all around a "
             "turn, 90° apart at most"
         )
     terms = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=1)

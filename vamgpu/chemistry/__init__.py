@@ -1,1 +1,1 @@
-"""What the resin does with the light: inhibitors, transport, materials."""
+"""Response of the resin to light: inhibitors, transport, materials."""

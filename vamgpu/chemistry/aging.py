@@ -23,17 +23,12 @@ PAPER = "A. Orth et al., Automatic exposure volumetric additive manufacturing, T
 
 @dataclass(frozen=True)
 class Aging:
-    """How a resin ages from print to print.
+    """Model of how a resin ages from print to print. Raises `BadInput`."""
 
-    fresh: print time in fresh resin [s].  spent: share of the oxygen of the remaining liquid that a print uses up.
-    refill: D·t/depth² of a night in the full vial, stirring included: what the free surface gives back. Less resin
-    under the same surface recovers faster.  lost: share of the resin that leaves with each print.  Raises `BadInput`.
-    """
-
-    fresh: float
-    spent: float
-    refill: float
-    lost: float = LOST
+    fresh: float  # print time in fresh resin [s]
+    spent: float  # share of the oxygen of the remaining liquid that a print uses up
+    refill: float  # D·t/depth² of a night in the full vial, stirring included: what the free surface gives back
+    lost: float = LOST  # share of the resin that leaves with each print
 
     def __post_init__(self) -> None:
         positive("fresh [s]", self.fresh)
@@ -56,16 +51,12 @@ class Aging:
 
 @dataclass(frozen=True)
 class AgingFit:
-    """A fitted model and what it is worth.
-
-    residuals: model minus measured [s], with all generations fitted.  left_out: the same, each generation predicted
-    from a fit to the others.  naive: the same for the mean of the others.
-    """
+    """A fitted model and what it is worth."""
 
     aging: Aging
-    residuals: tuple[float, ...]
-    left_out: tuple[float, ...]
-    naive: tuple[float, ...]
+    residuals: tuple[float, ...]  # model minus measured [s], with all generations fitted
+    left_out: tuple[float, ...]  # the same, each generation predicted from a fit to the others
+    naive: tuple[float, ...]  # the same for the mean of the others
 
     @property
     def error(self) -> float:

@@ -1,4 +1,4 @@
-"""What oxygen that diffuses while the light is on makes of a dose: one linear blur along x, y and z."""
+"""Blur of a dose along x, y and z by oxygen that diffuses while the light is on."""
 
 from __future__ import annotations
 
@@ -82,11 +82,7 @@ class Diffusion:
 
 
 def heat_taps(variance: float) -> np.ndarray:
-    """One side of the heat kernel of the voxel grid, e^{−v}·I_n(v), whose variance is ``variance`` [voxels²].
-
-    It is what diffusion between voxels does exactly, never negative, and chains: two of them make the one of the sum.
-    Source: T. Lindeberg, IEEE Trans. Pattern Anal. 12 (1990) 234.
-    """
+    """One side of the heat kernel of the voxel grid, e^{−v}·I_n(v), whose variance is ``variance`` [voxels²]."""
     from scipy.special import ive
 
     taps = np.asarray(ive(np.arange(8 + ceil(7.5 * sqrt(variance))), variance))

@@ -1,4 +1,4 @@
-"""How fast inhibitors diffuse in a resin, and how far."""
+"""Diffusivity and diffusion length of inhibitors in a resin."""
 
 from __future__ import annotations
 
@@ -15,12 +15,7 @@ _GRAM_PER_ML = 1e3 * kg_m3
 def wilke_chang(
     *, temperature: float, viscosity: float, solvent: float, solute: float, density: float, association: float = 1.0
 ) -> float:
-    """Diffusivity [mm²/s] of a dilute solute after Wilke and Chang, eq. 11 of the photoinhibition paper: an estimate.
-
-    temperature: [K].  viscosity: of the solvent [mJ·s/mm³], as ``18.8 * units.Pa_s``.  solvent, solute: molar masses
-    [g/mol], the solvent's an average.  density: of the solute as a liquid at its boiling point [mJ·s²/mm⁵], as
-    ``1140 * units.kg_m3``.  association: of the solvent, 1 where it does not associate.  Raises `BadInput`.
-    """
+    """Diffusivity [mm²/s] of a dilute solute, estimated by Wilke and Chang. Raises `BadInput`."""
     mass = positive("association", association) * positive("molar mass of the solvent [g/mol]", solvent)
     thin = positive("viscosity [mJ·s/mm³]", viscosity) / _CENTIPOISE
     per_volume = positive("density [mJ·s²/mm⁵]", density) / _GRAM_PER_ML

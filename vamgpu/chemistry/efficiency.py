@@ -1,4 +1,4 @@
-"""How much induction UV buys: W = ∫([B]/[A]) d([A]/[A]₀), where extinction and rotation shape the light."""
+"""Efficiency of UV, W = ∫([B]/[A]) d([A]/[A]₀), where extinction and rotation shape the light."""
 
 from __future__ import annotations
 
@@ -18,16 +18,13 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Background, Count, ExposureTime, Irradiance, Length
 
 HALVINGS = 22
-"""Of the decades of UV in which the wanted W is looked for: of eleven they leave 6e-6 of a value."""
+"""Halvings of the eleven decades of UV in which W is searched; they leave 6e-6 of a value."""
 LEAST = 1e-9
 """UV that counts as none, over the visible irradiance."""
 
 
 def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> float:
-    """W under constant light without pairing (k₂ = 0): (2β + [B]₀/[A]₀)/(α − 2β), infinite where 2β ≥ α.
-
-    alpha, beta: see `Rates`.  stored: [B] over [A] at the start. So W = 1 at β = α/4. The induction time is t₀(1 + W).
-    """
+    """W under constant light without pairing (k₂ = 0): (2β + [B]₀/[A]₀)/(α − 2β), infinite where 2β ≥ α."""
     positive("alpha", alpha, zero=True)
     gain = 2.0 * positive("beta", beta, zero=True)
     made = gain + positive("stored", stored, zero=True)
@@ -102,10 +99,7 @@ def efficiency_at(
     rates: Rates | Sequence[Rates], light: RotatingLight, radius: ArrayLike, phase: ArrayLike = 0.0, *,
     most: float = 10.0, device: str | Device | None = None,
 ) -> Floats:  # fmt: skip
-    """W of points at ``radius`` [mm], first lit at ``phase`` [rad], in fresh resin; (resins, points).
-
-    Infinite where the induction lasts longer than 1 + ``most`` times that without UV. Raises what `advance` raises.
-    """
+    """W of points at ``radius`` [mm], first lit at ``phase`` [rad], in fresh resin; (resins, points)."""
     resins = (rates,) if isinstance(rates, Rates) else tuple(rates)
     turn = light.at(radius, phase)
     turns = _turns(resins, light, turn, 1.0 + positive("most", most))
@@ -114,16 +108,12 @@ def efficiency_at(
 
 
 def uv_needed(
-    rates: Rates, light: RotatingLight, radius: ArrayLike, phase: ArrayLike = 0.0, *, wanted: float = 1.0,
+    rates: Rates, light: RotatingLight, radius: ArrayLike, phase: ArrayLike = 0.0, *, target: float = 1.0,
     most: float = 100.0, device: str | Device | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """UV at the wall that gives points an efficiency W of ``wanted``: irradiance [mW/mm²] and dose [mJ/mm²], (points,).
-
-    The dose is what the wall gets until the points are depleted. Raises `BadInput` where ``most`` times the visible
-    irradiance is not enough (the supply may run out first), and what `advance` raises.
-    """
+    """UV at the wall for an efficiency W: [mW/mm²] and [mJ/mm²], (points,). Raises `BadInput`."""
     turn = replace(light, uv=1.0).at(radius, phase)
-    turns = _turns((rates,), light, turn, 1.5 * (1.0 + positive("wanted", wanted)))
+    turns = _turns((rates,), light, turn, 1.5 * (1.0 + positive("target", target)))
     low = np.full(turn.sources, LEAST * light.visible)
     high = np.full(turn.sources, positive("most", most) * light.visible)
 
@@ -131,13 +121,13 @@ def uv_needed(
         scaled = LightCycle(turn.visible, uv[:, None] * np.asarray(turn.uv), turn.seconds)
         return _exposed(rates, scaled, turns * light.poses, device)
 
-    short = exposed(high)[0] < wanted
+    short = exposed(high)[0] < target
     if short.any():
-        raise BadInput(f"{np.count_nonzero(short)} of {short.size} points do not reach W = {wanted:g} with "
+        raise BadInput(f"{np.count_nonzero(short)} of {short.size} points do not reach W = {target:g} with "
                        f"{high[0]:g} mW/mm² of UV; raise most, the supply or the life of B")  # fmt: skip
     for _ in range(HALVINGS):
         middle = np.sqrt(low * high)
-        enough = exposed(middle)[0] >= wanted
+        enough = exposed(middle)[0] >= target
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     needed = np.sqrt(low * high)
     return needed, needed * exposed(needed)[1]
@@ -155,7 +145,7 @@ def _turns(resins: Sequence[Rates], light: RotatingLight, turn: LightCycle, fact
 def _exposed(rates: Rates, turn: LightCycle, intervals: int, device: str | Device | None) -> tuple[Floats, Floats]:
     """W (infinite where not depleted) and the time that took [s], (points,)."""
     start = SpeciesState(np.full(turn.sources, rates.oxygen), 0.0, rates.supply)
-    course = advance(rates, start, turn, intervals=intervals, device=device)
-    done = course.depleted[0]
-    time = np.where(done, course.event[0], intervals * float(np.asarray(turn.seconds)[0]))
-    return np.where(done, course.efficiency[0], inf), time
+    trajectory = advance(rates, start, turn, intervals=intervals, device=device)
+    done = trajectory.depleted[0]
+    time = np.where(done, trajectory.event[0], intervals * float(np.asarray(turn.seconds)[0]))
+    return np.where(done, trajectory.efficiency[0], inf), time

@@ -20,10 +20,7 @@ from vamgpu.schema.quantities import Absorption, NonNegative
 
 @dataclass(frozen=True)
 class ColorExtinction:
-    """What a color loses per length, μ + ε·[C]: constant [1/mm] and per_c [1/mm per mol/m³], natural logarithm.
-
-    Raises `BadInput` below zero.
-    """
+    """Extinction μ + ε·[C] of a color, natural logarithm. Raises `BadInput` below zero."""
 
     constant: Absorption = 0.0
     per_c: NonNegative = 0.0
@@ -34,25 +31,20 @@ class ColorExtinction:
 
 @dataclass(frozen=True, eq=False)
 class ColorExposure:
-    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each angle for the same time.
+    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each angle for the same time."""
 
-    box: of the resin, with its radius; its slices are the rows of the light.  pitch: between columns of light [mm], by
-    default the box's along x.  motion: the angles, by default evenly over a turn.  Either color may be None.
-    Raises `BadInput`, `ShapeMismatch`.
-    """
-
-    box: Box
+    box: Box  # of the resin, with its radius; its slices are the rows of the light
     visible: np.ndarray | None
     ultraviolet: np.ndarray | None
     extinction: tuple[ColorExtinction, ColorExtinction] = (ColorExtinction(), ColorExtinction())
-    pitch: float | None = None
+    pitch: float | None = None  # between columns of light [mm], by default the box's along x
     device: Device = field(default=None)  # type: ignore[assignment] - must be the transport's
-    motion: Turntable | None = None
+    motion: Turntable | None = None  # the angles, by default evenly over a turn.  Either color may be None
 
     def __post_init__(self) -> None:
         given = [light for light in (self.visible, self.ultraviolet) if light is not None]
         if not given or not isinstance(self.device, Device):
-            raise BadInput("an exposure wants the light of at least one color, and the transport's device")
+            raise BadInput("an exposure got no light or no device; expected light of a color, the transport's device")
         if self.box.radius is None:
             raise BadInput("light enters a cylinder of resin; give the box its radius")
         object.__setattr__(self, "pitch", positive("pitch of the light [mm]", self.pitch or self.box.pitch[0]))
@@ -82,10 +74,7 @@ class ColorExposure:
         return self.shape[0]
 
     def irradiance(self, inhibitor: DeviceArray, angle: int) -> tuple[DeviceArray, DeviceArray]:
-        """Irradiance [mW/mm²] in every voxel at the angle numbered ``angle``, through C as it is [mol/m³].
-
-        The fields are the exposure's own: the next angle writes over them.
-        """
+        """Irradiance [mW/mm²] of both colors in every voxel, through C [mol/m³]; overwritten by the next call."""
         pose, (path, visible, ultraviolet) = self._pose(angle % self.angles), self._fields
         self.device.launch(column_density, species=inhibitor, open=self._open, pose=pose, path=path)
         lights = self._lights

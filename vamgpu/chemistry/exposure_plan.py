@@ -27,15 +27,12 @@ PER_CM2 = 100.0
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What may be off: shares of the dose of either color, the axis across the light [mm], the width of the focus.
+    """Errors of a print. Raises `BadInput`."""
 
-    blur: full width at half maximum [mm] of one pixel's light, the same at every depth.  Raises `BadInput`.
-    """
-
-    visible: float = 1.0
+    visible: float = 1.0  # share of the dose, as for ultraviolet
     ultraviolet: float = 1.0
-    axis: float = 0.0
-    blur: float = 0.0
+    axis: float = 0.0  # across the light [mm]
+    blur: float = 0.0  # full width at half maximum [mm] of one pixel's light, the same at every depth
 
     def __post_init__(self) -> None:
         positive("Disturbance visible", self.visible, zero=True)
@@ -46,10 +43,7 @@ class Disturbance:
 
 
 def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tuple[Disturbance, ...]:
-    """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm].
-
-    Both colors change by themselves, for they come from two lamps. Raises `BadInput`.
-    """
+    """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm]."""
     dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
     if dose >= 1.0:
         raise BadInput(f"dose may be off by {dose:g}; expected a share below 1")
@@ -61,18 +55,13 @@ def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tup
 
 @dataclass(frozen=True, eq=False)
 class TurnLight:
-    """The light of one turn, visible and perhaps ultraviolet, with the operators that say where it goes.
-
-    light, ultraviolet_light: [angle, r, z] ≥ 0 on the device, fluence in air of every angle [mJ/mm²].  strength:
-    visible dose that a unit of ultraviolet dose undoes, the linear model's k.  Raises `ShapeMismatch`, `DeviceError`,
-    and `BadInput` for angles that are lit for unequal times, whose fluence is no longer that of the light.
-    """
+    """The light of one turn in one or two colors, and its operators. Raises `BadInput`, `ShapeMismatch`."""
 
     visible: Projection
-    light: DeviceArray
+    light: DeviceArray  # [angle, r, z] ≥ 0 on the device, fluence in air of every angle [mJ/mm²]
     ultraviolet: Projection | None = None
     ultraviolet_light: DeviceArray | None = None
-    strength: float = 1.0
+    strength: float = 1.0  # visible dose that a unit of ultraviolet dose undoes, the linear model's k
 
     def __post_init__(self) -> None:
         require(self.visible.range, self.light, "the visible light")
@@ -88,17 +77,11 @@ class TurnLight:
         positive("strength", self.strength, zero=True)
 
     def dose(self, off: Disturbance = Disturbance()) -> DeviceArray:
-        """Visible dose − strength·ultraviolet dose [x, y, z] of a turn.
-
-        [mJ/mm³] where the vessels absorb, else a fluence [mJ/mm²].
-        """
+        """Visible dose − strength·ultraviolet dose [x, y, z] of a turn [mJ/mm³, or mJ/mm² where nothing absorbs]."""
         return self._mixed(self._seen(off.axis, off.blur), off)
 
     def doses(self, target: DeviceArray, cases: Sequence[Disturbance] = ()) -> tuple[TurnDoses, ...]:
-        """Extremes of a turn's dose for each case, undisturbed where there is none; voxels of the cylinder count.
-
-        target: fractions [x, y, z] on the device.  Raises `ShapeMismatch`, `EmptyMesh`.
-        """
+        """Extremes of a turn's dose in the cylinder for each case; target: fractions [x, y, z]. Raises `EmptyMesh`."""
         grid, seen, found = self.visible.grid, {}, []
         require(self.visible.domain, target, "the target")
         for off in cases or (Disturbance(),):
@@ -125,24 +108,19 @@ class TurnLight:
 
 @dataclass(frozen=True)
 class ExposurePlan:
-    """How a print is sent.
-
-    turns, power: times the light of a turn.  period: of a turn, seconds: of the print, frame: of an angle [s].
-    visible_peak, visible_mean, ultraviolet_peak, ultraviolet_mean: irradiance in air of the brightest pixel at its
-    brightest, and of all pixels at all angles [mW/cm²].  visible_energy, ultraviolet_energy: sent in all [mJ].
-    """
+    """Times and irradiances of a print."""
 
     turns: int
-    power: float
-    period: float
-    seconds: float
-    frame: float
-    visible_peak: float
-    visible_mean: float
+    power: float  # times the light of a turn
+    period: float  # of a turn [s]
+    seconds: float  # of the print
+    frame: float  # of an angle [s]
+    visible_peak: float  # irradiance in air of the brightest pixel at its brightest [mW/cm²]
+    visible_mean: float  # of all pixels at all angles [mW/cm²]
     ultraviolet_peak: float
     ultraviolet_mean: float
-    visible_energy: float
-    ultraviolet_energy: float
+    visible_energy: float  # sent in all [mJ]
+    ultraviolet_energy: float  # sent in all [mJ]
 
 
 def plan_exposure(
@@ -198,7 +176,7 @@ def _sent(light: DeviceArray | None) -> tuple[float, float]:
 
 
 def _unit(A: Projection) -> float:
-    """What Aᵀ of a fluence [mJ/mm²] is to be multiplied by to be mJ/mm³, or mJ/mm² where nothing is absorbed."""
+    """Factor that makes Aᵀ of a fluence [mJ/mm²] a dose [mJ/mm³], or a fluence where nothing is absorbed."""
     return A.beam.pixel_area / A.grid.voxel_volume
 
 

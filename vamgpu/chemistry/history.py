@@ -1,4 +1,4 @@
-"""What a vial of resin has been through, and how long its next print takes."""
+"""History of a vial of resin, and the time of its next print."""
 
 from __future__ import annotations
 
@@ -19,32 +19,25 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Event:
-    """Something done to a vial.
-
-    oxygen, depth: after it.  dose: that liquid resin got [mJ/mm³].  seconds: it took.  note: free text.
-    """
+    """Something done to a vial."""
 
     kind: Literal["print", "stir", "rest"]
-    oxygen: float
-    depth: float
-    dose: float = 0.0
-    seconds: float = 0.0
-    note: str = ""
+    oxygen: float  # after it
+    depth: float  # after it
+    dose: float = 0.0  # that liquid resin got [mJ/mm³]
+    seconds: float = 0.0  # it took
+    note: str = ""  # free text
 
 
 @dataclass(frozen=True)
 class ResinHistory:
-    """The state of a vial, carried from print to print; every method returns the next state.
+    """The state of a vial; every method returns the next state. Raises `BadInput`."""
 
-    resin: name.  depth: of the liquid under its free surface [mm].  oxygen: mean, normalized to air-saturated resin.
-    dose: mean over the liquid of all light so far [mJ/mm³].  events: what was done, in order.  Raises `BadInput`.
-    """
-
-    resin: str
-    depth: float
-    oxygen: float = 1.0
-    dose: float = 0.0
-    events: tuple[Event, ...] = field(default=())
+    resin: str  # name
+    depth: float  # of the liquid under its free surface [mm]
+    oxygen: float = 1.0  # mean, normalized to air-saturated resin
+    dose: float = 0.0  # mean over the liquid of all light so far [mJ/mm³]
+    events: tuple[Event, ...] = field(default=())  # what was done, in order
 
     def __post_init__(self) -> None:
         positive("depth [mm]", self.depth)
@@ -59,11 +52,7 @@ class ResinHistory:
     def printed(
         self, *, spent: float, lost: float, dose: float = 0.0, seconds: float = 0.0, note: str = ""
     ) -> ResinHistory:
-        """After a print that took the share ``spent`` of the liquid's oxygen and left with the share ``lost`` of it.
-
-        spent follows from a proof: mean dose out of the part over the dose that cures.  lost: 0.10 to 0.15 in the
-        paper.  dose: mean over the liquid [mJ/mm³].  Raises `BadInput`.
-        """
+        """The state after a print that used a share of the oxygen and took a share of the resin. Raises `BadInput`."""
         positive("seconds", seconds, zero=True)
         _share("spent", spent)
         if not 0.0 <= lost < 1.0:
@@ -73,11 +62,11 @@ class ResinHistory:
                           note=note)  # fmt: skip
 
     def stirred(self, air: float = 0.0, note: str = "") -> ResinHistory:
-        """After stirring: all resin alike, and the share ``air`` of the missing oxygen beaten in. Raises `BadInput`."""
+        """The state after stirring, which beats in the share ``air`` of the missing oxygen. Raises `BadInput`."""
         return self._next("stir", self.oxygen + _share("air", air) * (1.0 - self.oxygen), self.depth, note=note)
 
     def rested(self, seconds: float, diffusivity: float, note: str = "") -> ResinHistory:
-        """After a rest under air, oxygen diffusing in from the free surface [mm²/s]. Raises `BadInput`."""
+        """The state after a pause under air, oxygen diffusing in from the surface [mm²/s]. Raises `BadInput`."""
         gained = recovery(diffusivity, seconds, self.depth)
         return self._next("rest", self.oxygen + gained * (1.0 - self.oxygen), self.depth, seconds=seconds, note=note)
 
@@ -85,8 +74,8 @@ class ResinHistory:
         """Time of the next print [s] where fresh resin takes ``fresh``: light first has to use up the oxygen."""
         return positive("time in fresh resin [s]", fresh) * self.oxygen
 
-    def _next(self, kind: Literal["print", "stir", "rest"], oxygen: float, depth: float, **told: Any) -> ResinHistory:
-        event = Event(kind, oxygen, depth, **told)
+    def _next(self, kind: Literal["print", "stir", "rest"], oxygen: float, depth: float, **values: Any) -> ResinHistory:
+        event = Event(kind, oxygen, depth, **values)
         return replace(self, oxygen=oxygen, depth=depth, dose=self.dose + event.dose, events=(*self.events, event))
 
     def save(self, path: str | Path) -> None:
@@ -107,18 +96,15 @@ class ResinHistory:
         try:
             if data["format"] != FORMAT or data["version"] > VERSION:
                 raise BadInput(f"got {data['format']!r}, version {data['version']}; expected version {VERSION}")
-            told: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
-            told["events"] = tuple(Event(**event) for event in told["events"])
-            return cls(**told)
+            values: dict[str, Any] = {f.name: data[f.name] for f in fields(cls)}
+            values["events"] = tuple(Event(**event) for event in values["events"])
+            return cls(**values)
         except (KeyError, TypeError, BadInput) as error:
             raise StorageError(f"{str(path)!r} is no {FORMAT}: {error}; expected a file that save() wrote") from error
 
 
 def recovery(diffusivity: float, seconds: float, depth: float) -> float:
-    """Share of missing oxygen that diffuses into a layer from one face, the other closed, 0..1.
-
-    diffusivity [mm²/s], depth [mm]. Source: J. Crank, The Mathematics of Diffusion (1975), section 4.3.
-    """
+    """Share of missing oxygen that diffuses into a layer from one face, 0..1 (Crank 1975, section 4.3)."""
     number = positive("diffusivity [mm²/s]", diffusivity) * positive("seconds", seconds, zero=True)
     number /= positive("depth [mm]", depth) ** 2
     if number < 1e-3:

@@ -33,16 +33,12 @@ GRID = {"alpha": (0.01, 10.0, 25), "k_c": (1e-3, 150.0, 31), "k_2": (1e-4, 10.0,
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Rate constants fitted to induction times.
+    """Rate constants fitted to induction times."""
 
-    rates: normalized.  times, measured: [s], in the order of `NAMES`.  bound: names of constants at the end of their
-    range, on which the data have no hold.
-    """
-
-    rates: Rates
-    times: tuple[float, ...]
-    measured: tuple[float, ...]
-    bound: tuple[str, ...] = ()
+    rates: Rates  # normalized
+    times: tuple[float, ...]  # [s], in the order of `NAMES`
+    measured: tuple[float, ...]  # [s], in the order of `NAMES`
+    bound: tuple[str, ...] = ()  # names of constants at the end of their range, on which the data have no hold
 
     @property
     def errors(self) -> tuple[float, ...]:
@@ -51,17 +47,12 @@ class Fit:
 
     @property
     def rms(self) -> float:
-        """Of the errors of the trials with UV [s]; the one without is met by k_A."""
+        """Root mean square error of the trials with UV [s]; k_A meets the one without."""
         return float(np.sqrt(np.mean(np.square(self.errors[1:]))))
 
 
 def induction_times(rates: list[Rates], device: str | Device | None = None) -> Floats:
-    """Time under visible light until both inhibitors are gone, in each of the four trials [s]; (resins, 4).
-
-    The trials: visible light alone; 30 s of UV, then visible; visible until the oxygen is gone, then 30 s of UV, then
-    visible again; both from the start, UV for 30 s.  Where B is never gone within 400 s the time is 400 s.
-    Raises `BadInput` for rates that are not normalized to [A] = 1, and what `advance` raises.
-    """
+    """Time under visible light until both inhibitors are gone in the four trials [s], at most 400 s; (resins, 4)."""
     if any(resin.oxygen != 1.0 for resin in rates):
         raise BadInput(f"oxygen is {[r.oxygen for r in rates if r.oxygen != 1.0][0]:g}; expected rates normalized to 1")
     supply = max(resin.supply for resin in rates)
@@ -70,8 +61,8 @@ def induction_times(rates: list[Rates], device: str | Device | None = None) -> F
     start = SpeciesState([1.0, 1.0, TRACE, 1.0], 0.0, supply)
     visible = [[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0]]
     uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]
-    course = advance(rates, start, LightCycle(visible, uv, [UV_SECONDS, LONGEST]), device=device)
-    dose = np.where(course.depleted, course.dose, LONGEST)
+    trajectory = advance(rates, start, LightCycle(visible, uv, [UV_SECONDS, LONGEST]), device=device)
+    dose = np.where(trajectory.depleted, trajectory.dose, LONGEST)
     without = np.array([1.0 / resin.k_a for resin in rates])
     dose[:, 2] += without
     return dose
@@ -100,16 +91,16 @@ def fit_induction(
     """
     from scipy.optimize import least_squares
 
-    wanted = tuple(positive("measured [s]", value) for value in measured)
-    if len(wanted) != len(NAMES) or min(wanted) < wanted[0]:
+    seconds = tuple(positive("measured [s]", value) for value in measured)
+    if len(seconds) != len(NAMES) or min(seconds) < seconds[0]:
         raise BadInput(f"measured is {measured}; expected {len(NAMES)} times, the first (without UV) the shortest")
 
     def resin(logs: Floats) -> Rates:
         alpha, k_c, k_2 = np.exp(logs)
-        return Rates(1.0 / wanted[0], alpha / wanted[0], k_c, k_2, supply=supply, order=order)
+        return Rates(1.0 / seconds[0], alpha / seconds[0], k_c, k_2, supply=supply, order=order)
 
     def errors(points: Floats) -> Floats:
-        return (induction_times([resin(p) for p in points], device) - np.array(wanted))[:, 1:]
+        return (induction_times([resin(p) for p in points], device) - np.array(seconds))[:, 1:]
 
     axes = [np.log(np.geomspace(*span)) for span in GRID.values()]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
@@ -131,4 +122,4 @@ def fit_induction(
     at_end = np.minimum(best - low, high - best) < 0.02
     names = tuple(name for name, end in zip(GRID, at_end, strict=True) if end)
     chosen = resin(best)
-    return Fit(chosen, tuple(float(t) for t in induction_times([chosen], device)[0]), wanted, names)
+    return Fit(chosen, tuple(float(t) for t in induction_times([chosen], device)[0]), seconds, names)

@@ -20,33 +20,20 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class KineticTrajectory:
-    """Where items end, all arrays (resins, items), concentrations in the unit of the rates.
+    """Ends of items, arrays (resins, items), concentrations in the unit of the rates."""
 
-    a, b, c: concentrations; a and b are 0 from the event on, and c stays what it was.
-    dose: of visible light until the end or the event [mJ/mm²].
-    event: when [A] + [B] reached 1e-6 of [A] before printing, NaN where it did not [s].
-    efficiency: W = ∫([B]/[A]) d([A]/[A]₀) so far, [A]₀ being each item's own at the start (NaN where that is 0). It is
-        the visible light that B took from A, k_A·dose − ([A]₀ − [A]), over [A]₀: eq. 5 makes the two the same.
-    path: [A], [B], [C] and dose at the start and after every ``every`` intervals, (resins, items, rows, 4).
-    """
-
-    a: Floats
+    a: Floats  # concentrations; a and b are 0 from the event on, and c stays what it was
     b: Floats
     c: Floats
-    dose: Floats
-    event: Floats
-    efficiency: Floats
-    path: Floats
+    dose: Floats  # of visible light until the end or the event [mJ/mm²]
+    event: Floats  # when [A] + [B] reached 1e-6 of [A] before printing, NaN where it did not [s]
+    efficiency: Floats  # W = ∫([B]/[A]) d([A]/[A]₀) so far
+    path: Floats  # [A], [B], [C] and dose at the start and after every ``every`` intervals, (resins, items, rows, 4)
 
     @property
     def depleted(self) -> np.ndarray:
         """Whether polymerization has begun, (resins, items)."""
         return np.isfinite(self.event)
-
-    @property
-    def states(self) -> SpeciesState:
-        """The ends as one list of items, resin after resin."""
-        return SpeciesState(self.a.ravel(), self.b.ravel(), self.c.ravel())
 
 
 def advance(

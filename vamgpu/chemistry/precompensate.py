@@ -1,4 +1,4 @@
-"""Doses that look as wanted after the oxygen has diffused: regularized deconvolution, never negative."""
+"""Doses that reach the target after oxygen has diffused: regularized deconvolution, never negative."""
 
 from __future__ import annotations
 
@@ -32,20 +32,16 @@ HALO = 9.0
 
 @dataclass(frozen=True, eq=False)
 class Compensated:
-    """A dose to ask for, 1 in the part as wanted, and what it is worth.
+    """A compensated dose and its misfit."""
 
-    dose: [x, y, z] ≥ 0, on the device.  before, after: root mean square distance from the wanted dose once the plain
-    and the compensated one have diffused, over all voxels.  greatest: largest dose, which the light must afford.
-    """
-
-    dose: DeviceArray
-    before: float
-    after: float
-    greatest: float
+    dose: DeviceArray  # [x, y, z] ≥ 0, on the device
+    before: float  # root mean square misfit of the plain dose once it has diffused, over all voxels
+    after: float  # likewise of the compensated dose
+    greatest: float  # largest dose, which the light must afford
 
     @property
     def factor(self) -> float:
-        """How many times nearer compensation comes; infinite where nothing is left to miss."""
+        """Misfit before over after compensation; infinite where none is left."""
         return self.before / self.after if self.after > 0 else float("inf")
 
 
@@ -59,19 +55,9 @@ def precompensate(
     iterations: int = ITERATIONS,
     device: str | Device | None = None,
 ) -> Compensated:
-    """The dose to ask for so that background + (1 − background)·fraction is left after diffusion.
-
-    fraction: part in every voxel [x, y, z], 0..1.  background: dose wanted around the part, everywhere: room for what
-    would have to be negative. Without it fine detail can hardly be sharpened.  ridge: weight of the squared distance
-    from the plain dose over that of the misfit; smaller is sharper and asks for greater doses.
-
-    How much nearer depends on the blur over the detail, and on edges: for sheets four to five voxels thick with edges
-    sharp to the voxel, over a background of 60 %, 4.9 times at a blur of one voxel's deviation and 1.76 times at two;
-    without a background 1.1 times. That is the dose asked for: light that is never negative need not reach it.
-
-    Minimizes ‖K·dose − wanted‖² + ridge·‖dose − wanted‖² over dose ≥ 0 by accelerated projected gradients.
-    Raises `BadInput`, `ShapeMismatch`.
-    """
+    """The dose that leaves background + (1 − background)·fraction after diffusion. Raises `BadInput`."""
+    # Minimizes ‖K·dose − target‖² + ridge·‖dose − target‖² over dose ≥ 0 by accelerated projected gradients. The
+    # background is the room for what would have to be negative: without it, fine detail can hardly be sharpened.
     spread = Spread(grid, diffusion, fraction.device if isinstance(fraction, DeviceArray) else device)
     goal = _on(spread, fraction)
     shape = contrast(spread, goal, background, ridge=ridge, iterations=iterations)
@@ -129,12 +115,7 @@ def stream(
     halo: int | None = None,
     device: str | Device | None = None,
 ) -> Iterator[npt.NDArray[np.float32]]:
-    """Compensated doses of an endless column, slab by slab of any thickness along z, in bounded memory.
-
-    slabs: fractions [x, y, any z].  grid: its section (shape[:2]) and pitch; shape[2] is ignored.  Yields float32
-    arrays of at most ``block`` slices that add up to what came in.  halo: slices around a block that are solved with
-    it and thrown away; by default `HALO` deviations of the blur.  Raises `BadInput`, `ShapeMismatch`.
-    """
+    """Compensated doses of an endless column, slab [x, y, any z] by slab, in bounded memory. Raises `BadInput`."""
     here = open_device(device)
     margin = ceil(HALO * diffusion.deviation / grid.pitch) + 2 if halo is None else halo
     if block < 1 or margin < 0:

@@ -1,4 +1,4 @@
-"""What three conditions on the doses of a turn leave of the number of turns and of the light's power.
+"""Numbers of turns and powers of light that three conditions on the doses of a turn allow.
 
 (a) (N_R − 1)·D_in,max < T_opt: nothing in the part turns hard, and bends light, before the last turn.
 (b) N_R·D_in,min > T_mec: all of the part is firm at the end.
@@ -24,9 +24,6 @@ from vamgpu.operators.reductions import EVERYWHERE, extent
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Positive
 
-CONDITIONS = ("the part hardens before the last turn", "the part stays soft", "the rest hardens")
-"""What is wrong where (a), (b) and (c) do not hold."""
-
 
 @dataclass(frozen=True)
 class Thresholds:
@@ -47,7 +44,7 @@ class Thresholds:
         return self.mechanical - self.optical
 
     def delayed(self, dose: float) -> Thresholds:
-        """With more dissolved inhibitor: both come later by ``dose``. Raises `BadInput` below T_opt = 0."""
+        """Thresholds with more dissolved inhibitor: both later by ``dose``. Raises `BadInput` below T_opt = 0."""
         return Thresholds(self.optical + dose, self.mechanical + dose)
 
 
@@ -71,10 +68,7 @@ class TurnDoses:
 
     @classmethod
     def of(cls, dose: Any, target: Any, reach: float = EVERYWHERE) -> TurnDoses:
-        """Of a dose [x, y, z] and a target's fractions, both NumPy or both on one device; inside is at least one half.
-
-        reach: radius of the cylinder that counts [voxels].  Raises `ShapeMismatch`, `EmptyMesh`.
-        """
+        """Extremes of a dose [x, y, z] in and out of a target, within ``reach`` [voxels]. Raises `EmptyMesh`."""
         if tuple(dose.shape) != tuple(target.shape):
             raise ShapeMismatch(f"the dose has shape {dose.shape}, the target {target.shape}; expected the same")
         if isinstance(dose, DeviceArray):
@@ -98,12 +92,9 @@ class TurnDoses:
 
 @dataclass(frozen=True)
 class PowerVerdict:
-    """Whether the three conditions hold.
+    """Whether the three conditions hold."""
 
-    early, firm, overcure: what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails.
-    """
-
-    early: float
+    early: float  # what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails
     firm: float
     overcure: float
 
@@ -112,30 +103,20 @@ class PowerVerdict:
         """Whether all three do."""
         return min(self.early, self.firm, self.overcure) > 0.0
 
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """What goes wrong, in words."""
-        rests = (self.early, self.firm, self.overcure)
-        return tuple(words for words, rest in zip(CONDITIONS, rests, strict=True) if rest <= 0.0)
-
     @classmethod
     def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> PowerVerdict:
-        """From the doses before and after the last turn, for light whose effect is not proportional to turns."""
+        """Judge doses before and after the last turn, for light whose effect is not proportional to turns."""
         return cls(thresholds.optical - before.in_most, after.in_least - thresholds.mechanical,
                    thresholds.optical - after.out_most)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PowerWindow:
-    """Powers at which a number of turns is legal: low < power < high; none where low ≥ high.
-
-    ceiling: which condition sets the upper end, "a", "c", or "" where nothing does.
-    """
+    """Powers at which a number of turns is legal: low < power < high; none where low ≥ high."""
 
     turns: int
     low: float
     high: float
-    ceiling: str
 
     @property
     def legal(self) -> bool:
@@ -149,7 +130,7 @@ class PowerWindow:
 
     @property
     def tolerance(self) -> float:
-        """How far power may be off either way from the middle, as a share; 0 where nothing is legal."""
+        """Share by which power may be off from the middle; 0 where nothing is legal."""
         return max(0.0, 1.0 - self.low / self.middle) if self.legal else 0.0
 
 
@@ -169,15 +150,12 @@ def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerW
     low = thresholds.mechanical / (n * doses.in_least) if doses.in_least > 0 else inf
     early = thresholds.optical / ((n - 1) * doses.in_most) if n > 1 and doses.in_most > 0 else inf
     overcure = thresholds.optical / (n * doses.out_most) if doses.out_most > 0 else inf
-    high = min(early, overcure)
-    return PowerWindow(n, low, high, "" if high == inf else "a" if early <= overcure else "c")
+    return PowerWindow(n, low, min(early, overcure))
 
 
 def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
-    """The greatest legal number of turns at the best power: inf where any will do, 0 where none does.
-
-    (a) and (b) ask (N − 1)/N < T_opt·D_in,min/(T_mec·D_in,max), (b) and (c) T_opt·D_in,min > T_mec·D_out,max.
-    """
+    """The greatest legal number of turns at the best power: inf where any will do, 0 where none does."""
+    # (a) and (b) ask (N − 1)/N < T_opt·D_in,min/(T_mec·D_in,max), (b) and (c) T_opt·D_in,min > T_mec·D_out,max
     if not power_window(doses, thresholds, 1).legal:
         return 0
     ratio = thresholds.optical * doses.in_least / (thresholds.mechanical * doses.in_most)
@@ -189,25 +167,9 @@ def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
     return count
 
 
-def legal_turns(doses: TurnDoses, thresholds: Thresholds, most: int = 20) -> tuple[PowerWindow, ...]:
-    """Windows of all legal numbers of turns up to ``most``. Raises `BadInput`."""
-    windows = (power_window(doses, thresholds, n) for n in range(1, counts("most", (most,), 1)[0] + 1))
-    return tuple(window for window in windows if window.legal)
-
-
-def turns_at(doses: TurnDoses, thresholds: Thresholds, power: float = 1.0, most: int = 1000) -> tuple[int, ...]:
-    """Legal numbers of turns up to ``most`` at a power, light being as it is. Raises `BadInput`."""
-    powers = ((n, power_window(doses, thresholds, n)) for n in range(1, counts("most", (most,), 1)[0] + 1))
-    power = positive("power", power)
-    return tuple(n for n, window in powers if window.low < power < window.high)
-
-
 @dataclass(frozen=True)
 class StaticInhibition:
-    """How much later more dissolved inhibitor must make the thresholds for a number of turns: low < dose < high.
-
-    Negative doses mean less inhibitor. ``turns``·ΔD > ΔT is needed, and (a) beside.
-    """
+    """Delay of the thresholds [dose] that makes a number of turns legal: low < dose < high."""
 
     turns: int
     low: float

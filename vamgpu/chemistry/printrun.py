@@ -48,9 +48,9 @@ class PrintRun:
         positive("turn [s]", self.turn)
         counts("turns", (self.turns,), 1)
         if self.exposure.box != self.transport.box or self.exposure.device is not self.transport.device:
-            raise BadInput("exposure and transport want the same box and the same device")
+            raise BadInput("exposure and transport have different boxes or devices; expected the same")
         if self.transport.reaction is None:
-            raise BadInput("a print wants a transport with a reaction; this one only diffuses")
+            raise BadInput("the transport only diffuses; expected one with a reaction")
         if self.steps is not None and self.frame_time / self.steps > self.transport.limit:
             raise UnstableStep(
                 f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; expected steps of at most "

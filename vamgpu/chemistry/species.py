@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,16 +65,6 @@ class Rates:
             raise BadInput("k_a is 0; expected k_a > 0, or β has no value")
         return self.k_c * positive("uv", uv, zero=True) / lost
 
-    @property
-    def decay(self) -> float:
-        """λ = ln 2/k₂ [concentration·s], infinite for k₂ = 0. No time: see `half_life`."""
-        return log(2.0) / self.k_2 if self.k_2 else float("inf")
-
-    def half_life(self, lophyl: float) -> float:
-        """Time in the dark until half of [B] has paired up [s]: 1/(2k₂[B]); the fuller, the faster."""
-        pairing = 2.0 * self.k_2 * positive("lophyl", lophyl, zero=True)
-        return 1.0 / pairing if pairing else float("inf")
-
     def start(self, lophyl: float = 0.0) -> SpeciesState:
         """The state before printing, with [B] = ``lophyl``."""
         return SpeciesState(self.oxygen, lophyl, self.supply)
@@ -90,10 +78,7 @@ class Rates:
 
 @dataclass(frozen=True, eq=False)
 class SpeciesState:
-    """[A], [B] and [C] of any number of items, in the unit of their `Rates`; arrays (items,) after construction.
-
-    Raises `BadInput` for what is negative or not finite, and for lengths that differ.
-    """
+    """[A], [B] and [C] of items, arrays (items,), in the unit of their `Rates`. Raises `BadInput`."""
 
     a: ArrayLike
     b: ArrayLike = 0.0
@@ -110,17 +95,6 @@ class SpeciesState:
                 raise BadInput(f"[{name.upper()}] has shape {value.shape}; expected (items,) with at least one item")
             object.__setattr__(self, name, value)
 
-    @classmethod
-    def of(cls, **amounts: ArrayLike) -> SpeciesState:
-        """A state by species, letters or names (``A=``, ``oxygen=``); raises `BadInput` for one that does not exist."""
-        known: Mapping[str, str] = {name: letter for letter, full in SPECIES.items() for name in (letter, full)}
-        for name in amounts:
-            if name not in known:
-                listed = ", ".join(f"{letter} ({full})" for letter, full in SPECIES.items())
-                raise BadInput(f"no species {name!r}; there are {listed}")
-        given = {known[name].lower(): value for name, value in amounts.items()}
-        return cls(**{"a": 0.0, **given})
-
     def __len__(self) -> int:
         return len(np.asarray(self.a))
 
@@ -132,16 +106,10 @@ class SpeciesState:
 
 @dataclass(frozen=True, eq=False)
 class LightCycle:
-    """Irradiances through intervals of constant light, gone through again and again.
+    """Irradiances through intervals of constant light, gone through again and again. Raises `BadInput`."""
 
-    visible, uv: [mW/mm²], (intervals,) or (sources, intervals); arrays (sources, intervals) after construction
-    seconds: of each interval [s], (intervals,)
-
-    Raises `BadInput` for negative or infinite numbers, and for shapes that do not fit.
-    """
-
-    visible: ArrayLike
-    uv: ArrayLike
+    visible: ArrayLike  # [mW/mm²], (intervals,) or (sources, intervals)
+    uv: ArrayLike  # [mW/mm²], (intervals,) or (sources, intervals)
     seconds: ArrayLike
 
     def __post_init__(self) -> None:

@@ -14,15 +14,11 @@ from vamgpu.geometry import positive
 
 @dataclass(frozen=True, eq=False)
 class Stationary:
-    """A state that light of two colors holds, eqs 8–10. Concentrations are in the unit of the rates.
+    """A state that light of two colors holds, eqs 8–10; concentrations in the unit of the rates."""
 
-    b: [B], while [A] is 0.  jacobian: of the drift (F1, F2) there [1/s], (2, 2).  eigenvalues: [1/s], (2,), both real
-    and negative: a stable node, wherever it exists.
-    """
-
-    b: float
-    jacobian: Floats
-    eigenvalues: Floats
+    b: float  # [B], while [A] is 0
+    jacobian: Floats  # of the drift (F1, F2) there [1/s], (2, 2)
+    eigenvalues: Floats  # [1/s], (2,), both real and negative: a stable node, wherever it exists
 
     @property
     def slowest(self) -> float:
@@ -69,10 +65,7 @@ def stationary(rates: Rates, visible: float, uv: float, supply: float | None = N
 def drift(
     rates: Rates, a: ArrayLike, b: ArrayLike, visible: float, uv: float, supply: float | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """d[A]/dt, d[B]/dt, d[C]/dt (eqs 5–7) [concentration/s] at [A], [B], arrays of one shape; 0 at the origin.
-
-    Raises `BadInput` for what is negative or not finite.
-    """
+    """d[A]/dt, d[B]/dt, d[C]/dt (eqs 5–7) [concentration/s] at [A], [B]; 0 at the origin. Raises `BadInput`."""
     A, B = np.broadcast_arrays(concentration("A", a), concentration("B", b))
     whole = A + B
     lit = positive("visible", visible, zero=True)
@@ -92,17 +85,3 @@ def nullcline(rates: Rates, b: ArrayLike, visible: float, uv: float, supply: flo
     lost = rates.k_b * positive("visible", visible, zero=True)
     level = B * (lost / np.where(gain > 0.0, gain, np.nan) - 1.0)
     return np.where(level >= 0.0, level, np.nan)
-
-
-def neutral_uv(rates: Rates, a: float, b: float, visible: float, supply: float | None = None) -> float:
-    """UV [mW/mm²] that exactly undoes visible light: [A]·F1 + [B]·F2 = 0, the distance from the origin stands still.
-
-    Raises `BadInput` where [B] is 0 (UV then moves the state at right angles to the visible light's pull).
-    """
-    B, A = positive("b", b), positive("a", a, zero=True)
-    lit = positive("visible", visible, zero=True)
-    pull = lit * (rates.k_a * A**2 + rates.k_b * B**2) / (A + B) + 2.0 * rates.k_2 * B**3
-    per = made(rates, 1.0, supply)
-    if per == 0.0:
-        raise BadInput("UV makes no B here (k_c or [C] is 0); expected both above 0")
-    return float(pull / (2.0 * B * per))

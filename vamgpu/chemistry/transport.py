@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil
 from typing import Any
@@ -63,17 +63,13 @@ class Boundary:
         return np.array([(0.0, 1.0) if face is None else (2.0 * face.value, -1.0) for face in self.faces])
 
     def holds(self, axis: int) -> int:
-        """How many faces across an axis are fixed."""
+        """Number of fixed faces across an axis."""
         return sum(face is not None for face in self.faces[2 * axis : 2 * axis + 2])
 
 
 @dataclass(frozen=True)
 class Box:
-    """Voxels of resin centered on the axis; shape along x, y, z, pitch (dx, dy, dz) [mm], radius [mm] of the resin.
-
-    Without a radius the whole box is resin; with one, nothing passes from the columns inside to those outside.
-    Raises `BadInput`.
-    """
+    """Voxels of resin centered on the axis; nothing passes the radius, where there is one. Raises `BadInput`."""
 
     shape: tuple[int, int, int]
     pitch: tuple[float, float, float]
@@ -116,31 +112,14 @@ class Transport:
                 raise BadInput(f"{name} are {given!r}; expected one for each of {', '.join(SPECIES)}")
         if not all(isinstance(boundary, Boundary) for boundary in self.boundaries):
             raise BadInput(f"boundaries are {self.boundaries!r}; expected a Boundary for each of {', '.join(SPECIES)}")
-        for name, wanted in (("box", Box), ("reaction", Reaction | None)):
-            if not isinstance(getattr(self, name), wanted):
+        for name, kind in (("box", Box), ("reaction", Reaction | None)):
+            if not isinstance(getattr(self, name), kind):
                 raise BadInput(f"{name} is {getattr(self, name)!r}; expected a {name.capitalize()}")
         named = zip(SPECIES, self.diffusivities, strict=True)
         checked = tuple(positive(f"diffusivity of {name} [mm²/s]", value) for name, value in named)
         object.__setattr__(self, "diffusivities", checked)
         if not isinstance(self.device, Device):
             object.__setattr__(self, "device", open_device(self.device))
-
-    def damkohler(self, length: float, concentration: float) -> Transport:
-        """The dimensionless form: lengths in l [mm], times in l²/D_A, concentrations in [A]₀ [mol/m³], D_i/D_A."""
-        d_a = self.diffusivities[0]
-        pitch = tuple(d / length for d in self.box.pitch)
-        radius = None if self.box.radius is None else self.box.radius / length
-        ghosts = [
-            [None if face is None else replace(face, value=face.value / concentration) for face in boundary.faces]
-            for boundary in self.boundaries
-        ]
-        return Transport(
-            Box(self.box.shape, (pitch[0], pitch[1], pitch[2]), radius),
-            tuple(d / d_a for d in self.diffusivities),  # type: ignore[arg-type]
-            self.reaction and self.reaction.scaled(length, concentration, d_a),
-            tuple(Boundary(tuple(faces)) for faces in ghosts),  # type: ignore[arg-type]
-            self.device,
-        )
 
     @cached_property
     def limit(self) -> float:

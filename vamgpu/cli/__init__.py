@@ -10,12 +10,11 @@ from typing import Any
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C.
-
-    A print has two more, see ``vam print``.
-    """
+    """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C."""
     import vamgpu.cli.calibrate  # noqa: F401 - its commands register themselves
+    import vamgpu.cli.exchange  # noqa: F401
     import vamgpu.cli.print  # noqa: F401
+    import vamgpu.cli.prove  # noqa: F401
     import vamgpu.cli.rig  # noqa: F401
     import vamgpu.cli.view  # noqa: F401
     from vamgpu.cli.commands import app
@@ -26,11 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             warnings.simplefilter("once", OpticsWarning)  # two steps of a job may say the same
             warnings.showwarning = _warn
             return int(app(arguments, result_action="return_value", exit_on_error=True) or 0)
-    except (Cancelled, KeyboardInterrupt):
-        sys.stderr.write(
-            "\nstopped; results appear whole or not at all, a run's folder says how far it came, and the light "
-            "that `vam solve` had found is kept: the same command goes on from it\n"
-        )
+    except (Cancelled, KeyboardInterrupt) as error:
+        how = f" {error}" if isinstance(error, KeyboardInterrupt) and error.args else ""
+        sys.stderr.write(f"\nStopped.{how}\n")
         return 130
     except BrokenPipeError:  # whoever read the output, `head` say, has enough; what is buffered must go nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

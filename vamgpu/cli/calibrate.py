@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vamgpu.hosts.calibrating.machines import CalibrationMachines
     from vamgpu.hosts.calibrating.report import CalibrationResult
 
-group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a rehearsal.")
+group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a dry run.")
 app.command(group)
 Switch = Annotated[bool, Parameter(negative="")]
 Places = Annotated[list[float] | None, Parameter(negative="")]
@@ -123,7 +123,7 @@ def list_(*, rig: str, settings: Settings = None) -> None:
     Args:
         rig: the TOML file of the rig
     """
-    from vamgpu.hosts.calibrating.store import DAY, in_force, place_of, taken_of
+    from vamgpu.hosts.rigs.calibrations import DAY, in_force, place_of, taken_of
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
@@ -166,7 +166,7 @@ def mtf(
 
 @group.command
 def runout(
-    *, rig: str, out: Path | None = None, poses: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
+    *, rig: str, out: Path | None = None, angles: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure how a vial runs out: a camera sees a pin on the turntable, upright and near the axis, over a turn.
@@ -174,15 +174,15 @@ def runout(
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
-        poses: of the turn
+        angles: of the turn
         repeats: images of each, which are averaged
-        speed: of the turntable from pose to pose [deg/s]
+        speed: of the turntable from angle to angle [deg/s]
         projector: which one, from 0
     """
     from vamgpu.hosts.calibrating.runout import TABLES, runout
 
     _run("runout", rig, TABLES, out, settings, overwrite, lambda machines, progress: runout(
-        machines, poses=poses, repeats=repeats, speed=speed, projector=projector, progress=progress))  # fmt: skip
+        machines, poses=angles, repeats=repeats, speed=speed, projector=projector, progress=progress))  # fmt: skip
 
 
 def _run(
@@ -192,9 +192,10 @@ def _run(
     """Open the machines, measure, and write the result."""
     from rich.progress import Progress
 
-    from vamgpu.hosts.calibrating.opening import compared, opened, rehearsal
-    from vamgpu.hosts.calibrating.report import free, save
-    from vamgpu.hosts.calibrating.store import folder_of, keep
+    from vamgpu.hosts.calibrating.connect import opened, rehearsal
+    from vamgpu.hosts.calibrating.report import free, keep, save
+    from vamgpu.hosts.calibrating.truth import compared
+    from vamgpu.hosts.rigs.calibrations import folder_of
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 import vamgpu
 from vamgpu.cli import curethrough, live, sweep
-from vamgpu.cli.options import Overwrite, Settings, Switch, console
+from vamgpu.cli.options import Overwrite, Settings, console, continued
+from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
-
-if TYPE_CHECKING:
-    from vamgpu.jobs.run import Proven
-    from vamgpu.printing.frames import Frames
-    from vamgpu.webs.proof import WebProof
 
 app: App = App(
     name="vam",
@@ -51,9 +46,11 @@ def demo(
     screen = console()
     with shown(screen) as progress:
         done = run(out, settings or (), progress=progress)
-    _scores(screen, done.proven)
-    screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
-    screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
+    show_verdict(screen, done.proven.proof.verdict)
+    show_lines(screen, done.proven.proof.lines())
+    show_lines(screen, done.proven.proof.judgement.lines())
+    screen.print(f"job     {shown_path(done.file)}\nframes  {shown_path(done.folder)}")
+    screen.print(f"report  [bold]{shown_path(done.report.resolve())}[/]")
 
 
 @app.command
@@ -70,15 +67,19 @@ def solve(
         start: folder of a plan whose light is the first guess, of as many angles and pixels, whatever else has changed
         rig: the TOML file of the rig that will print it, whose measured point spread counts where the job has none
         pareto: find the widest windows of shorter and shorter exposures too, by the lamp and resin of [print]
-        memory: what the process may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR
+        memory: what the process may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a
+            verdict that takes more is left out
         cluster: whose workers share the slices of a vial, or the segments of a web: local:4 for four processes of this
             machine, tcp://host:8786 for a Dask cluster that sees the same files
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.read import read_job
+    from vamgpu.jobs.run import is_interrupted
+    from vamgpu.jobs.run import prove as coarsely
     from vamgpu.jobs.run import solve as run
     from vamgpu.jobs.web import is_web, read_web
+    from vamgpu.storage.memory import size
 
     if rig is not None:
         settings = [*(settings or ()), *_measured(job, rig, settings)]
@@ -93,22 +94,35 @@ def solve(
             raise BadInput(f"{str(job)!r} is a web, which moves as fast as its limits allow; leave --pareto out")
         return _solve_web(job, out, settings, overwrite, cluster)
     place = out if out is not None else job.with_suffix(".vam")
-    wanted, screen = read_job(job, settings or ()), console()
-    with shown(screen) as progress:
+    checked, screen = read_job(job, settings or ()), console()
+    again = "" if not overwrite and start is None else "without " + " and ".join(
+        name for name, value in (("--overwrite", overwrite), ("--start", start)) if value)  # fmt: skip
+    with shown(screen) as progress, continued(lambda: is_interrupted(place), again):
         folder = run(
-            wanted, place, overwrite=overwrite, start=start, pareto=pareto, cluster=cluster, progress=progress
+            checked, place, overwrite=overwrite, start=start, pareto=pareto, cluster=cluster, progress=progress
         )  # fmt: skip
+    screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")
+    found, needs = None, 0
+    if checked.file.colors is None:
+        with shown(screen) as progress, suppress(KeyboardInterrupt):  # the folder is complete, judged or not
+            progress("verdict", 0.0)
+            proof = coarsely(folder.path, checked.file.solve.device, coarse=True).proof
+            needs = report_memory(memory, proof)
+            found = None if needs else proof.verdict
     if pareto:
         sheet = Table("exposure", "window", "dose outside over inside")
         for point in folder.manifest.inputs["pareto"]:
             sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
         screen.print(sheet)
-    screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
+    if found is not None:
+        show_verdict(screen, found)
+    elif needs:
+        screen.print(f"[yellow]note[/]  no verdict, which takes {size(needs)} of memory; leave --memory out to have it")
 
 
 def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
-    """What a rig's calibrations say of a job's light, as settings; and tell it."""
-    from vamgpu.hosts.calibrating.store import calibration_of, in_force, place_of
+    """Settings from a rig's calibrations, which are shown."""
+    from vamgpu.hosts.rigs.calibrations import calibration_of, in_force, place_of
     from vamgpu.hosts.rigs.config import read_rig
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.web import is_web
@@ -135,224 +149,6 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
 
 
 @app.command
-def prove(
-    job: Path, /, *, report: Path | None = None, device: str | None = None,
-    bound: Annotated[bool, Parameter(negative="")] = False,
-    tolerances: Annotated[bool, Parameter(negative="")] = False, slices: tuple[int, int] | None = None,
-    printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
-) -> None:  # fmt: skip
-    """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
-
-    Args:
-        job: the job folder, or the folder of a vial's run
-        report: the HTML file; the folder's name with .html by default
-        device: where to compute; the best device here by default
-        bound: find the widest window that any light can have too, by 1500 projector evaluations, of each corner with
-            --tolerances
-        tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
-        slices: first slice, and the one behind the last, that alone are looked at for --bound: sooner, and the bound
-            of some slices holds for all
-        printed: folder of a job that a run printed, where it was moved since; one for each that was
-        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
-            that takes more is left out
-    """
-    from vamgpu.backend import within
-    from vamgpu.cli.progress import shown
-    from vamgpu.jobs.run import prove as run
-    from vamgpu.jobs.web import is_web_folder
-    from vamgpu.printing.report import report_bytes
-    from vamgpu.quantity import bytes_of
-    from vamgpu.storage.atomic import named, page_path
-    from vamgpu.storage.memory import size
-
-    job = named(job)
-    device = device if memory is None else within(device, memory)
-    place = page_path(report or job.with_suffix(".html"))
-    if bound and ((job / "run.json").is_file() or is_web_folder(job)):
-        raise BadInput(f"--bound is for the job of a vial, and {str(job)!r} is none; leave it out")
-    if slices is not None and not bound:
-        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
-    if tolerances and ((job / "run.json").is_file() or is_web_folder(job)):
-        raise BadInput(f"--tolerances is for the job of a vial, and {str(job)!r} is none; leave it out")
-    if (job / "run.json").is_file():
-        return _prove_run(job, place, device, printed or ())
-    if printed:
-        raise BadInput(f"--job says where the jobs of a run are, and {str(job)!r} is no folder of one; leave it out")
-    if is_web_folder(job):
-        return _prove_web(job, place, device)
-    screen = console()
-    with shown(screen) as progress:
-        evaluations = 1500.0 if bound else 0.0
-        proven = run(job, device, evaluations=evaluations, tolerances=tolerances, slices=slices, progress=progress)
-        needs = report_bytes(proven.proof)
-        fits = memory is None or needs <= (bytes_of(memory) or 0)
-        if fits:
-            progress("report", 0.0)
-            proven.report(place)
-    _scores(screen, proven)
-    if fits:
-        screen.print(f"report  [bold]{_path(place.resolve())}[/]")
-    else:
-        screen.print(f"[yellow]note[/]  no report, which takes {size(needs)} of memory; leave --memory out to draw it")
-
-
-def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> None:
-    """What a run showed, beside what was planned."""
-    from vamgpu.hosts.proof import prove_run
-
-    screen = console()
-    for number, found in enumerate(prove_run(run, device, printed)):
-        page = place.with_stem(f"{place.stem}-{number + 1}") if number else place
-        found.least.report(page, found.planned.plan)
-        proofs = (found.planned.proof, found.least, found.most)
-        screen.print(f"run     {found.run.state.value}: {found.light}")
-        for name, value in (("window", lambda proof: proof.scores.window), ("IoU", lambda proof: proof.scores.iou)):
-            planned, least, most = (f"{value(proof):+.4f}" for proof in proofs)
-            band = least if least == most else f"{least} to {most}, as nobody knows all of the light"
-            screen.print(f"{name:<7} planned {planned}, shown [bold]{band}[/]")
-        screen.print(f"report  [bold]{_path(page.resolve())}[/]")
-
-
-@app.command(name="import")
-def import_(
-    source: Path, /, *, out: Path | None = None, job: Path | None = None, patterns: Path | None = None,
-    target: Path | None = None, flip_r: Switch = False, flip_z: Switch = False, reverse: Switch = False,
-    axis: float | None = None, level: float | None = None, angles: int | None = None, gray: Path | None = None,
-    device: str | None = None, settings: Settings = None, overwrite: Overwrite = False,
-) -> None:  # fmt: skip
-    """Make a job of another program's patterns, to be proven, printed, or solved on.
-
-    Args:
-        source: configuration of Dr.TVAM (JSON), sinogram of VAMToolbox (.sino, .npy), folder of PNG, TIFF or EXR
-            images, or a film, such as those that OpenCAL plays
-        out: the folder; the source's name with .vam by default. Ending in .toml, a job file of what Dr.TVAM was to
-            solve, for vam solve; it needs no patterns
-        job: TOML file of what the source does not say: part, vessel, pixels
-        patterns: of Dr.TVAM, where they are not beside its configuration
-        target: voxels that VAMToolbox solved for, in place of a mesh in the job
-        flip_r: column 0 of images is the largest r
-        flip_z: row 0 of images is the smallest z, as in films of VAMToolbox
-        reverse: images are in the order of falling angles
-        axis: column of the axis in images, counted from 0; their middle by default
-        level: row of the part's middle; the images' middle by default
-        angles: images of a turn, where a film has several turns
-        gray: TOML file with the gray curve that images were made for
-        device: where to compute; the best device here by default
-    """
-    from vamgpu.cli.progress import shown
-    from vamgpu.jobs.foreign.importing import import_patterns, import_task
-    from vamgpu.jobs.foreign.pictures import Layout
-    from vamgpu.printing.gray import GrayCurve
-    from vamgpu.storage.atomic import named
-
-    if out is not None and out.suffix.lower() == ".toml":
-        if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
-                                               ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} beside --out {out}, which takes no patterns; expected the "
-                           "configuration alone: leave it out")  # fmt: skip
-        for note in import_task(source, out, overwrite=overwrite):
-            console().print(f"[yellow]note[/]  {escape(note)}")
-        console().print(f"wrote [bold]{_path(out)}[/]; solve it with: vam solve {_path(out)}")
-        return
-    curve = None if gray is None else GrayCurve.load(gray)
-    layout, screen = Layout(flip_r, flip_z, reverse, axis, level, angles, curve), console()
-    place = out if out is not None else named(source).with_suffix(".vam")
-    with shown(screen) as progress:
-        done = import_patterns(
-            source, place, job=job, settings=settings or (), patterns=patterns, target=target, layout=layout,
-            device=device, overwrite=overwrite, progress=progress,
-        )  # fmt: skip
-    for note in done.notes:
-        screen.print(f"[yellow]note[/]  {escape(note)}")
-    screen.print(f"wrote [bold]{_path(place)}[/] from {done.program}; prove it with: vam prove {_path(place)}")
-
-
-@app.command
-def export(
-    job: Path, *, png: Path | None = None, tiff: Path | None = None, npz: Path | None = None, mp4: Path | None = None,
-    drtvam: Path | None = None, fps: float = 30.0, players: Switch = False, canvas: str | None = None,
-    offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
-    repeats: int = 1, rig: Path | None = None, projector: int = 1, overwrite: Overwrite = False,
-) -> None:  # fmt: skip
-    """Write the frames of a job as files that other programs read.
-
-    Args:
-        job: the job folder
-        png: a folder of PNG pictures
-        tiff: one file, a page a frame
-        npz: bytes, curve and settings for NumPy
-        mp4: a film, lossless in gray, or for any player with --players
-        drtvam: a folder with configuration, patterns and part for Dr.TVAM
-        fps: frames a second of the film
-        players: write the film in yuv420p, which projectors and common players decode
-        canvas: columns and rows of pictures, such as 1920x1080, in whose middle frames lie
-        offset: columns to the right and rows upwards off that middle
-        rotation: of frames, counterclockwise [deg]
-        flip_r: mirror frames left to right
-        flip_z: mirror frames top to bottom
-        repeats: how often the turn is shown
-        rig: TOML file of a rig, whose gray curve, flat field and axis frames are made for
-        projector: of that rig, counted from 1
-    """
-    from vamgpu.jobs.foreign.drtvam import export_drtvam
-    from vamgpu.jobs.web import is_web_folder
-    from vamgpu.methods.saved import load_plan
-    from vamgpu.printing.export import Canvas
-    from vamgpu.printing.export import export as write
-    from vamgpu.printing.folder import frames_of, load_frames
-    from vamgpu.storage.atomic import named
-    from vamgpu.storage.folder import Folder
-
-    wanted = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
-    places = {ending: place for ending, place in wanted.items() if place is not None}
-    if not places and drtvam is None:
-        raise BadInput(
-            "no format was given; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path"
-        )
-    for ending, place in places.items():
-        if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
-            raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
-    job = named(job)
-    if is_web_folder(job):
-        raise BadInput(
-            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: read frames of a "
-            "web one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
-        )
-    screen, frames = console(), load_frames(job, "numpy")
-    if rig is not None:
-        frames = _on_rig(frames, rig, projector)
-    placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats)
-    for ending, place in places.items():
-        on = None if placed == Canvas() or ending == ".npz" else placed
-        done = write(frames, place, fps=fps, overwrite=overwrite, canvas=on, players=players and ending == ".mp4")
-        screen.print(f"wrote [bold]{_path(done)}[/]")
-    if drtvam is not None:
-        whole = frames_of(Folder.open(job), frames.device, load_plan(job, frames.device))
-        screen.print(f"wrote [bold]{_path(export_drtvam(whole, drtvam))}[/]")
-
-
-def _size(canvas: str | None) -> tuple[int, int] | None:
-    """Columns and rows of text such as 1920x1080. Raises `BadInput`."""
-    if canvas is None:
-        return None
-    columns, _, rows = canvas.lower().replace("×", "x").partition("x")
-    if not (columns.strip().isdecimal() and rows.strip().isdecimal()):
-        raise BadInput(f"--canvas is {canvas!r}; expected columns and rows, such as 1920x1080")
-    return int(columns), int(rows)
-
-
-def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:
-    """Frames as a projector of a rig shows them, by its calibrations."""
-    from vamgpu.hosts.calibrating.store import calibration_of
-    from vamgpu.hosts.rigs.config import read_rig
-
-    config = read_rig(rig)
-    if not 1 <= projector <= len(config.setup.projector):
-        raise BadInput(f"--projector is {projector}; the rig has {len(config.setup.projector)}, counted from 1")
-    return calibration_of(config).frames(frames, projector - 1)
-
-
-@app.command
 def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
     """Tell what a web machine can do, how fast at most, and what limits it.
 
@@ -365,14 +161,13 @@ def limits(machine: Path, *, png: Path | None = None, settings: Settings = None)
 
     found = read_limits(machine, settings or ())
     screen = console()
-    for line in lines(found):
-        screen.print(f"  {line.name:<27} [bold]{line.value:<16}[/] [dim]{line.meaning}[/]")
+    show_lines(screen, lines(found), 16)
     for reason in found.broken:
         screen.print(f"[yellow]cannot[/] {escape(reason)}")
     if png is not None:
         from vamgpu.webs.limits_picture import draw
 
-        screen.print(f"drew [bold]{_path(draw(found, png))}[/]")
+        screen.print(f"drew [bold]{shown_path(draw(found, png))}[/]")
 
 
 @app.command
@@ -387,8 +182,7 @@ def init(
         what: what the job file is for
     """
     from vamgpu.jobs.keys import commented
-    from vamgpu.printing.export import check_folder
-    from vamgpu.storage.atomic import replacing
+    from vamgpu.storage.atomic import check_folder, replacing
 
     if file.suffix.lower() != ".toml":
         raise BadInput(f"got {str(file)!r}; expected a path ending in .toml")
@@ -396,7 +190,7 @@ def init(
     with replacing(file, overwrite=overwrite) as draft:
         draft.write_text(commented(what), encoding="utf-8")
     onward = {"machine": "limits", "slices": "curethrough correct"}.get(what, "solve")
-    console().print(f"wrote [bold]{_path(file)}[/]; go on with: vam {onward} {_path(file)}")
+    console().print(f"wrote [bold]{shown_path(file)}[/]; go on with: vam {onward} {shown_path(file)}")
 
 
 @app.command
@@ -486,17 +280,6 @@ def bench(
             draft.write_text(text, encoding="utf-8")
 
 
-def _path(path: Path) -> str:
-    """A path as it is: brackets in it are no markup."""
-    return escape(str(path))
-
-
-def _scores(screen: Console, proven: Proven) -> None:
-    """The numbers of a proof."""
-    for line in proven.proof.lines():
-        screen.print(f"  {line.name:<27} [bold]{line.value:<22}[/] [dim]{line.meaning}[/]")
-
-
 def _demo_web(out: Path, settings: list[str] | None) -> None:
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.demo import demo_web
@@ -504,9 +287,9 @@ def _demo_web(out: Path, settings: list[str] | None) -> None:
     screen = console()
     with shown(screen) as progress:
         done = demo_web(out, settings or (), progress=progress)
-    _web_scores(screen, done.proven)
-    screen.print(f"job     {_path(done.file)}\nframes  {_path(done.folder)}")
-    screen.print(f"report  [bold]{_path(done.report.resolve())}[/]")
+    show_web(screen, done.proven)
+    screen.print(f"job     {shown_path(done.file)}\nframes  {shown_path(done.folder)}")
+    screen.print(f"report  [bold]{shown_path(done.report.resolve())}[/]")
 
 
 def _solve_web(
@@ -514,36 +297,9 @@ def _solve_web(
 ) -> None:  # fmt: skip
     """Solve a web, or go on with one that was interrupted."""
     from vamgpu.cli.progress import shown
-    from vamgpu.jobs.web import read_web, solve_web
+    from vamgpu.jobs.web import is_web_folder, read_web, solve_web
 
-    wanted, screen = read_web(job, settings or ()), console()
-    with shown(screen) as progress:
-        place = out or job.with_suffix(".vam")
-        folder = solve_web(wanted, place, overwrite=overwrite, cluster=cluster, progress=progress)
-    screen.print(f"wrote [bold]{_path(folder.path)}[/]; prove it with: vam prove {_path(folder.path)}")
-
-
-def _prove_web(job: Path, report: Path, device: str | None) -> None:
-    from vamgpu.cli.progress import shown
-    from vamgpu.webs.proof import prove_web
-
-    screen = console()
-    with shown(screen) as progress:
-        progress("proof", 0.0)
-        proof = prove_web(job, device)
-        progress("report", 0.0)
-        page = proof.report(report)
-    _web_scores(screen, proof)
-    screen.print(f"report  [bold]{_path(page.resolve())}[/]")
-
-
-def _web_scores(screen: Console, proof: WebProof) -> None:
-    """The numbers of a web."""
-    last = proof.segments[-1].columns[1]
-    rows = (
-        ("overlap (IoU)", f"{proof.iou:.4f}", f"at one threshold, {proof.threshold:.3f} of the expected dose"),
-        ("narrowest window", f"{proof.window:+.4f}", "least dose in the part - greatest out of it, over the greatest"),
-        ("printed", f"{last * proof.grid.edges[0]:.4g} mm", f"{len(proof.segments)} segments, {last} columns"),
-    )
-    for name, value, meaning in rows:
-        screen.print(f"  {name:<27} [bold]{value:<22}[/] [dim]{meaning}[/]")
+    checked, screen, place = read_web(job, settings or ()), console(), out or job.with_suffix(".vam")
+    with shown(screen) as progress, continued(lambda: is_web_folder(place), "without --overwrite" if overwrite else ""):
+        folder = solve_web(checked, place, overwrite=overwrite, cluster=cluster, progress=progress)
+    screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")

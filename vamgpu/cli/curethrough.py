@@ -9,6 +9,7 @@ from cyclopts import App
 from rich.markup import escape
 
 from vamgpu.cli.options import Overwrite, Settings, console
+from vamgpu.cli.show import show_rows
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,11 +40,11 @@ def model(
 
     job = named(job)
     place = page_path(report or job.with_name(f"{job.stem}-model.html"))
-    wanted, screen = read_curethrough(job, settings or ()), console()
+    checked, screen = read_curethrough(job, settings or ()), console()
     with shown(screen) as progress:
-        found = model_job(wanted, slices=slices, doses=doses, overwrite=overwrite, report=place, progress=progress)
+        found = model_job(checked, slices=slices, doses=doses, overwrite=overwrite, report=place, progress=progress)
         progress("report", 0.0)
-        page = _draw(found, place, wanted.name)
+        page = _draw(found, place, checked.name)
     _lines(screen, found)
     if doses is not None:
         screen.print(f"doses   [bold]{escape(str(doses))}[/]")
@@ -67,13 +68,13 @@ def correct(
     from vamgpu.jobs.curethrough import correct_job, read_curethrough
     from vamgpu.storage.atomic import page_path
 
-    wanted, screen = read_curethrough(job, settings or ()), console()
-    place = out if out is not None else wanted.beside(slices)
+    checked, screen = read_curethrough(job, settings or ()), console()
+    place = out if out is not None else checked.beside(slices)
     page = page_path(report or place.with_name(f"{place.stem}.html"))
     with shown(screen) as progress:
-        found = correct_job(wanted, place, slices=slices, overwrite=overwrite, report=page, progress=progress)
+        found = correct_job(checked, place, slices=slices, overwrite=overwrite, report=page, progress=progress)
         progress("report", 0.0)
-        _draw(found, page, wanted.name)
+        _draw(found, page, checked.name)
     _lines(screen, found)
     added = found.correction.added if found.correction is not None else 0
     screen.print(f"slices  [bold]{escape(str(place))}[/]{f', {added} added after the last' if added else ''}")
@@ -99,8 +100,7 @@ def fit(
     from vamgpu.jobs.fit import fit_files
 
     fitted, screen = fit_files(plugs, irradiance, gray, pieces, confidence, gels, out), console()
-    for name, value, meaning in fitted.lines():
-        screen.print(f"  {name:<27} [bold]{value:<16}[/] [dim]{escape(meaning)}[/]")
+    show_rows(screen, fitted.lines(), 16)
     if out is not None:
         screen.print(f"wrote [bold]{escape(str(fitted.write(out, overwrite=overwrite)))}[/]")
 
@@ -114,5 +114,4 @@ def _draw(found: Outcome, path: Path, title: str) -> Path:
 def _lines(screen: Console, found: Outcome) -> None:
     from vamgpu.curethrough.report import lines
 
-    for name, value, meaning in lines(found):
-        screen.print(f"  {name:<27} [bold]{value:<16}[/] [dim]{meaning}[/]")
+    show_rows(screen, lines(found), 16)

@@ -12,11 +12,14 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
+from vamgpu.backend.cache import VARIABLE, refusal, writable
 from vamgpu.cli.remedies import for_graphics, for_processor
+from vamgpu.errors import VamError
 
 LIMIT = 120.0
 """Seconds a driver gets to list its devices or to run one kernel."""
 TOLERANCE = 1e-5
+BREAKS = "a driver breaks its process; remove it or update it"
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ def examine(limit: float = LIMIT) -> list[Finding]:
     """Look for every device, run a kernel on each, and say what is missing."""
     listed = _ask(["list"], limit)
     if "error" in listed:
-        return [Finding("all devices", listed["error"], False, "a driver breaks its process; remove it or update it")]
+        return [Finding("all devices", listed["error"], False, listed.get("remedy", BREAKS))]
     found = [_probed(name, about, limit) for name, about in listed["devices"].items()]
     return [*found, *(Finding(name, why, False, remedy) for name, why, remedy in listed["missing"])]
 
@@ -41,7 +44,7 @@ def examine(limit: float = LIMIT) -> list[Finding]:
 def _probed(name: str, about: str, limit: float) -> Finding:
     said = _ask(["probe", name], limit)
     if "error" in said:
-        return Finding(name, f"{about}: {said['error']}", False, _repair(name))
+        return Finding(name, f"{about}: {said['error']}", False, said.get("remedy") or _repair(name))
     return Finding(name, f"{about}: kernels agree with the reference to {said['deviation']:.0e}", True)
 
 
@@ -72,6 +75,9 @@ def _ask(arguments: list[str], limit: float) -> dict[str, Any]:
 # ---- inside the process of its own ----------------------------------------------------------------------------
 def _list() -> dict[str, Any]:
     found, missing = {"numpy": "float64 reference"}, []
+    if writable() is not None:
+        remedy = f"set {VARIABLE} to a folder that this user may write"
+        missing.append(("cache of kernels", f"{refusal()}: every process compiles its kernels anew", remedy))
     for look in (_opencl, _warp):
         more, lacks = look()
         found |= more
@@ -138,7 +144,7 @@ def _probe(name: str) -> dict[str, float]:
     rng = np.random.default_rng(0)
     x, y = rng.random(A.domain.shape), rng.random(A.range.shape)
     pairs = ((A(x), reference(x)), (A.T(y), reference.T(y)))
-    deviation = max(float(np.abs(got - wanted).max() / wanted.max()) for got, wanted in pairs)
+    deviation = max(float(np.abs(got - expected).max() / expected.max()) for got, expected in pairs)
     if not deviation <= TOLERANCE:
         raise RuntimeError(f"kernels deviate from the reference by {deviation:.1e} of the maximum")
     return {"deviation": deviation}
@@ -163,6 +169,14 @@ def _opened(name: str) -> Any:
     return NumpyDevice()
 
 
+def answer(arguments: list[str]) -> dict[str, Any]:
+    """Answer of the child process."""
+    try:
+        return _list() if arguments[0] == "list" else _probe(arguments[1])
+    except VamError as error:  # it says itself what to do
+        problem, _, remedy = str(error).rpartition("; ")
+        return {"error": problem, "remedy": remedy}
+
+
 if __name__ == "__main__":
-    answer: dict[str, Any] = _list() if sys.argv[1] == "list" else _probe(sys.argv[2])
-    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.write(json.dumps(answer(sys.argv[1:])) + "\n")

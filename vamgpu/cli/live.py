@@ -19,7 +19,7 @@ group: App = App(name="live", help="Prints that are watched while they turn.")
 def replay(run: Path, /) -> None:
     """Decide every turn of a recorded print anew, and tell whether each decision is the same bit by bit.
 
-    How long each stage took in the print, and from which turn on each decision was shown, is told too.
+    How long each stage took in the print, and from which turn on each decision was shown, is shown too.
 
     Args:
         run: folder of the run
@@ -28,18 +28,23 @@ def replay(run: Path, /) -> None:
     from vamgpu.live.record import budget
 
     screen, otherwise, decisions = console(), [], []
-    for told, differs in LiveRecord(_place(run)).replay():
-        decisions.append(told)
+    for decision, differs in LiveRecord(_place(run)).replay():
+        decisions.append(decision)
         same = f"differs in {', '.join(differs)}" if differs else "same"
-        more = f"{told['turns']} to go, overlap {told['iou']:.4f}" if told["parameters"] else told["reason"]
-        screen.print(
-            f"turn {told['turn']:3}  {told['action']:4}  light {told['version']}  {escape(more)}  [bold]{same}[/]"
+        more = (
+            f"{decision['turns']} to go, overlap {decision['iou']:.4f}"
+            if decision["parameters"]
+            else decision["reason"]
         )
-        otherwise += [told["turn"]] if differs else []
+        screen.print(
+            f"turn {decision['turn']:3}  {decision['action']:4}  light {decision['version']}  {escape(more)}  "
+            f"[bold]{same}[/]"
+        )
+        otherwise += [decision["turn"]] if differs else []
     for stage, median, most, count in budget(decisions):
         screen.print(f"{stage:8}  {median:7.3f} s, at most {most:7.3f} s, in {count} decisions")
-    for name, told in _effective(decisions):
-        screen.print(f"{name:8}  {told}")
+    for name, line in _effective(decisions):
+        screen.print(f"{name:8}  {line}")
     if otherwise:
         turns = ", ".join(map(str, otherwise))
         raise BadInput(f"{str(run)!r} decided otherwise than its record says in turns {turns}; expected the same: "
@@ -69,10 +74,10 @@ def _place(run: Path) -> Path:
 
 def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """In how many turns swaps were shown, and which never were."""
-    swaps = [told for told in decisions if told["action"] == "swap" and "effective" in told]
-    shown = [told["effective"] - told["turn"] for told in swaps if told["effective"] is not None]
+    swaps = [decision for decision in decisions if decision["action"] == "swap" and "effective" in decision]
+    shown = [decision["effective"] - decision["turn"] for decision in swaps if decision["effective"] is not None]
     if shown:
         yield "shown", f"{len(shown)} of {len(swaps)} swaps, {max(shown)} turns after the last image's turn at most"
-    late = [str(told["turn"]) for told in swaps if told["effective"] is None]
+    late = [str(decision["turn"]) for decision in swaps if decision["effective"] is None]
     if late:
         yield "late", f"those of turns {', '.join(late)} were never shown"

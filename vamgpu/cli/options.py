@@ -1,14 +1,28 @@
-"""What commands have in common."""
+"""Options that commands share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 from rich.console import Console
+
+from vamgpu.errors import Cancelled
 
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace what stands there")]
+
+
+def _whole(_: object, tokens: Sequence[Token]) -> int:
+    """An argument that is a whole number; Cyclopts would round others. Raises `ValueError`."""
+    if not tokens[0].value.removeprefix("-").isdecimal():
+        raise ValueError(f"got {tokens[0].value}; expected a whole number")
+    return int(tokens[0].value)
+
+
+Whole = Annotated[int | None, Parameter(converter=_whole)]
 
 Switch = Annotated[bool, Parameter(negative="")]
 
@@ -16,3 +30,14 @@ Switch = Annotated[bool, Parameter(negative="")]
 def console() -> Console:
     """Where commands write."""
     return Console(highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def continued(kept: Callable[[], bool], change: str = "") -> Iterator[None]:
+    """On Ctrl-C, tell to run the same command, ``change`` apart, if it continues from what is ``kept``."""
+    try:
+        yield
+    except (Cancelled, KeyboardInterrupt) as error:
+        if not kept():
+            raise
+        raise KeyboardInterrupt(f"Run the same command {change + ' ' if change else ''}to continue.") from error

@@ -1,4 +1,4 @@
-"""``vam print`` and ``vam panel``: jobs on rigs, rehearsed or real."""
+"""``vam print`` and ``vam panel``: jobs on real rigs, or in a dry run on emulated ones."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from rich.console import Console
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Settings, Switch, console
+from vamgpu.cli.options import Settings, Switch, Whole, console
 from vamgpu.errors import VamError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from vamgpu.hosts.live.watched import Watched
+    from vamgpu.hosts.live.live_print import Watched
     from vamgpu.hosts.realtime.order import PrintOrder
     from vamgpu.hosts.rig import PrintPlan
     from vamgpu.hosts.state import Board, PrintState
+    from vamgpu.printing.given_dose import ProvedDose
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
 """A small boat: the chain counts here, not the part."""
@@ -32,12 +33,12 @@ CANCELLED = 130
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
 """Endings of jobs that their runs do not take over; another dot, as in "part-0.2", is of the name."""
 FAILED, INCOMPLETE, HELD = 1, 3, 4
-"""Those of a print that failed, of one that ended with views that lack light, and of one that was left held."""
+"""Those of a print that failed, of one that ended with underexposed frames, and of one that was left held."""
 
 
 @app.command(name="print")
 def print_(
-    *jobs: str, rig: str, speed: str | None = None, turns: int | None = None, stop: float | None = None,
+    *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
     host: str = "127.0.0.1", port: int = 0, live: Switch = False,
@@ -45,24 +46,25 @@ def print_(
     """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one, and demo live
     one that a camera watches, in resin that is not as planned.
 
-    The exit status is 0 for a complete print, 1 for one that failed, 3 for one of which some views lack light, 4 for
-    one that is left held, 130 for one that was cancelled.
+    The exit status is 0 for a complete print, 1 for one that failed, 3 for one that lacks light, of some views or of
+    the exposure, 4 for one that is left held, 130 for one that was cancelled.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
         speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
             "48 mm/min"; by default what the job was made for
-        turns: how often each frame of a vial is shown, at most where it stops by itself; 1 by default
+        turns: how often each frame of a vial is shown, at most where it stops by itself; by default as often as the
+            exposure of the proof needs, with light that is dimmed to the dose that was proved
         stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
-        out: folder of the run; the job's name with .run by default, with .rehearsal for a dry run
+        out: folder of the run; the job's name with .run by default, with .dry-run for a dry run
         resume: folder of a run that a host left in the midst, to go on with
         unattended: how often a print that is held goes on by itself; by default somebody is asked
-        device: that makes the frames; the best one by default, NumPy for a rehearsal
-        dry_run: rehearse on emulated machines and a program's clock, whatever the rig
-        panel: serve the live page; a rehearsal then takes as long as a print
+        device: that makes the frames; the best one by default, NumPy for a dry run
+        dry_run: print on emulated machines and a simulated clock, whatever the rig
+        panel: serve the live page; a dry run then takes as long as a print
         stay: serve the page after the print too, until Ctrl-C
-        host: where the page is served; a token is wanted beyond this machine
+        host: where the page is served; a token is needed beyond this machine
         port: of the page; a free one by default
         live: watch a vial with the rig's camera, and plan the rest of its light anew after every turn; turns are then
             those in which fresh resin gets the light of the job, 16 by default
@@ -70,7 +72,6 @@ def print_(
     if jobs == ("demo", "live") or live:
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
         return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
-    turns = 1 if turns is None else turns
     from vamgpu.errors import BadInput
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
@@ -81,9 +82,7 @@ def print_(
     if resume is not None and out is not None:
         raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
     if resume is not None and (dry_run or config.setup.emulated):
-        raise BadInput(
-            "a rehearsal has no machines that remember a print; expected --resume with the rig that began it"
-        )
+        raise BadInput("a dry run has no machines that remember a print; expected --resume with the rig that began it")
     if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
         raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job of it")
     if unattended < 0:
@@ -92,9 +91,13 @@ def print_(
         raise BadInput("--stay keeps the page after the print, and none is served; add --panel, or take vam panel")
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
-    if dry_run and not config.setup.emulated:
-        plan(folders, config, speed=speed, turns=turns, device="numpy")  # the rig itself is judged too
-    planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device)
+    exposure = None
+    if resume is not None:
+        turns, exposure = _begun(resume, turns)
+    planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
+    exposure = False if planned.dose is None else planned.dose.proved
+    if dry_run and not config.setup.emulated:  # the rig itself is judged too
+        plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
     planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
@@ -102,8 +105,8 @@ def print_(
     from vamgpu.hosts.state import Board
 
     order = PrintOrder.of(
-        folders, config, place, speed=speed, turns=turns, stop=stop, device=device, rehearsed=dry_run,
-        resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
+        folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
+        rehearsed=dry_run, resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
     if not panel:
@@ -116,10 +119,22 @@ def print_(
             return _printed(screen, planned, order, board)
 
 
+def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
+    """Turns and exposure of the run that is resumed, so that the rest gets the light of the beginning."""
+    from vamgpu.hosts.record import read_run
+    from vamgpu.printing.given_dose import GivenDose
+
+    asked = read_run(run).asked
+    dose, views = GivenDose.read(asked.get("dose")), asked.get("views")
+    if turns is None and views and asked.get("kind") == "vial" and (dose is None or dose.asked):
+        turns = asked["slots"] // views["frames"]
+    return turns, None if dose is None else dose.proved
+
+
 def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
     """Print one vial that is watched, and say what was off, what was found, and what came of it; the exit status."""
     from vamgpu.errors import BadInput
-    from vamgpu.hosts.live.watched import live
+    from vamgpu.hosts.live.live_print import live
 
     screen, demo = console(), tuple(jobs) == ("demo", "live")
     if not plain or len(jobs) != 1 + demo:
@@ -160,7 +175,7 @@ def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
 
 @app.command
 def panel(
-    *jobs: str, rig: str | None = None, speed: str | None = None, turns: int = 1, stop: float | None = None,
+    *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
     host: str = "127.0.0.1", port: int = 8521,
@@ -171,15 +186,15 @@ def panel(
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
         speed: as for ``vam print``
-        turns: how often each frame of a vial is shown
+        turns: as for ``vam print``
         stop: as for ``vam print``
         out: folder of the run
         resume: folder of a run to go on with
         unattended: as for ``vam print``
         device: as for ``vam print``
-        dry_run: rehearse in the time that a print takes, whatever the rig
+        dry_run: print on emulated machines, in the time that a print takes, whatever the rig
         attach: folder of a run that another process prints, to watch and to stop
-        host: where the page is served; a token is wanted beyond this machine
+        host: where the page is served; a token is needed beyond this machine
         port: of the page
     """
     from vamgpu.errors import BadInput
@@ -222,7 +237,7 @@ def _place(out: Path | None, job: str, dry_run: bool) -> Path:
     if out is None and first.name in ("", ".."):
         raise BadInput(f"the job {job!r} has no name to call its run by; give the folder of the job, or --out")
     name = first.stem if first.suffix in JOBS else first.name
-    place = out or first.parent / (name + (".rehearsal" if dry_run else ".run"))
+    place = out or first.parent / (name + (".dry-run" if dry_run else ".run"))
     if job == "demo" and place.suffix == ".job":
         raise BadInput(f"{str(place)!r} is where the demo puts its job; end the name of its run in .run")
     if place.exists():
@@ -242,7 +257,7 @@ def _attached(run: Path, host: str, port: int) -> int:
     """Serve the page of a print that goes on, to its end."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.panel import Panel
-    from vamgpu.hosts.realtime.watching import attached, watched
+    from vamgpu.hosts.realtime.watch import attached, watched
     from vamgpu.hosts.state import Board, PrintState
 
     screen, board = console(), Board(job=run.name)
@@ -275,17 +290,18 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     if order.resume:
         may_go_on(planned, place)
     levels: Sequence[np.ndarray] = ()
-    verdict = ""
+    verdict, turns = "", None
     try:
-        # nothing is lit by a rehearsal whose time is a program's, and it repeats exactly in one process
+        # nothing is lit by a dry run whose time is a program's, and it repeats exactly in one process
         ended = (_rehearsed if planned.rehearsed and not order.page else _watched)(screen, planned, order, board)
         state, verdict, levels = PrintState(ended["state"]), ended.get("resin", ""), ended.get("levels", ())
+        turns = ended.get("turns")
     except VamError as error:
         state = _left(error, board, place)
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
-    told = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"{late:.1f} ms late at most"
-    screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {told}" if len(run.shown) else ""))
+    lateness = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"{late:.1f} ms late at most"
+    screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
     if state is PrintState.HELD:
@@ -296,17 +312,17 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     screen.print(f"run     [bold]{escape(str(place))}[/]")
     if verdict:
         screen.print(f"resin   {escape(verdict)}")
-    _report(screen, planned, levels, place)
+    _report(screen, planned, levels, turns, place)
     return _status(state)
 
 
 def _onward(planned: PrintPlan, place: Path) -> str:
-    """How a print that is left held goes on, or why it does not."""
+    """Command that continues a held print, or the reason why none does."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.rig import may_go_on
 
     if planned.rehearsed:
-        return "a rehearsal's machines are gone with it: begin it anew"
+        return "the machines of a dry run are gone with it: start it again"
     try:
         may_go_on(planned, place)
     except VamError as error:
@@ -315,7 +331,7 @@ def _onward(planned: PrintPlan, place: Path) -> str:
 
 
 def _left(error: VamError, board: Board, place: Path) -> PrintState:
-    """The state of a print that an error left held, which is told. Raises the error where it did not."""
+    """State of a print that an error left held; shows the error. Raises it where nothing is held."""
     from vamgpu.hosts.record import read_run
     from vamgpu.hosts.state import PrintState
 
@@ -338,30 +354,30 @@ def _status(state: PrintState) -> int:
 
 
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Rehearse in this process, as fast as it computes; how it ended."""
+    """Run dry in this process, as fast as it computes; how it ended."""
     from vamgpu.hosts.realtime.printing import printed
     from vamgpu.hosts.rig import rehearsal
 
     asked = _asked(screen) if order.asks else None
     return printed(
         order, planned, rehearsal(planned), board,
-        told=partial(_told, screen), go_on=lambda job: asked is not None and asked(job.states.message),
+        told=partial(_show_line, screen), go_on=lambda job: asked is not None and asked(job.states.message),
     )  # fmt: skip
 
 
 def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
     """Print in a process that holds the light, and watch it from this one; how it ended."""
-    from vamgpu.hosts.realtime.watching import may_begin, started, watched
+    from vamgpu.hosts.realtime.watch import may_begin, started, watched
 
     may_begin(order.folder)
     with started(order, board) as watch:
         if order.page:
             watch.viewed(planned)
         asked = _asked(screen) if order.asks and not order.page else None
-        return watched(watch, partial(_told, screen), asked)
+        return watched(watch, partial(_show_line, screen), asked)
 
 
-def _told(screen: Console, name: str, text: str) -> None:
+def _show_line(screen: Console, name: str, text: str) -> None:
     screen.print(f"  {name:<27} [bold]{escape(text)}[/]")
 
 
@@ -378,19 +394,27 @@ def _asked(screen: Console) -> Callable[[str], bool]:
     return go_on
 
 
-def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], place: Path) -> None:
+def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], turns: int | None, place: Path) -> None:
     """Prove what emulated resin saw of vials, their levels, whose folders say what they were to print."""
+    from dataclasses import replace
+
     from vamgpu.errors import StorageError
     from vamgpu.hosts.rigs.rehearsing import as_frames
     from vamgpu.jobs.run import prove
-    from vamgpu.printing.simulate import simulate
+    from vamgpu.printing.given_dose import prove_given
 
+    dose = planned.dose
+    if dose is not None and turns is not None:
+        dose = replace(dose, share=dose.share * turns / dose.turns, turns=turns)
     for number, (work, seen) in enumerate(zip(planned.jobs, levels, strict=False)):
         try:
-            known = prove(work.path)
+            known = planned.proven or prove(work.path)
         except StorageError as error:
             screen.print(f"report  none: {escape(str(error))}")
             continue
-        proof = simulate(known.proof.operator, as_frames(planned, seen, number), known.proof.target)
+        proof = prove_given(known.proof, as_frames(planned, seen, number), dose)
+        if proof.given is not None:
+            tone = "bold" if proof.given.keeps else "yellow"
+            screen.print(f"dose    [{tone}]{escape(str(proof.given))}[/]")
         page = proof.report(place / f"report{f'-{number + 1}' if number else ''}.html", known.plan)
         screen.print(f"report  [bold]{escape(str(page.resolve()))}[/]")

@@ -1,4 +1,4 @@
-"""What is being done, shown on the terminal."""
+"""Progress on the terminal."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ STAGES = {
     "read": "reading the job",
     "contrast": "weighing the angles that enter the film",
     "proof": "proving the print from its frames",
+    "verdict": "judging the light by its own dose",
     "bound": "looking for the widest window of any light",
     "report": "drawing the report",
     "model": "modeling the print",
@@ -39,7 +40,7 @@ STAGES = {
 
 
 class _Left(TimeRemainingColumn):
-    """The time left, once a stage has told of some of its work."""
+    """The time left, once a stage has reported progress."""
 
     def render(self, task: Task) -> Text:
         left = super().render(task)
@@ -68,8 +69,14 @@ class _Now:
             self.finish()
             self._stage, self._began = stage, time.perf_counter()
             self._task = self._bar.add_task(STAGES.get(stage, stage), total=None)
-        if self._task is not None and share > 0.0:  # a stage that tells no share pulses
+        if self._task is not None and share > 0.0:  # a stage without a share pulses
             self._bar.update(self._task, total=1.0, completed=share)
+
+    def tell(self, text: str) -> None:
+        """A line of its own."""
+        self.finish()
+        self._stage = ""
+        self._console.print(f"[dim]{text}[/]", highlight=False)
 
     def finish(self) -> None:
         """Turn the running stage into a line."""

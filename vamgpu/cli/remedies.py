@@ -1,4 +1,4 @@
-"""What to install for a device, by the system that asks."""
+"""Packages to install for a device, by operating system."""
 
 from __future__ import annotations
 
@@ -30,11 +30,7 @@ FAMILIES = {"ubuntu": "debian", "rhel": "fedora", "centos": "fedora", "opensuse"
 
 
 def system() -> str:
-    """Which row of the tables above is this computer's.
-
-    Returns:
-        A key of `PROCESSOR`; ``linux`` for a distribution that is in none.
-    """
+    """Which row of the tables above is this computer's."""
     if sys.platform in ("darwin", "win32"):
         return {"darwin": "macos", "win32": "windows"}[sys.platform]
     try:
@@ -47,19 +43,11 @@ def system() -> str:
 
 
 def for_processor() -> str:
-    """What to install for the processor.
-
-    Returns:
-        A command or a sentence; Intel's runtime first where it is built for this computer.
-    """
+    """Package that makes the processor a device."""
     intel = platform.machine() in ("x86_64", "AMD64") and sys.platform in ("linux", "win32")
     return f"{INTEL}, or {PROCESSOR[system()]}" if intel else PROCESSOR[system()]
 
 
 def for_graphics() -> str:
-    """What to install for a graphics card.
-
-    Returns:
-        A command or a sentence.
-    """
+    """Package that makes a graphics card a device."""
     return GRAPHICS[system()]

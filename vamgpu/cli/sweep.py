@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from vamgpu.cli.options import Settings, console
+from vamgpu.cli.options import Settings, console, continued
 from vamgpu.errors import BadInput
 
 Vary = Annotated[list[str], Parameter(name="--vary", negative="", help="key=value,value,… to combine with the others")]
@@ -34,13 +34,16 @@ def sweep(
         raise BadInput(f"a key varies twice in {', '.join(vary)}; give all its values at once")
     place, screen = out or job.with_name(f"{job.stem}-sweep"), console()
     columns = (TextColumn("solving and proving"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+    with (
+        Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar,
+        continued((place / "sweep.csv").is_file),
+    ):
         task = bar.add_task("", total=None)
 
-        def told(point: Point, count: int) -> None:
+        def advance(point: Point, count: int) -> None:
             bar.update(task, total=count, advance=1)
 
-        points = run(job, dict(read), place, settings=settings or (), cluster=cluster, progress=told)
+        points = run(job, dict(read), place, settings=settings or (), cluster=cluster, progress=advance)
     sheet = Table(*(key for key, _ in read), "window", "IoU", "exposure", "folder")
     for point in points:
         seconds = "" if point.seconds != point.seconds else f"{point.seconds:.3g} s"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,32 +39,19 @@ def view(job: Path, /, *, device: str | None = None) -> None:
 
 
 def opened() -> Any:
-    """The napari package.
-
-    Returns:
-        The module.
-
-    Raises:
-        BadInput: It is not installed.
-    """
+    """The napari package. Raises `BadInput`."""
     try:
-        return import_module("napari")
+        import napari  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise BadInput(
             f'napari shows a job and does not load here ({error}): pip install "vamgpu[view]"; without it, '
             "vam prove draws a report for a browser"
         ) from error
+    return napari
 
 
 def layers(proof: Proof) -> list[dict[str, Any]]:
-    """What napari is given, volumes as [z, y, x] in mm about the axis, so that its slider moves along z.
-
-    Args:
-        proof: Of the job.
-
-    Returns:
-        Arguments of ``add_image``, the lowest layer first.
-    """
+    """Layers for napari, volumes as [z, y, x] in mm about the axis, so that its slider moves along z."""
     pitch = proof.operator.grid.pitch
     corner = [-0.5 * (n - 1) * pitch for n in proof.dose.shape[::-1]]
     space = {"scale": [pitch] * 3, "translate": corner, "units": ["mm"] * 3, "axis_labels": ["z", "y", "x"]}

@@ -1,7 +1,7 @@
 """Gray levels that put the critical dose on both sides of every feature (Pritchard et al. 2019, section SI.1).
 
 Features are runs of solid slices at a pixel. From the last slice to the first, a feature's dose is built up by full
-light in the void behind it, kept at the wanted profile inside, and left to die down to its front; all else is dark.
+light in the void behind it, kept at the profile inside, and left to die down to its front; all else is dark.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST_TAIL = 1 << 16
 
 @dataclass(frozen=True)
 class Correction:
-    """What to correct for, and how.
+    """Settings of a correction.
 
     Args:
         machine: `Printer` or `LayerPrinter`.
@@ -77,14 +77,11 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """A block of slices to show, uint8 [slice, y, x] from slice ``start`` on; overwritten by the next.
-
-    words: ring that holds which slices of block ``start`` / 32 are solid, for `Judge.add`.
-    """
+    """A block of slices to show, uint8 [slice, y, x] from slice ``start`` on; overwritten by the next."""
 
     start: int
     table: DeviceArray
-    words: DeviceArray
+    words: DeviceArray  # ring that holds which slices of block ``start`` / 32 are solid, for `Judge.add`
 
     @property
     def levels(self) -> np.ndarray:
@@ -93,13 +90,10 @@ class Corrected:
 
 
 class Corrector:
-    """A correction that runs through a stack from its last block to its first, looking ahead as far as light reaches.
-
-    shape: slices, y, x of the part; ``slices`` counts those to show, tail included.
-    """
+    """A correction that runs through a stack [slice, y, x] from its last block to its first."""
 
     correction: Correction
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # slices, y, x of the part; ``slices`` counts those to show, tail included
     device: Device
 
     def __init__(self, correction: Correction, shape: tuple[int, ...], device: str | Device | None = None) -> None:

@@ -35,7 +35,7 @@ def blocks(slices: int) -> Iterator[tuple[int, int]]:
 
 
 def strips(device: Device, width: int) -> int:
-    """How many items share a row: one a pixel on GPUs."""
+    """Number of items that share a row: one a pixel on GPUs."""
     gpu = "cuda" in device.name or bool(getattr(device, "is_gpu", False))
     return width if gpu else max(1, round(width / STRIP))
 
@@ -56,13 +56,10 @@ def lent(device: Device, levels: Any, shape: tuple[int, int]) -> DeviceArray:
 
 
 class RunningDose:
-    """The running dose of a stack that passes block by block, the last block first.
-
-    shape: pixels (y, x).
-    """
+    """The running dose of a stack that passes block by block, the last block first."""
 
     machine: Machine
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # pixels (y, x)
     device: Device
 
     def __init__(self, machine: Machine, shape: tuple[int, int], device: str | Device | None = None) -> None:
@@ -73,11 +70,7 @@ class RunningDose:
         self._doses: DeviceArray | None = None
 
     def step(self, levels: Any, fraction: float = 0.0, keep: int | None = None) -> DeviceArray:
-        """Ω [slice, y, x] of a block that ends where the last one began; overwritten by the next step.
-
-        levels: uint8 [slice, y, x], at most 32 slices, or a table of them on the device.  fraction: doses that far
-        within the slices, see `Machine.between`.  keep: doses of the first so many slices only. Raises `BadInput`.
-        """
+        """Ω [slice, y, x] of the next block, uint8 of at most 32 slices; overwritten by the next. Raises `BadInput`."""
         block = lent(self.device, levels, self.shape)
         part, fade = self.machine.between(fraction)
         kept = block.shape[0] if keep is None else max(1, min(keep, block.shape[0]))
@@ -122,9 +115,9 @@ class Judge:
         self._solid = self.device.table(np.zeros((shape[0], count)), "int32")
         self._words = self.device.table(np.zeros((1, *shape)), "uint32")
 
-    def step(self, levels: Any, wanted: Any, threshold: int = 128) -> None:
+    def step(self, levels: Any, target: Any, threshold: int = 128) -> None:
         """Add a block: what is shown, and the slices of the part, solid from ``threshold`` on; uint8 [slice, y, x]."""
-        pictures = [lent(self.device, part, self.shape) for part in (levels, wanted)]
+        pictures = [lent(self.device, part, self.shape) for part in (levels, target)]
         self.device.launch(
             pack_slices, levels=pictures[1], threshold=threshold, block=0, words=self._words, solid=self._solid
         )
@@ -159,10 +152,7 @@ def column_doses(machine: Machine, levels: Any) -> np.ndarray:
 
 
 def column_dose(machine: Machine, levels: Any, zeta: Any) -> np.ndarray:
-    """Ω(ζ) of one column of gray levels [slice] at any real ζ from 0 to N + 1 (S22, S48); float64, shape of ``zeta``.
-
-    Layer by layer the dose at a border is that of the layer above it, as S48 has it.
-    """
+    """Ω(ζ) of one column of gray levels [slice] at any real ζ from 0 to N + 1 (S22, S48), float64."""
     places, borders = np.asarray(zeta, dtype=np.float64), column_doses(machine, np.asarray(levels))
     last = len(borders) - 2
     if machine.layered:

@@ -1,8 +1,8 @@
-"""Which features can get their dose at this speed and power, and what would let the others.
+"""Features that can get their dose at this speed and power, and the speed and power that the others need.
 
 At best a back side at ζ_L sees full light from there to the last slice shown: nothing that comes after it can add more.
 So it can reach the critical dose if, and only if, that height is at least h_a·log10[Φ_max / (Φ_max − 1)]. A void
-between features is open where the dose falls low enough between two back sides that both want the critical one.
+between features is open where the dose falls low enough between two back sides that both need the critical one.
 """
 
 from __future__ import annotations
@@ -21,17 +21,12 @@ from vamgpu.errors import BadInput
 
 @dataclass(frozen=True, eq=False)
 class Feasibility:
-    """Maps [y, x] of a corrected stack.
+    """Maps [y, x] of a corrected stack."""
 
-    missed: features whose back side does not get its dose.  closed: voids that stay near the critical dose.  speed: the
-    fastest [mm/s] at which every feature of the pixel gets its dose with the same light; infinite where there is none.
-    power: light of level 255 [mW/mm²] with which they do at the present speed.
-    """
-
-    missed: np.ndarray
-    closed: np.ndarray
-    speed: np.ndarray
-    power: np.ndarray
+    missed: np.ndarray  # features whose back side does not get its dose
+    closed: np.ndarray  # voids that stay near the critical dose
+    speed: np.ndarray  # the fastest [mm/s] at which every feature of the pixel gets its dose with the same light
+    power: np.ndarray  # light of level 255 [mW/mm²] with which they do at the present speed
 
     @property
     def feasible(self) -> np.ndarray:
@@ -71,13 +66,13 @@ def least_void(printer: Printer, open_dose: float | None = None) -> float:
     open_dose: by default the printer's own. Light changes at borders alone, so fall and rise take whole slices each,
     and a void of one slice, whose borders are sides of features both, never opens. Infinite where none does.
     """
-    wanted = printer.opened if open_dose is None else open_dose
-    if wanted >= 1.0:
+    needed = printer.opened if open_dose is None else open_dose
+    if needed >= 1.0:
         return 1.0
-    if not printer.phi_min < wanted < printer.phi_max or printer.phi_max <= 1.0:
+    if not printer.phi_min < needed < printer.phi_max or printer.phi_max <= 1.0:
         return float("inf")
-    fall = log10((1.0 - printer.phi_min) / (wanted - printer.phi_min)) / printer.eta
-    rise = log10((printer.phi_max - wanted) / (printer.phi_max - 1.0)) / printer.eta
+    fall = log10((1.0 - printer.phi_min) / (needed - printer.phi_min)) / printer.eta
+    rise = log10((printer.phi_max - needed) / (printer.phi_max - 1.0)) / printer.eta
     return float(ceil(fall - 1e-9) + ceil(rise - 1e-9))
 
 

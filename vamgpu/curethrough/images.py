@@ -30,10 +30,7 @@ class Header:
 
 
 def header(data: bytes, name: str) -> Header:
-    """What the first bytes (`HEAD`) of a PNG or a whole TIFF say.
-
-    Raises `SliceError` for 16 bits a pixel, several pages, and what is no picture.
-    """
+    """Read shape and kind from the first `HEAD` bytes of a PNG, or a whole TIFF. Raises `SliceError`."""
     if data.startswith(SIGNATURE):
         if len(data) < HEAD or data[12:16] != b"IHDR":
             raise SliceError(f"{name} is cut off after {len(data)} bytes; copy or export it again")
@@ -62,10 +59,7 @@ def _promised(found: Header, bits: int, name: str) -> Header:
 
 
 def decode(data: bytes, name: str, out: np.ndarray) -> None:
-    """Gray levels of a picture into uint8 ``out`` [y, x]; 1-bit becomes 0 and 255, color has to be gray.
-
-    Raises `SliceError` for a damaged or cut-off file, for color, and for another size than that of ``out``.
-    """
+    """Write gray levels of a picture into uint8 ``out`` [y, x]; 1 bit becomes 0 and 255. Raises `SliceError`."""
     from PIL import Image
 
     if data.startswith(SIGNATURE):

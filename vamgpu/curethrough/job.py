@@ -1,10 +1,10 @@
-"""From a stack of slices to its model or its correction, in one pass from the last slice to the first."""
+"""Model or correction of a stack of slices, in one pass from the last slice to the first."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,11 @@ from vamgpu.backend.device import Device
 from vamgpu.curethrough.buffers import SliceBuffers
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, RunningDose, Stack, blocks, lent
+from vamgpu.curethrough.leastsquares import StageProgress, better_columns
 from vamgpu.curethrough.names import following
 from vamgpu.curethrough.output import check_place, writing
 from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
-from vamgpu.curethrough.weighed import StageProgress, weighed
 from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
 
@@ -29,10 +29,7 @@ GRAY_PER_DOSE = 51
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """Heights [mm] of a whole print. over: cured where it is void; under: uncured where it is part; [y, x].
-
-    peak: greatest Ω at a border, None where it was not followed.
-    """
+    """Height [mm] of the cured void and of the uncured part at every pixel [y, x]."""
 
     over: np.ndarray
     under: np.ndarray
@@ -45,14 +42,11 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class PrintedStack:
-    """What a stack prints as: heights of the whole, and the followed columns.
-
-    levels: uint8 [slice, column] of the sample as shown.  features: of the sample's columns.
-    """
+    """The print of a stack: heights of the whole, and the followed columns."""
 
     heights: Heights
-    levels: np.ndarray
-    features: Features
+    levels: np.ndarray  # uint8 [slice, column] of the sample as shown
+    features: Features  # of the sample's columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +102,7 @@ def model(
     device: str | Device | None = None, overwrite: bool = False, record: Mapping[str, Any] | None = None,
     progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """What slices print as they are.
+    """Simulate the print of slices as they are.
 
     Args:
         machine: Printer and resin.
@@ -118,7 +112,7 @@ def model(
         device: Device, or its name; None takes the best one.
         overwrite: Replace what stands at ``doses``.
         record: Kept beside the doses.
-        progress: Is told the stage and its share that is done.
+        progress: Called with the stage and the share of it that is done.
 
     Returns:
         The modeled stack.
@@ -137,7 +131,7 @@ def model(
             progress("model", 1.0 - start / stack.shape[0])
     else:
         names = getattr(stack, "names", tuple(f"dose_{k:05d}.png" for k in range(stack.shape[0])))
-        text = {"gray levels a critical dose": GRAY_PER_DOSE, "machine": _described(machine), **(record or {})}
+        text = {"gray levels a critical dose": GRAY_PER_DOSE, "machine": asdict(machine), **(record or {})}
         with writing(doses, names, source=stack, overwrite=overwrite, record=text) as writer:
             exposure = RunningDose(machine, follow.shape[1:], place)
             for start, stop in blocks(stack.shape[0]):
@@ -163,7 +157,7 @@ def correct_stack(
             stack three times.
         overwrite: Replace what stands at ``out``.
         record: Facts to keep with the slices.
-        progress: Is told the stage and its share that is done.
+        progress: Called with the stage and the share of it that is done.
 
     Returns:
         The stack before and after.
@@ -178,7 +172,7 @@ def correct_stack(
     place = open_device(device)
     if out is not None:
         check_place(out, stack, overwrite=overwrite)
-    better = weighed(correction, stack, place, progress) if whole_columns else None
+    better = better_columns(correction, stack, place, progress) if whole_columns else None
     follow = _Follow(machine, stack, correction.threshold, place)
     corrector = Corrector(correction, follow.shape, place)
     after, levels, buffers = Judge(machine, follow.shape[1:], place), [], SliceBuffers()
@@ -187,7 +181,8 @@ def correct_stack(
         for block in corrector.run(follow):
             pictures, table = place.download(block.table, buffers.take(block.table.shape)), block.table
             if better is not None:
-                pictures[:, better.rows, better.columns] = better.levels[block.start : block.start + len(pictures)]
+                rows, columns, better_levels = better
+                pictures[:, rows, columns] = better_levels[block.start : block.start + len(pictures)]
                 table = lent(place, pictures, follow.shape[1:])
             after.add(table, block.words, block.start // BITS)
             place.synchronize()  # the pictures' memory may be lent
@@ -201,7 +196,7 @@ def correct_stack(
     else:
         own = getattr(stack, "names", tuple(f"slice_{k:05d}.png" for k in range(stack.shape[0])))
         names = own + following(own[-1], corrector.slices - len(own), own)
-        text = {"machine": _described(machine), "added slices": len(names) - len(own), **(record or {})}
+        text = {"machine": asdict(machine), "added slices": len(names) - len(own), **(record or {})}
         with writing(out, names, source=stack, overwrite=overwrite, record=text) as writer:
             run(writer.write)
         written = writer.written
@@ -234,7 +229,7 @@ class _Follow:
         return self._levels >= self._threshold
 
     def shown(self) -> PrintedStack:
-        """What the slices print as, once all have passed."""
+        """The print of the slices, once all have passed."""
         found = features(self._machine, self._levels, self.solid)
         return PrintedStack(Heights(self._judge.over(), self._judge.under()), self._levels, found)
 
@@ -249,10 +244,3 @@ def warn_of(machine: Machine) -> None:
             SliceWarning,
             stacklevel=3,
         )
-
-
-def _described(machine: Machine) -> dict[str, Any]:
-    """A printer in plain values; its light by gray level."""
-    from dataclasses import asdict, is_dataclass
-
-    return asdict(machine) if is_dataclass(machine) and not isinstance(machine, type) else {}

@@ -19,11 +19,6 @@ from vamgpu.errors import BadInput
 from vamgpu.schema.quantities import ExposureTime
 
 
-def exposure_of_layer(absorption_height: float, critical_dose: float, slice_height: float, full: float) -> float:
-    """t_e [s] at which full light [mW/mm²] just cures the far edge of a layer with nothing behind it (S53)."""
-    return critical_dose * absorption_height * 10.0 ** (slice_height / absorption_height) / (full * LN10)
-
-
 @dataclass(frozen=True)
 class LayerPrinter(Machine):
     """A printer that stops for every slice.
@@ -74,33 +69,12 @@ class LayerPrinter(Machine):
         return (1.0 / fade - self.phi[-1] - self.tolerance - 1e-6) / fade
 
     def between(self, fraction: float) -> tuple[float, float]:
-        """Shares that give Ω at ζ = n − fraction; at 1 the limit from below (S48).
-
-        Args:
-            fraction: Distance from the window, a fraction of the slice height from 0 to 1.
-
-        Returns:
-            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
-
-        Raises:
-            BadInput: The fraction is out of range.
-        """
-        if not 0.0 <= fraction <= 1.0:
-            raise BadInput(f"fraction is {fraction!r}; expected 0 to 1, in slice heights from the window of the slice")
+        # Ω at ζ = n − fraction, from the window on; at 1 the limit from below (S48)
+        self._check_fraction(fraction)
         return 1.0, 10.0 ** (-fraction * self.eta)
 
     def targets(self, profile: Profile = Flat()) -> Targets:
-        """Every layer's far edge gets the critical dose, and the void nothing (S49).
-
-        Args:
-            profile: Dose inside features; layers know only the critical dose.
-
-        Returns:
-            The doses that the correction steers to.
-
-        Raises:
-            BadInput: Level 0 alone cures everything.
-        """
+        # every layer's far edge gets the critical dose, and the void nothing (S49)
         floor = self.phi[0] / self.decay
         if floor >= 1.0:
             raise BadInput(
@@ -116,8 +90,3 @@ class LayerPrinter(Machine):
         Holds for one slice, so up to the slice height; beyond, later slices add to it.
         """
         return self.absorption_height * float(np.log10(self.phi[0] + 1.0))
-
-    @property
-    def heterogeneity(self) -> float:
-        """ω: greatest over least dose of a layer (S55)."""
-        return 10.0**self.eta

@@ -9,71 +9,88 @@ columns. What is written is kept only where its own cured heights are better.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
+from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction, Corrector
-from vamgpu.curethrough.dose import Judge, blocks
+from vamgpu.curethrough.dose import Judge, Stack, blocks
 from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput
 
 WEIGHT = 20.0
-"""Of a dose on the wrong side against the multipliers' pull."""
+"""Penalty of a dose on the wrong side over that of the augmented Lagrangian."""
 PULL = 0.3
-"""Of light on the wrong side of its bounds, likewise."""
+"""Scale of the bounds of light in the augmented Lagrangian."""
 MARGINS = (2.0, 8.0, 30.0, 100.0)
 """Doses asked for beyond the critical one, in steps of half a level; the best column of all is kept."""
+MOST_WEIGHED = 1 << 27
+"""Most bytes of columns that are corrected as wholes."""
+WEIGHED_AT_ONCE = 1024
+
+StageProgress = Callable[[str, float], None]
+"""Called with the stage and the share of it that is done, 0..1."""
+BetterColumns = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rows and columns of pixels, and their levels, uint8 [slice + tail, column]."""
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectedColumns:
-    """Corrected columns: levels uint8 [slice + tail, column]; over- and under-cured heights [mm] before and after."""
+def better_columns(
+    correction: Correction, stack: Stack, device: Device, progress: StageProgress
+) -> BetterColumns | None:  # fmt: skip
+    """Better levels of columns out of reach, None where there are none. Raises `BadInput` for too many of them."""
+    corrector = Corrector(correction, stack.shape, device)
+    for block in corrector.run(stack):
+        progress("survey", 1.0 - block.start / corrector.slices)
+    rows, columns = np.nonzero(corrector.missed + corrector.closed)
+    if not len(rows):
+        return None
+    if len(rows) * stack.shape[0] > MOST_WEIGHED:
+        raise BadInput(
+            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids out of reach; expected at most "
+            f"{MOST_WEIGHED // stack.shape[0]:,} to weigh: print slower or with more light, or do without least squares"
+        )
+    target = np.empty((stack.shape[0], len(rows)), np.uint8)
+    for start, stop in blocks(stack.shape[0]):
+        target[start:stop] = stack[start:stop][:, rows, columns]
+    levels = np.empty((corrector.slices, len(rows)), np.uint8)
+    for first in range(0, len(rows), WEIGHED_AT_ONCE):
+        part = slice(first, first + WEIGHED_AT_ONCE)
+        progress("columns", first / len(rows))
+        levels[:, part] = least_squares(correction, np.ascontiguousarray(target[:, part]))
+    return rows, columns, levels
 
-    levels: np.ndarray
-    sequential: np.ndarray
-    over: np.ndarray
-    under: np.ndarray
-    sequential_over: np.ndarray
-    sequential_under: np.ndarray
-    feasible: np.ndarray
 
-
-def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> CorrectedColumns:
-    """Correct columns of gray levels [slice, column]; like the sequential correction where that is feasible.
-
-    Raises `BadInput` for what are no columns, or a printer that stops.
-    """
+def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> np.ndarray:
+    """Levels of corrected columns, uint8 [slice + tail, column], as wholes where need be. Raises `BadInput`."""
     if columns.ndim != 2 or columns.dtype != np.uint8:
         raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; expected uint8 [slice, column]")
     if correction.machine.layered:
         raise BadInput("layer by layer there is nothing to weigh: every layer has its own light; use the correction")
     stack = np.ascontiguousarray(columns[:, None, :])
     corrector = Corrector(correction, stack.shape, "numpy")
-    plain = np.empty((corrector.slices, columns.shape[1]), np.uint8)
+    levels = np.empty((corrector.slices, columns.shape[1]), np.uint8)
     for block in corrector.run(stack):
-        plain[block.start : block.start + block.table.shape[0]] = block.levels[:, 0]
-    feasible = (corrector.missed + corrector.closed)[0] == 0
-    wanted = np.zeros_like(plain)
-    wanted[: len(columns)] = np.where(columns >= correction.threshold, 255, 0)
-    over, under = heights(correction.machine, plain, wanted)
-    levels, new_over, new_under = plain.copy(), over.copy(), under.copy()
-    at = np.flatnonzero(~feasible)
-    if at.size:
-        for margin in MARGINS:
-            found = _follow(correction.machine, _solve(correction, wanted[:, at] > 0, margin, iterations))
-            o, u = heights(correction.machine, found, wanted[:, at])
-            better = o + u < new_over[at] + new_under[at]
-            chosen = at[better]
-            levels[:, chosen], new_over[chosen], new_under[chosen] = found[:, better], o[better], u[better]
-    return CorrectedColumns(levels, plain, new_over, new_under, over, under, feasible)
+        levels[block.start : block.start + block.table.shape[0]] = block.levels[:, 0]
+    at = np.flatnonzero((corrector.missed + corrector.closed)[0])
+    if not at.size:
+        return levels
+    target = np.zeros_like(levels)
+    target[: len(columns)] = np.where(columns >= correction.threshold, 255, 0)
+    error = np.add(*heights(correction.machine, levels[:, at], target[:, at]))
+    for margin in MARGINS:
+        found = _follow(correction.machine, _solve(correction, target[:, at] > 0, margin, iterations))
+        new = np.add(*heights(correction.machine, found, target[:, at]))
+        better = new < error
+        levels[:, at[better]], error = found[:, better], np.minimum(new, error)
+    return levels
 
 
-def heights(machine: Machine, levels: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def heights(machine: Machine, levels: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cured height of the void and uncured height of the part [mm] of columns [slice, column], by the reference."""
     judge = Judge(machine, (1, levels.shape[1]), "numpy")
     for start, stop in blocks(len(levels)):
-        judge.step(levels[start:stop, None], wanted[start:stop, None])
+        judge.step(levels[start:stop, None], target[start:stop, None])
     return judge.over()[0], judge.under()[0]
 
 
@@ -119,7 +136,7 @@ def _back(pair: tuple[float, float], values: np.ndarray) -> np.ndarray:
 
 
 def _follow(machine: Machine, doses: np.ndarray) -> np.ndarray:
-    """Levels whose own doses stay nearest to those wanted, in closed loop."""
+    """Levels whose own doses stay nearest to those asked for, in closed loop."""
     added = machine.doses
     edges, out = 0.5 * (added[1:] + added[:-1]), np.empty(doses.shape, np.uint8)
     dose = np.zeros(doses.shape[1])

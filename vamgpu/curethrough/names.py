@@ -28,11 +28,7 @@ def is_slice(name: str) -> bool:
 
 
 def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
-    """Names of slices in natural order, the first at the platform.
-
-    The names may differ in numbers only, and the first number that varies counts them, one by one. Raises `SliceError`
-    for none at all, an odd one, one that is missing and one that is there twice; warns where they start beyond 1.
-    """
+    """Names of slices in natural order, counted one by one by the first number that varies. Raises `SliceError`."""
     found = tuple(sorted(names, key=natural))
     if not found:
         raise SliceError(f"{place} holds no slices; expected pictures ending in {', '.join(ENDINGS)}")
@@ -63,7 +59,7 @@ def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
 
 
 def _counted(names: Sequence[str], place: str) -> list[int]:
-    """What the first number that varies says, name by name."""
+    """The first number that varies, name by name."""
     parts = [DIGITS.split(PurePosixPath(name).stem) for name in names]
     texts = [tuple(part[::2]) for part in parts]
     usual = Counter(texts).most_common(1)[0][0]

@@ -42,10 +42,7 @@ class Writer(ABC):
         self.written: int = 0
 
     def write(self, start: int, levels: np.ndarray) -> None:
-        """Slices from number ``start`` on, uint8 [slice, y, x], in any order of blocks.
-
-        They are read later: who calls must not change them.
-        """
+        """Write slices from number ``start`` on, uint8 [slice, y, x], which the caller must not change any more."""
         for k, picture in enumerate(levels):
             name = self.names[start + k]
             self._coding.append((name, self._pool.submit(encode, picture, PurePosixPath(name).suffix)))
@@ -98,12 +95,7 @@ def writing(
     path: str | Path, names: tuple[str, ...], *, source: object = None, overwrite: bool = False,
     record: Mapping[str, Any] | None = None,
 ) -> Iterator[Writer]:  # fmt: skip
-    """A writer to a folder, or to a zip where ``path`` ends in .zip, .sl1 or .sl1s.
-
-    source: stack the slices were made from; an SL1's other files are taken over, with the number of layers changed.
-    record: what the slices were made with, read when they are written. The stack takes its name when it is whole;
-    after any exception nothing is left. Raises `StorageError` as `check_place` does and for a full disk.
-    """
+    """Open a writer to a folder or a zip, which takes its name once it is whole. Raises `StorageError`."""
     place = Path(path)
     check_place(place, source, overwrite=overwrite)
     with replacing(place, overwrite=overwrite) as draft:

@@ -36,12 +36,12 @@ def thinned(plane: np.ndarray) -> np.ndarray:
 
 
 def verdict(machine: Machine, shown: np.ndarray, solid: np.ndarray) -> np.ndarray:
-    """What prints right, is missing and too much in columns [slice, column], the platform below; uint8 [.., 3]."""
+    """Colors of right, missing and excess voxels in columns [slice, column], the platform below; uint8 [.., 3]."""
     done = cured(machine, shown) >= 0.5
-    wanted = np.zeros(shown.shape, bool)
-    wanted[: len(solid)] = solid
+    target = np.zeros(shown.shape, bool)
+    target[: len(solid)] = solid
     colors = np.array([VOID, EXCESS, MISSING, PRINTED], np.uint8)
-    return thinned(colors[2 * wanted + done][::-1])
+    return thinned(colors[2 * target + done][::-1])
 
 
 def doses(machine: Machine, shown: np.ndarray) -> np.ndarray:

@@ -79,10 +79,7 @@ def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None
 
 @dataclass(frozen=True)
 class Machine(ABC):
-    """A printer that lights a resin through a window, as dose and correction see it.
-
-    Lengths along the print are in slices, doses in D_c.
-    """
+    """A printer that lights a resin through a window; lengths along the print in slices, doses in D_c."""
 
     absorption_height: Length
     critical_dose: Dose
@@ -95,6 +92,10 @@ class Machine(ABC):
         check(self)
         object.__setattr__(self, "light", measured_levels(light))
         check_eta(self.slice_height, self.absorption_height)
+
+    def _check_fraction(self, fraction: float) -> None:
+        if not 0.0 <= fraction <= 1.0:
+            raise BadInput(f"fraction is {fraction!r}; expected 0 to 1, in slice heights from the border of the slice")
 
     @property
     def eta(self) -> float:
@@ -131,7 +132,7 @@ class Machine(ABC):
     @property
     @abstractmethod
     def opened(self) -> float:
-        """Ω to which a void must fall to be told from its walls."""
+        """Ω to which a void must fall to be distinguished from its walls."""
         ...
 
     @property
@@ -142,28 +143,31 @@ class Machine(ABC):
 
     @abstractmethod
     def between(self, fraction: float) -> tuple[float, float]:
-        """Shares of `expose_slices` for doses off the border.
+        """Compute the shares that give Ω off the border of a slice.
 
         Args:
             fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
 
         Returns:
             Share of the slice's own dose, and factor by which the dose of earlier slices fades.
+
+        Raises:
+            BadInput: The fraction is out of range.
         """
         ...
 
     @abstractmethod
     def targets(self, profile: Profile) -> Targets:
-        """Doses that the correction steers to.
+        """Compute the doses that the correction steers to.
 
         Args:
-            profile: Dose inside features.
+            profile: Dose inside features; layers know only the critical dose.
 
         Returns:
             The doses.
 
         Raises:
-            BadInput: There is nothing to steer with.
+            BadInput: No correction can help: full light cures nothing, or level 0 everything.
         """
         ...
 
@@ -221,19 +225,8 @@ class Printer(Machine):
         return self.phi * self.decay
 
     def between(self, fraction: float) -> tuple[float, float]:
-        """Shares that give Ω at ζ = n + fraction (S22).
-
-        Args:
-            fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
-
-        Returns:
-            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
-
-        Raises:
-            BadInput: The fraction is out of range.
-        """
-        if not 0.0 <= fraction <= 1.0:
-            raise BadInput(f"fraction is {fraction!r}; expected 0 to 1, in slice heights from the border of the slice")
+        # Ω at ζ = n + fraction (S22)
+        self._check_fraction(fraction)
         return float(-np.expm1(-(1.0 - fraction) * self.eta * LN10)) / self.decay, 1.0
 
     def at_speed(self, speed: float) -> Printer:
@@ -281,12 +274,8 @@ class Printer(Machine):
         share = 1.0 - 10.0 ** (-height / self.absorption_height)
         return self.phi_max * self.speed * share
 
-    def check_correctable(self) -> None:
-        """Refuse a printer that no correction can help.
-
-        Raises:
-            BadInput: Full light cures nothing, or even level 0 cures everything in its way.
-        """
+    def _check_correctable(self) -> None:
+        """Refuse a printer whose full light cures nothing, or whose level 0 cures everything in its way."""
         if self.phi_min >= 1.0:
             raise BadInput(
                 f"level 0 leaves {self.phi_min * self.critical_dose * 1e3:.4g} mJ/cm³ behind, the critical dose is "
@@ -296,24 +285,17 @@ class Printer(Machine):
         self.tail  # noqa: B018 - raises
 
     def targets(self, profile: Profile = Flat()) -> Targets:
-        """Doses that the correction steers to, slice by slice (S37, S38 and the build-up in the void).
-
-        Args:
-            profile: Dose inside features.
-
-        Returns:
-            The doses.
-        """
-        self.check_correctable()
+        # slice by slice: S37, S38 and the build-up in the void
+        self._check_correctable()
         eta, low, high = self.eta, self.phi_min, self.phi_max
         back = constraints.build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
         back = np.append(np.where(back > 0.0, back, NEVER), NEVER)
         reach = log10((high - low) / (1.0 - low)) / eta
         done, left = np.arange(self.sight), np.arange(ceil(reach) + 2)
-        wanted = sampled(profile, done * self.slice_height, left * self.slice_height)
+        profiled = sampled(profile, done * self.slice_height, left * self.slice_height)
         bound = constraints.die_down(left, 0.0, low, eta)
         bound[-1] = np.inf  # farther from the front than even full light asks for
-        inner = np.minimum(np.maximum(wanted, 1.0), np.minimum(bound, 2.0 * high))
+        inner = np.minimum(np.maximum(profiled, 1.0), np.minimum(bound, 2.0 * high))
         return Targets(inner, back)
 
     @property
@@ -323,10 +305,10 @@ class Printer(Machine):
 
     @property
     def opened(self) -> float:
-        """Ω to which a void must fall to be told from its walls."""
+        """Ω to which a void must fall to be distinguished from its walls."""
         return 1.0 - 3.0 * self.tolerance - 1e-6
 
     @property
     def sight(self) -> int:
-        """Slices from the back side over which an inner profile is told apart: until full light has all but settled."""
+        """Slices from the back side over which an inner profile differs: until full light has all but settled."""
         return ceil(3.0 / self.eta) if self.eta > 0.003 else 1000

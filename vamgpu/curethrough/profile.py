@@ -1,4 +1,4 @@
-"""Dose wanted inside a feature; the constraint curves bound whatever is asked for."""
+"""Dose inside a feature; the constraint curves bound whatever is asked for."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from vamgpu.errors import BadInput
 
 Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(mm from the back side, mm to the front) → wanted Ω, for arrays of one shape; may be infinite."""
+"""(mm from the back side, mm to the front) → Ω, for arrays of one shape; may be infinite."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from vamgpu.curethrough.features import Feature
 from vamgpu.curethrough.job import Outcome
 from vamgpu.curethrough.printer import Printer
 from vamgpu.curethrough.score import Group, grouped, widest
+from vamgpu.metrics.line import length
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Table
-from vamgpu.units import hour
+from vamgpu.units import hour, mJ_cm3, mW_cm2
 
 PAPER = (
     "Z. D. Pritchard, M. P. de Beer, R. J. Whelan, T. F. Scott, M. A. Burns, Modeling and correcting cure-through in "
@@ -67,7 +68,7 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
             Card("Cross-sections", *sections, Legend(f"{pictures.MOST_DOSE:g} critical doses"),
                  note=_sections_note(outcome), wide=True),
             Card("Height errors seen from above", Images(maps, "panels", across),
-                 note=f"From none to {micro(most)}, the same scale for all.", wide=True),
+                 note=f"From none to {length(most)}, the same scale for all.", wide=True),
             Card("Features", features, note=_table_note(outcome, groups), wide=True),
             Card("Set-up", Table(_setup(outcome, facts)), wide=True),
             Card("Sources", Papers((PAPER,)), wide=True),
@@ -97,9 +98,9 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
     for name, shown in (("uncorrected", outcome.before), ("corrected", outcome.after)):
         if shown is not None:
             over, under = (float(getattr(shown.heights, key).sum(dtype=float)) / pixels for key in ("over", "under"))
-            found.append((f"excess height, {name}", micro(over), "cured void, mean over the pixels that print wrong "
+            found.append((f"excess height, {name}", length(over), "cured void, mean over the pixels that print wrong "
                           "uncorrected"))  # fmt: skip
-            found.append((f"missing height, {name}", micro(under), "uncured part, mean over the same pixels"))
+            found.append((f"missing height, {name}", length(under), "uncured part, mean over the same pixels"))
     if outcome.ratio is not None:
         found.append(("error ratio", f"{outcome.ratio:.3g}", "all height errors, corrected over uncorrected"))
     single = outcome.feature_ratio
@@ -111,17 +112,12 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def micro(millimeters: float) -> str:
-    """A height in µm or mm."""
-    return f"{millimeters:.3g} mm" if abs(millimeters) >= 1.0 else f"{1e3 * millimeters:.3g} µm"
-
-
 def verdict(outcome: Outcome) -> tuple[bool, str]:
     """Whether all prints right, and a sentence or two on what does not."""
     if outcome.after is None:
         error = outcome.before.heights.error
         wrong = int((outcome.before.heights.over + outcome.before.heights.under > 0).sum())
-        text = f"{wrong:,} columns of pixels print wrong, by {micro(error / max(1, wrong))} of height on average."
+        text = f"{wrong:,} columns of pixels print wrong, by {length(error / max(1, wrong))} of height on average."
         return error == 0, text
     ratio = outcome.ratio
     missed, closed = (0 if found is None else int(found.sum()) for found in (outcome.missed, outcome.closed))
@@ -143,11 +139,11 @@ def _header(corrected: bool) -> tuple[str, ...]:
 def _row(group: Group, outcome: Outcome) -> tuple[str, ...]:
     height = outcome.machine.slice_height
     place = (f"{group.front * height:.4g} mm", f"{group.back * height:.4g} mm")
-    size = (micro((group.back - group.front) * height), micro(group.behind * height), f"{group.columns:,}")
+    size = (length((group.back - group.front) * height), length(group.behind * height), f"{group.columns:,}")
     if group.after is None:
-        return (*place, *size, micro(group.before), f"{group.missed:,}")
+        return (*place, *size, length(group.before), f"{group.missed:,}")
     share = "–" if group.ratio is None else f"{group.ratio:.2g}"
-    after = (micro(group.before), micro(group.after), share, f"{group.missed:,}", _fastest(group, outcome))
+    after = (length(group.before), length(group.after), share, f"{group.missed:,}", _fastest(group, outcome))
     return (*place, *size, *after)
 
 
@@ -177,13 +173,11 @@ def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
 
 
 def _setup(outcome: Outcome, facts: dict[str, str]) -> list[tuple[str, str]]:
-    from vamgpu.units import mJ_cm3, mW_cm2
-
     machine: Any = outcome.machine
     slices, ny, nx = outcome.shape
     rows = [
-        ("slices", f"{slices:,} of {nx} × {ny} pixels, {micro(machine.slice_height)} high"),
-        ("resin", f"absorption height {micro(machine.absorption_height)}, critical dose "
+        ("slices", f"{slices:,} of {nx} × {ny} pixels, {length(machine.slice_height)} high"),
+        ("resin", f"absorption height {length(machine.absorption_height)}, critical dose "
                   f"{machine.critical_dose / mJ_cm3:.4g} mJ/cm³"),
         ("light", f"{machine.light[0] / mW_cm2:.3g} to {machine.light[-1] / mW_cm2:.4g} mW/cm²"),
         ("print", f"{machine.exposure:.4g} s a slice" if machine.layered else

@@ -161,11 +161,7 @@ class GrayFit:
 
 
 def fit_gray(levels: Any, intensity: Any, pieces: int | None = None) -> GrayFit:
-    """Fit ``pieces`` straight pieces that never fall to readings of light at gray levels, by least squares.
-
-    By default as many pieces as there are levels read less one, at most 32; they meet at levels that were read.
-    Readings at 0 and 255 must be among them. Raises `BadInput`.
-    """
+    """Fit straight pieces that never fall to light at gray levels, 0 and 255 among them. Raises `BadInput`."""
     from scipy.optimize import nnls
 
     x, y = _pairs(levels, intensity, "gray levels", "intensities")

@@ -1,4 +1,4 @@
-"""What single columns of a print come to: cured heights of features and voids, from the bytes that are shown."""
+"""Cured heights of features and voids in single columns of a print, from the bytes that are shown."""
 
 from __future__ import annotations
 
@@ -18,20 +18,15 @@ PEEKED = 24
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Runs of solid slices, one entry each.
+    """Runs of solid slices, one entry each."""
 
-    column: number of the column.  front, back: first slice, and the one after the last.  behind: slices of void between
-    it and the next feature, to the end of the print for the ``last`` of a column.  over: cured height [mm] of the void
-    before it, which is its cure-through.  under: uncured height [mm] within it.
-    """
-
-    column: np.ndarray
-    front: np.ndarray
-    back: np.ndarray
-    behind: np.ndarray
+    column: np.ndarray  # number of the column
+    front: np.ndarray  # first slice
+    back: np.ndarray  # the slice after the last
+    behind: np.ndarray  # slices of void between it and the next feature
     last: np.ndarray
-    over: np.ndarray
-    under: np.ndarray
+    over: np.ndarray  # cured height [mm] of the void before it, which is its cure-through
+    under: np.ndarray  # uncured height [mm] within it
 
     @property
     def error(self) -> np.ndarray:
@@ -44,10 +39,7 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Columns that are followed through a print: (row, column) of each.
-
-    The first ``grid`` are spread over the part, then come those of one row of pixels and those of one column.
-    """
+    """Followed columns: ``grid`` over the part, then one row of ``width`` pixels, then one column of pixels."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -90,10 +82,7 @@ def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
 
 
 def cured(machine: Machine, shown: np.ndarray, critical: float = 1.0) -> np.ndarray:
-    """Share of every slice's height that reaches the critical dose; shown: uint8 [slice, column]; float64, same shape.
-
-    Between borders the dose follows its own curve (S22, S48), so the place where it crosses is exact.
-    """
+    """Share of every slice's height that reaches the critical dose, for shown levels uint8 [slice, column]."""
     borders = column_doses(machine, shown)
     if machine.layered:
         start, stop, rest = borders[:-1], (1.0 - machine.decay) * borders[:-1], 0.0
@@ -109,20 +98,20 @@ def cured(machine: Machine, shown: np.ndarray, critical: float = 1.0) -> np.ndar
 def features(machine: Machine, shown: np.ndarray, solid: np.ndarray, critical: float = 1.0) -> Features:
     """Features of columns and how they print. shown: uint8 [slice, column]; solid: bool, as many slices or fewer."""
     count = shown.shape[1]
-    wanted = np.zeros(shown.shape, bool)
-    wanted[: len(solid)] = solid
+    target = np.zeros(shown.shape, bool)
+    target[: len(solid)] = solid
     found = [
-        _features(machine, shown[:, k : k + AT_ONCE], wanted[:, k : k + AT_ONCE], k, critical)
+        _features(machine, shown[:, k : k + AT_ONCE], target[:, k : k + AT_ONCE], k, critical)
         for k in range(0, count, AT_ONCE)
     ]
     return Features(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _features(
-    machine: Machine, shown: np.ndarray, wanted: np.ndarray, first: int, critical: float
+    machine: Machine, shown: np.ndarray, target: np.ndarray, first: int, critical: float
 ) -> tuple[np.ndarray, ...]:
     slices = len(shown)
-    share, inside = cured(machine, shown, critical).T.ravel(), wanted.T.ravel()
+    share, inside = cured(machine, shown, critical).T.ravel(), target.T.ravel()
     change = np.flatnonzero(inside[1:] != inside[:-1]) + 1
     starts = np.union1d(change, np.arange(0, len(inside), slices))
     ends = np.append(starts[1:], len(inside))
@@ -144,15 +133,12 @@ def _features(
 
 @dataclass(frozen=True)
 class Group:
-    """Features that lie at the same slices: how many columns have one, and mean height errors [mm].
-
-    behind: shortest void behind one in slices.  last: nothing follows any of them.
-    """
+    """Features that lie at the same slices: how many columns have one, and mean height errors [mm]."""
 
     front: int
     back: int
-    behind: int
-    last: bool
+    behind: int  # shortest void behind one in slices
+    last: bool  # nothing follows any of them
     columns: int
     before: float
     after: float | None
@@ -165,10 +151,7 @@ class Group:
 
 
 def grouped(before: Features, after: Features | None = None, tolerance: float = 0.0) -> tuple[Group, ...]:
-    """Features by their place, the most frequent first. Both are of the same columns of the same part.
-
-    missed: corrected features that lack more than ``tolerance`` [mm].
-    """
+    """Features by their place, the most frequent first. Both are of the same columns of the same part."""
     keys = np.stack([before.front, before.back], axis=1)
     if len(keys) == 0:
         return ()
@@ -189,10 +172,7 @@ def grouped(before: Features, after: Features | None = None, tolerance: float = 
 
 
 def ratio(before: Features, after: Features) -> tuple[float, float]:
-    """Height errors corrected over uncorrected: of all features together, and the median of single ones.
-
-    The measure of the paper's Fig. S6a; features that print right uncorrected have no ratio of their own.
-    """
+    """Height errors corrected over uncorrected (Fig. S6a): of all features, and the median of single ones."""
     wrong = before.error > 0
     single = after.error[wrong] / before.error[wrong]
     total = float(before.error.sum())

@@ -38,13 +38,10 @@ PIXEL_HELD = 40
 
 
 class FileStack(ABC):
-    """Slices in files. ``stack[a:b]`` decodes on all processors, and begins with the slices before it.
-
-    names: of the slices, from the platform on.  shape: slices, y, x.  A context manager: `close` lets the files go.
-    """
+    """Slices in files, decoded on all processors, those before the asked ones ahead. Closed as a context manager."""
 
     place: Path
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the slices, from the platform on
 
     def __init__(self, place: Path, names: tuple[str, ...]) -> None:
         self.place, self.names = place, names
@@ -89,27 +86,24 @@ class FileStack(ABC):
         return out, [self._pool.submit(self._decode, self.names[start + k], out[k]) for k in range(stop - start)]
 
     def _decode(self, name: str, out: np.ndarray) -> None:
-        decode(self._bytes(name), self._told(name), out)
+        decode(self._bytes(name), self._label(name), out)
 
-    def _told(self, name: str) -> str:
+    def _label(self, name: str) -> str:
         return repr(str(self.place / name))
 
     def _plane(self) -> tuple[int, int]:
-        """Pixels of all slices, from the beginnings of their files; raises `SliceError` where one differs.
-
-        A TIFF may say at its end what it is: those after the first are checked when they are read.
-        """
+        """Pixels of all slices from the heads of their PNGs, TIFFs but the first unread. Raises `SliceError`."""
         first: Header | None = None
         for name in self.names:
             png = name.lower().endswith(".png")
             if first is not None and not png:
                 continue
-            found = header(self._bytes(name, HEAD if png else None), self._told(name))
+            found = header(self._bytes(name, HEAD if png else None), self._label(name))
             if first is None:
                 first = found
             if found != first:
                 raise SliceError(
-                    f"{self._told(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
+                    f"{self._label(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
                     "expected all slices alike: export them again"
                 )
         assert first is not None
@@ -151,10 +145,7 @@ class FolderStack(FileStack):
 
 
 class ZipStack(FileStack):
-    """The pictures of a zip; of an SL1 those beside its ``config.ini``. Nothing is unpacked to disk.
-
-    Raises `SliceError`, also for entries that would leave the folder they are unpacked in.
-    """
+    """The pictures of a zip, in an SL1 those beside its ``config.ini``. Raises `SliceError`."""
 
     def __init__(self, path: str | Path) -> None:
         place = Path(path)
@@ -185,7 +176,9 @@ class ZipStack(FileStack):
         try:
             return unpacked(self._zip, name, most)
         except Exception as error:  # noqa: BLE001 - zipfile and its codecs raise whatever they stumble over
-            raise SliceError(f"cannot read {self._told(name)}: {error}; the zip is damaged: export it again") from error
+            raise SliceError(
+                f"cannot read {self._label(name)}: {error}; the zip is damaged: export it again"
+            ) from error
 
     def entry(self, name: str) -> bytes:
         """Another file of the zip; raises `SliceError`."""
@@ -229,13 +222,13 @@ def _is_zip(place: Path) -> bool:
 
 
 def layer_height(stack: object) -> float | None:
-    """What an SL1 file says of its layers.
+    """Read the layer height of an SL1 file.
 
     Args:
         stack: The slices.
 
     Returns:
-        Their height [mm]; None where nothing says.
+        Height of a layer [mm]; None where the file does not say.
     """
     if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
         return None

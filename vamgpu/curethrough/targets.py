@@ -1,4 +1,4 @@
-"""Tables of wanted doses, as the kernel reads them."""
+"""Tables of doses to reach, as the kernel reads them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ NEVER = -1e30
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Ω wanted at the border of a slice; last entries hold beyond.
+    """Ω to reach at the border of a slice; last entries hold beyond."""
 
-    inner: [slices since the back side, slices to the front].  back: [slices to the back side of the feature ahead].
-    """
-
-    inner: np.ndarray
-    back: np.ndarray
+    inner: np.ndarray  # [slices since the back side, slices to the front]
+    back: np.ndarray  # [slices to the back side of the feature ahead]
 
     @property
     def horizon(self) -> int:
@@ -30,10 +27,7 @@ class Targets:
 
 
 def sampled(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], back: np.ndarray, front: np.ndarray) -> np.ndarray:
-    """A profile at distances [mm] from the back side and to the front, rows that are all alike made one.
-
-    ``back`` is where the slice's border will be once it is shown. Raises `BadInput` for what is no dose.
-    """
+    """A profile at distances [mm] from the back side and to the front. Raises `BadInput` for what is no dose."""
     step = back[1] if len(back) > 1 else 0.0
     grid = np.broadcast_arrays(back[:, None] + step, front[None, :])
     values = np.asarray(profile(*grid), dtype=np.float64)

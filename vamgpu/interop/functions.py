@@ -1,4 +1,4 @@
-"""What is differentiable: values on a device, and derivatives by the inputs from those by the value."""
+"""Differentiable functions: values on a device, and derivatives by the inputs from those by the value."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device, to_read
+from vamgpu.backend.device import Device
+from vamgpu.backend.host_memory import to_read
 from vamgpu.errors import BadInput
 from vamgpu.methods.joint.models import KineticModel, LinearModel, Pair
 from vamgpu.operators.compose import combine
@@ -127,9 +128,6 @@ def function_of(what: Any) -> Differentiable:
 
 
 def sent(device: Device, values: np.ndarray) -> DeviceArray:
-    """A field of an array on the host, shared where device and host share memory.
-
-    Slopes may be so small that `Device.upload` takes them for a mistake in units; here they are not checked.
-    """
+    """A field of an array on the host, shared where device and host share memory."""
     real = np.asarray(values, device.real)
     return device.upload(real) if device.is_gpu else device.field(device.adopt(to_read(real)))

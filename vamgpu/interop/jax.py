@@ -60,7 +60,7 @@ def _check(function: Differentiable, inputs: tuple[Any, ...]) -> None:
 def _called(
     compute: Callable[..., Any], function: Differentiable, spaces: tuple[Space, ...], inputs: tuple[Any, ...]
 ) -> Any:
-    """What a function of fields gives in each of some spaces, as arrays of JAX."""
+    """JAX arrays of a function's results, one for each space."""
     kind = inputs[0].dtype
 
     def on_host(*arrays: Any) -> tuple[np.ndarray, ...]:

@@ -1,4 +1,4 @@
-"""How fast the projectors run on the devices here."""
+"""Time the projectors on the devices here."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Timing:
 
 
 def machine() -> dict[str, Any]:
-    """What this machine is, in words."""
+    """Description of this machine."""
     return {
         "system": platform.platform(),
         "processor": _processor(),
@@ -65,21 +65,7 @@ def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
 
 
 def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str] | None = None) -> Iterator[Timing]:
-    """Time the projectors on devices.
-
-    Args:
-        n: Voxels along an edge of the volume.
-        angles: Angles of the sinogram.
-        repeats: Runs of each projector.
-        names: Devices by name; None takes all but the reference.
-
-    Returns:
-        A record a device, as it is measured.
-
-    Raises:
-        BadInput: A count is below 1.
-        DeviceError: There is no such device.
-    """
+    """Time the projectors on devices. Raises `BadInput`, `DeviceError`."""
     for what, value in (("size", n), ("angles", angles), ("repeats", repeats)):
         if value < 1:
             raise BadInput(f"{what} is {value}; expected at least 1")
@@ -95,14 +81,7 @@ def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str
 
 
 def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
-    """Turn timings into plain records.
-
-    Args:
-        timings: Those of `bench`.
-
-    Returns:
-        A record each, with voxel-rays a second: n³ · angles over the time.
-    """
+    """Turn timings into plain records."""
     return [asdict(t) | {"giga_updates": t.n**3 * t.angles / t.forward / 1e9} for t in timings]
 
 

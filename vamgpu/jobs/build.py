@@ -1,4 +1,4 @@
-"""From what a job file says to the operator that it is solved with."""
+"""Build target, operator and frames' arguments from a job file."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.device import Device
+from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.diffusion import Spread
 from vamgpu.curethrough.resin import read_columns
 from vamgpu.errors import BadInput, JobError, OutOfMemory, StorageError
 from vamgpu.geometry import FULL_TURN, Beam, Turntable
 from vamgpu.jobs.material import diffusion_of
 from vamgpu.jobs.model import (
+    MOST_ANGLES,
     BeamSection,
     BodySection,
     FramesSection,
@@ -31,7 +33,12 @@ from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.wobble import Wobble
+from vamgpu.optics.sampling import enough_angles, resin_pixel
+from vamgpu.printing.fit import check_fit
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.placement import FIT
 from vamgpu.scene import Body, Scene
+from vamgpu.targets import shapes
 from vamgpu.targets.target import Target
 from vamgpu.units import deg, rad
 
@@ -42,23 +49,26 @@ ANGLES = {"angle_deg": deg, "angle_rad": rad}
 
 
 def target_of(job: Job, device: Device) -> Target:
-    """The voxels of the part, or of all bodies. Raises what `Target.from_mesh` raises, and `JobError` for a shape that
-    does not exist."""
-    section = job.file.target
-    scene = scene_of(job.file, job.folder)
+    """The voxels of the part, or of all bodies."""
+    section, scene, pitch = job.file.target, scene_of(job.file, job.folder), pitch_of(job.file)
     if scene is not None:
         return scene.target(
-            pitch=section.pitch, margin=section.margin, shape=section.shape_of_grid, device=device, name=job.name
+            pitch=pitch, margin=section.margin, shape=section.shape_of_grid, device=device, name=job.name
         )
     return Target.from_mesh(
         _source("target.shape", section, job.folder),
         height=section.height,
         factor=section.factor,
-        pitch=section.pitch,
+        pitch=pitch,
         orientation=section.orientation,
         margin=section.margin,
         device=device,
     )
+
+
+def pitch_of(file: JobFile) -> float:
+    """Edge of a voxel of a job [mm]: as it says, or a pixel in the resin, along z where that is less."""
+    return file.target.pitch or min(resin_pixel(_pixel(file), _light(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
@@ -77,30 +87,34 @@ def _source(key: str, section: TargetSection | BodySection, folder: Path) -> Any
     """The file of a mesh, or a bundled shape. Raises `JobError`."""
     if section.mesh is not None:
         return folder / section.mesh
-    from vamgpu.targets import shapes
-
     if section.shape not in shapes.names():
         known = ", ".join(shapes.names())
         raise JobError(f"{key}: got {section.shape!r}; expected one of {known}: correct the name")
     return shapes.build(str(section.shape))
 
 
-def motion_of(section: TurntableSection, folder: Path) -> Turntable:
+def motion_of(section: TurntableSection, folder: Path, enough: int = MOST_ANGLES) -> Turntable:
     """The turntable of a job whose paths begin at ``folder``. Raises `JobError`."""
     if isinstance(section.angles, str):
-        return read_angles(folder / section.angles)
-    return Turntable.arc(section.angles, FULL_TURN if section.range is None else min(section.range, FULL_TURN))
+        return read_angles(folder / section.angles, section.lit_share)
+    span, share = FULL_TURN if section.range is None else min(section.range, FULL_TURN), section.lit_share
+    most = min(ceil(enough * span / FULL_TURN), section.most or MOST_ANGLES)
+    return Turntable.arc(section.angles or most, span, lit_share=1.0 if share is None else share)
 
 
-def read_angles(path: Path) -> Turntable:
-    """Measured angles of a CSV file, a row each in the order they are shown, with their times if it has them.
+def _pixel(file: JobFile) -> Beam:
+    """Light of one pixel, where it does not matter how many there are."""
+    return Beam((1, 1), file.beam.pitch)
 
-    Args:
-        path: of a table with a header: angle_deg or angle_rad, and dwell where angles are lit for unequal times.
 
-    Raises:
-        JobError: other columns, a line that holds no numbers, or angles that `Turntable` refuses.
-    """
+def _light(file: JobFile) -> Any:
+    """Vessel or light of a job; None for air."""
+    vessel = next((one for one in (file.vial, file.vat, file.vessel) if one is not None), None)
+    return vessel if file.light is None else file.light
+
+
+def read_angles(path: Path, lit_share: float | None = None) -> Turntable:
+    """Measured angles of a CSV file, a row each in the order they are shown, with their times if it has them."""
     try:
         table = read_columns(path)
         unit = next((name for name in ANGLES if name in table), None)
@@ -109,7 +123,7 @@ def read_angles(path: Path) -> Turntable:
                 f"{path.name} has columns {', '.join(table)}; expected angle_deg or angle_rad, and dwell where angles "
                 "are lit for unequal times"
             )
-        return Turntable(table[unit] * ANGLES[unit], table.get("dwell"))
+        return Turntable(table[unit] * ANGLES[unit], table.get("dwell"), lit_share)
     except (BadInput, StorageError) as error:
         raise JobError(f"turntable.angles: {error}") from error
 
@@ -117,20 +131,16 @@ def read_angles(path: Path) -> Turntable:
 def projection_of(
     file: JobFile, target: Target, device: Device, folder: Path = Path(), motion: Turntable | None = None
 ) -> Any:
-    """The projector of a job whose paths are relative to ``folder``, with all that stands in its light.
-
-    ``motion`` takes the place of the job's turntable.
-
-    Raises `TargetTooLarge` where light does not reach the whole part, `JobError` for a file of angles that is none,
-    `StorageError`, `BadInput` for a calibration that cannot be read and for parts that do not go together.
-    """
-    vessel = next((one for one in (file.vial, file.vat, file.vessel) if one is not None), None)
+    """The projector of a job whose paths are relative to ``folder``, with all that stands in its light."""
+    light = _light(file)
+    vessel = light if file.light is None else None
     check = getattr(vessel, "check_fits", None)
     if check is not None:
         check(target.radius)
-    motion = motion_of(file.turntable, folder) if motion is None else motion
+    if motion is None:
+        motion = motion_of(file.turntable, folder, enough_angles(_pixel(file), light, target.radius))
     wobble = None if file.wobble is None else wobble_of(file.wobble, motion)
-    section, light = file.beam, file.light if file.light is not None else vessel
+    section = file.beam
     pixels = section.pixels or _covering(target, light, section.pitch, wobble)
     beam = beam_of(section, pixels, folder)
     scene = scene_of(file, folder)
@@ -163,8 +173,6 @@ def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam
     """The light of a job. Raises `StorageError`, `BadInput` for a calibration that cannot be read."""
     spread: Any = section.spread
     if isinstance(spread, str):
-        from vamgpu.calibration.pointspread import PointSpread
-
         spread = PointSpread.load(folder / spread, section.pitch, section.fill)
     return Beam(pixels, section.pitch, section.fill, spread)
 
@@ -192,10 +200,6 @@ def _covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -
 
 def packing_of(section: FramesSection, folder: Path) -> dict[str, Any]:
     """Arguments of `pack`. Raises `StorageError`, `BadInput` for a gray curve that cannot be read, or a wrong "fit"."""
-    from vamgpu.printing.fit import check_fit
-    from vamgpu.printing.gray import GrayCurve
-    from vamgpu.printing.placement import FIT
-
     options = section.model_dump()
     if section.dither == FIT:
         check_fit(section.bits, section.shift)

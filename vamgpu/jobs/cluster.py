@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import vamgpu
 from vamgpu.backend.remote import RemoteDevice, Served
+from vamgpu.backend.slabs import SlabDevice
 from vamgpu.errors import BadInput, DeviceError, VamError, WorkerLost
-
-if TYPE_CHECKING:
-    from vamgpu.backend.slabs import SlabDevice
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
@@ -32,25 +30,7 @@ PATIENCE = 60.0
 
 @contextmanager
 def workers(where: str | None, device: str | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """A function that carries out tasks, and the workers behind it.
-
-    A worker that dies costs the task it was at, which another one does again.
-
-    Args:
-        where: ``local:4`` for four processes of this machine, ``tcp://host:8786`` for the scheduler of a cluster that
-            runs, or None for this process.
-        device: That every worker must have; None takes the best one of each.
-
-    Yields:
-        A function of a function and a sequence of its arguments, which gives results as they come. Both, and what is
-        found, travel to other processes and back. Given ``ordered=True`` it gives them in the order of the arguments,
-        and begins no task that is many ahead of the one whose result is next.
-
-    Raises:
-        BadInput: ``where`` is no such address.
-        DeviceError: Dask is not installed, no cluster answers, or a worker has another version or not the device; the
-            message names it.
-    """
+    """A function that carries out tasks, and the workers behind it. Raises `BadInput`, `DeviceError`."""
     if where is None:
         yield lambda function, items, ordered=False: map(function, items)  # noqa: ARG005 - they come in order
         return
@@ -88,22 +68,7 @@ def _client(where: str) -> Any:
 
 @contextmanager
 def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDevice]]:
-    """The workers of a cluster as one device, which cuts every field along z; see `vamgpu.backend.slabs`.
-
-    Args:
-        where: As for `workers`; a slab for each worker that is there.
-        device: That every worker must have; None takes the best one of each.
-
-    Yields:
-        A function that makes the device; and makes it anew, of as many slabs, on the workers that are left once one was
-        lost (`WorkerLost`) and all that was kept there with it.
-
-    Raises:
-        BadInput: ``where`` is no such address.
-        DeviceError: As `workers`.
-    """
-    from vamgpu.backend.slabs import SlabDevice
-
+    """The workers of a cluster as one device, which cuts every field along z; see `vamgpu.backend.slabs`."""
     client = _client(where)
     try:
         _refuse_unlike(client, device)
@@ -171,14 +136,7 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
 
 
 def about(device: str | None) -> tuple[str, str]:
-    """What a worker is asked: its version of the library, and why it does not have the device, or nothing.
-
-    Args:
-        device: By name; None for any.
-
-    Returns:
-        Version and complaint.
-    """
+    """A worker's answer: its version of the library, and why it does not have the device, or nothing."""
     try:
         vamgpu.open_device(device)
     except DeviceError as error:
@@ -189,14 +147,14 @@ def about(device: str | None) -> tuple[str, str]:
 def _refuse_unlike(client: Any, device: str | None) -> None:
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
-        told = client.run(about, device)
+        answers = client.run(about, device)
     except TimeoutError as error:
         raise DeviceError(
             f"the cluster has no worker after {PATIENCE:g} s: begin some, `dask worker tcp://…`"
         ) from error
     except ImportError as error:
         raise DeviceError(f"a worker lacks what this process has ({error}): install the same on both") from error
-    for worker, (version, complaint) in told.items():
+    for worker, (version, complaint) in answers.items():
         if version != vamgpu.__version__:
             raise DeviceError(
                 f"worker {worker} has vamgpu {version}, and this is {vamgpu.__version__}: install the same on both"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.jobs.model import JobFile
@@ -14,9 +14,7 @@ from vamgpu.methods.saved import PlanRecord
 from vamgpu.metrics import score, score_slices
 from vamgpu.operators.reductions import window
 from vamgpu.optics.beams import with_absorption
-
-if TYPE_CHECKING:
-    from vamgpu.printing.proof import Proof
+from vamgpu.printing.proof import Proof
 
 
 def recolored(file: JobFile) -> JobFile:
@@ -41,19 +39,13 @@ def superposed(file: JobFile, visible: Any, uv: Any, target: Any, progress: Call
 
 
 def recorded(plan: DualPlan, target: Any) -> PlanRecord:
-    """What a folder remembers of it; the window is that of the effective dose."""
+    """Record of a plan; its window is that of the effective dose."""
     least, leak, greatest = window(plan.dose(), target.on(plan.visible.device), reach_of(target.grid))
     return PlanRecord.of(plan, (least - max(leak, 0.0)) / greatest if greatest > 0 else -1.0)
 
 
 def subtracted(proof: Proof, strength: float, A: Any, frames: Any) -> Proof:
-    """A proof of the first color, with the dose of the second taken off it.
-
-    Args:
-        proof: of the first color alone.
-        strength: dose of the first that one unit of the second undoes.
-        A, frames: operator and frames of the second.
-    """
+    """A proof of the first color, with the dose of the second taken off it."""
     lights = (one.irradiance(A.device) for one in (proof.frames, frames))
     dose = Colors(proof.operator, A, strength=strength).dose(*lights)
     scores = score(dose, proof.target)

@@ -15,16 +15,18 @@ from vamgpu.backend import open_device
 from vamgpu.curethrough.correction import Correction
 from vamgpu.curethrough.job import Outcome, correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
+from vamgpu.curethrough.leastsquares import StageProgress
 from vamgpu.curethrough.output import made_with
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel, Profile
 from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
-from vamgpu.curethrough.weighed import StageProgress
 from vamgpu.errors import JobError, SliceWarning
 from vamgpu.jobs.read import CheckedJob
+from vamgpu.printing.gray import GrayCurve
 from vamgpu.schema.quantities import Background, Count, Dose, ExposureTime, Irradiance, Length, Speed, Thickness
 from vamgpu.schema.section import Listed, Section
+from vamgpu.targets.mesh import load_mesh
 
 EXAMPLE = """\
 # The continuous printer of the cure-through paper.
@@ -140,8 +142,6 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         section = self.file.printer
         curve = None
         if section.gray is not None:
-            from vamgpu.printing.gray import GrayCurve
-
             curve = GrayCurve.load(self.folder / section.gray)
         light = levels_of(section.light, section.dark or 0.0, curve)
         common = (section.absorption_height, section.critical_dose, section.slice_height)
@@ -152,7 +152,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
 
     @property
     def correction(self) -> Correction:
-        """What to correct, and how. Raises `BadInput` where light or darkness do not suffice."""
+        """The correction. Raises `BadInput` where light or darkness do not suffice."""
         section, machine = self.file.correct, self.machine
         profile: Profile = Flat() if section.most is None else Flat(section.most)
         if section.profile == "parallel":
@@ -166,8 +166,6 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         """The slices, or those at a path that takes their place. Raises `SliceError`, `MeshError`, `JobError`."""
         section = self.file.slices
         if slices is None and section.mesh is not None:
-            from vamgpu.targets.mesh import load_mesh
-
             assert section.pitch is not None
             solid = load_mesh(self.folder / section.mesh, height=section.height, factor=section.factor)
             return MeshStack(solid, section.pitch, self.file.printer.slice_height, section.pixels,
@@ -187,7 +185,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         return stack
 
     def beside(self, slices: Path | None = None) -> Path:
-        """Where corrected slices go unless told otherwise: beside the originals."""
+        """Default place of corrected slices: beside the originals."""
         section = self.file.slices
         if slices is None and section.path is None:
             return self.folder / f"{self.name}-corrected"
@@ -205,20 +203,7 @@ def model_job(
     job: CurethroughJob, *, slices: Path | None = None, doses: Path | None = None, overwrite: bool = False,
     report: Path | None = None, progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """What a job's slices print as they are; as `vamgpu.curethrough.job.model`.
-
-    Args:
-        job: The job.
-        slices: A stack that takes the place of the job's.
-        doses: A folder or zip for images of the dose.
-        overwrite: Replace what stands at ``doses``.
-        report: The page that is drawn next. Where it is missing, and the output holds what this very job wrote, an
-            earlier run was killed in between: it is done again, in place of a complaint that the output exists.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The modeled stack.
-    """
+    """Model the print of a job's slices; see `vamgpu.curethrough.job.model`."""
     device = open_device(job.file.correct.device)
     with job.stack(slices) as stack:
         record = _record(job, stack)
@@ -231,20 +216,7 @@ def correct_job(
     job: CurethroughJob, out: Path, *, slices: Path | None = None, overwrite: bool = False, report: Path | None = None,
     progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """Correct a job's slices and write them; as `vamgpu.curethrough.job.correct_stack`.
-
-    Args:
-        job: The job.
-        out: A folder or zip.
-        slices: A stack that takes the place of the job's.
-        overwrite: Replace what stands at ``out``.
-        report: The page that is drawn next. Where it is missing, and the output holds what this very job wrote, an
-            earlier run was killed in between: it is done again, in place of a complaint that the output exists.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The stack before and after.
-    """
+    """Correct a job's slices and write them; as `vamgpu.curethrough.job.correct_stack`."""
     correction, device = job.correction, open_device(job.file.correct.device)
     with job.stack(slices) as stack:
         record = _record(job, stack)
@@ -255,7 +227,7 @@ def correct_job(
 
 
 def _record(job: CurethroughJob, stack: Any) -> dict[str, Any]:
-    """What slices are made with: the keys of the job, and which slices it read."""
+    """Provenance of slices: the keys of the job, and the slices it read."""
     return {"job": job.given, "slices": {"name": Path(getattr(stack, "place", "")).name, "shape": list(stack.shape)}}
 
 

@@ -1,39 +1,38 @@
-"""Something to look at within a minute or two: a boat in the vial of the air-bath paper, a film on a roller."""
+"""Something to look at within a few minutes: a boat in the vial of the air-bath paper, a film on a roller."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from vamgpu.errors import StorageError
 from vamgpu.jobs.read import CheckedJob, Job
-from vamgpu.jobs.run import Proven, StageProgress, _quietly, prove, solve
-
-if TYPE_CHECKING:
-    from vamgpu.webs.proof import WebProof
+from vamgpu.jobs.run import Proven, StageProgress, prove, quiet, solve
+from vamgpu.jobs.web import WebJob, contrasts, solve_web
+from vamgpu.webs.proof import WebProof, prove_web
 
 Proof = TypeVar("Proof")
 Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
 JOB = """\
-# A boat in a vial of 24.8 mm that turns in air. The pitch of the beam is measured in air: refraction narrows its
-# columns to 60 um in the resin, while its rows stay as high as the voxels. The lens blurs by half a pixel unless
-# beam.spread says what it does: a length, or the result of `vam calibrate mtf`.
+# A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured in air:
+# refraction narrows its columns to 80 um in the resin, and voxels are as wide as that where target.pitch does not say
+# otherwise. The lens blurs by half a pixel unless beam.spread says what it does: a length, or the result of
+# `vam calibrate mtf`.
 #
 # Vial and resin index are those of automatic exposure (A. Orth et al.), which prints a boat of this height in 57 s in
 # fresh resin, and states neither irradiance nor absorption. 65 mW/cm2 is what another tomographic printer shines into
-# its vial (B. Wang et al.), and the absorption is assumed. The critical dose is not measured: with it this boat takes
-# about as long as theirs. Measure your own; times grow with critical_dose / irradiance.
+# its vial (B. Wang et al.), and the absorption and the critical dose are assumed. Measure your own; times grow with
+# critical_dose / irradiance.
 
 [target]
 shape = "boat"
 height = "11.5 mm"
-pitch = "90 um"
 
 [beam]
-pitch = "90 um"
+pitch = "120 um"
 
 [turntable]
 angles = 360
@@ -94,7 +93,7 @@ core = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Demo(Generic[Proof]):
-    """What a demo left: the job file, the folder of frames, the report, and the proof it shows."""
+    """Files of a demo, and the proof that its report shows."""
 
     file: Path
     folder: Path
@@ -102,22 +101,8 @@ class Demo(Generic[Proof]):
     proven: Proof
 
 
-def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = _quietly) -> Demo[Proven]:
-    """Solve, write and prove the bundled boat.
-
-    An earlier demo there is replaced; its report goes first, so that no report stands beside another job.
-
-    Args:
-        out: The folder to write into.
-        settings: ``key=value``, as for `read_job`.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        What was written, and its proof.
-
-    Raises:
-        StorageError: The folder cannot be written; `solve` and `prove` say what else.
-    """
+def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = quiet) -> Demo[Proven]:
+    """Solve, write and prove the bundled boat. Raises `StorageError`."""
     job, left = _begun(Job, JOB, out, "boat", settings, "report.html")
     solve(job, left.folder, overwrite=True, progress=progress)
     proven = prove(left.folder, job.file.solve.device, progress=progress)
@@ -126,23 +111,8 @@ def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgre
     return replace(left, proven=proven)
 
 
-def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = _quietly) -> Demo[WebProof]:
-    """Solve, write and prove a gyroid film; an earlier demo there is replaced as by `demo`.
-
-    Args:
-        out: The folder to write into.
-        settings: ``key=value``, as for `read_web`.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        What was written, and its proof.
-
-    Raises:
-        StorageError: The folder cannot be written; `solve_web` says what else.
-    """
-    from vamgpu.jobs.web import WebJob, contrasts, solve_web
-    from vamgpu.webs.proof import prove_web
-
+def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = quiet) -> Demo[WebProof]:
+    """Solve, write and prove a gyroid film; an earlier demo there is replaced as by `demo`. Raises `StorageError`."""
     job, left = _begun(WebJob, WEB_JOB, out, "gyroid", settings, "web.html")
     solve_web(job, left.folder, overwrite=True, progress=progress)
     progress("proof", 0.0)
@@ -166,6 +136,6 @@ def _begun(
         left.report.unlink(missing_ok=True)
         left.file.write_text(text, encoding="utf-8")
     except OSError as error:
-        told = f"cannot write in {str(place)!r}: {error.strerror}; choose another folder (--out)"
-        raise StorageError(told) from error
+        problem = f"cannot write in {str(place)!r}: {error.strerror}; choose another folder (--out)"
+        raise StorageError(problem) from error
     return job, left

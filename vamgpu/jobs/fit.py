@@ -68,24 +68,7 @@ def fit_files(
     plugs: Path | None, irradiance: str | None, gray: Path | None, pieces: int | None, confidence: float, gels: float,
     out: Path | None = None,
 ) -> Fitted:  # fmt: skip
-    """Fit a CSV file of plugs, one of gray levels, or both.
-
-    Args:
-        plugs: Heights of plugs over exposure.
-        irradiance: Irradiance of the plugs with its unit, where their file gives times alone.
-        gray: Light of gray levels.
-        pieces: Straight pieces of the gray curve; None takes as many as the readings carry.
-        confidence: Share of repeats whose interval holds the true value, between 0 and 1.
-        gels: Critical dose over gel dose, a ratio.
-        out: Where the result will be written; not over these files.
-
-    Returns:
-        What was fitted.
-
-    Raises:
-        BadInput: There is nothing to fit, or a file fits no curve.
-        StorageError: A file cannot be read, or ``out`` is one of them.
-    """
+    """Fit a CSV file of plugs, one of gray levels, or both. Raises `BadInput`, `StorageError`."""
     if out is not None and out.resolve() in {path.resolve() for path in (plugs, gray) if path is not None}:
         raise StorageError(f"{str(out)!r} holds the measurements; choose another path for what is fitted to them")
     if plugs is None and gray is None:

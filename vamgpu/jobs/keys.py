@@ -44,17 +44,7 @@ def reference() -> str:
 
 
 def keys_of(name: str) -> tuple[Key, ...]:
-    """List the keys of one table.
-
-    Args:
-        name: That of a file, such as "beam" or "web.beam", or a noun, such as "vessel.fan".
-
-    Returns:
-        The keys in the order of the file.
-
-    Raises:
-        BadInput: There is no such table.
-    """
+    """List the keys of one table. Raises `BadInput`."""
     first, _, second = name.partition(".")
     if first in families() and second:
         return keys(find(first, second))
@@ -72,34 +62,14 @@ def keys_of(name: str) -> tuple[Key, ...]:
 
 
 def schema_of(name: str) -> dict[str, Any]:
-    """Write the JSON Schema of a file.
-
-    Args:
-        name: A key of `FILES`.
-
-    Returns:
-        The schema, in JSON's own types.
-
-    Raises:
-        BadInput: There is no such file.
-    """
+    """Write the JSON Schema of a file. Raises `BadInput`."""
     if name not in FILES:
         raise BadInput(f"no file {name!r}; expected one of {', '.join(FILES)}")
     return json_schema(FILES[name])
 
 
 def commented(name: str) -> str:
-    """Write a job file that is ready to be solved, with every other key in remarks that say what it is for.
-
-    Args:
-        name: A key of `FILES`.
-
-    Returns:
-        TOML.
-
-    Raises:
-        BadInput: There is no such file.
-    """
+    """Write a job file that is ready to be solved, with every other key in remarks that say what it is for."""
     if name not in EXAMPLES:
         raise BadInput(f"no file {name!r}; expected one of {', '.join(EXAMPLES)}")
     given, file = parse_toml(EXAMPLES[name]), FILES[name]
@@ -125,7 +95,7 @@ def _remark(text: str) -> list[str]:
 
 
 def _kinds(field: Any) -> str:
-    """What a table of any noun may be, where to read on."""
+    """Reference to the nouns that a table may hold."""
     nouns = next((part for part in field.metadata if isinstance(part, Nouns)), None)
     names = [] if nouns is None else [f"{family}.{kind}" for family, kind in nouns.choices]
     return f"kind = …; see vam keys {names[0]}" if names else "see vam keys"
@@ -144,14 +114,7 @@ def _toml(value: Any) -> str:
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """Write tables as a TOML file.
-
-    Args:
-        tables: Name → keys, or a list of such for a table that may be there several times.
-
-    Returns:
-        TOML.
-    """
+    """Write tables as a TOML file."""
     lines: list[str] = []
     for name, table in tables.items():
         for one in table if isinstance(table, list) else [table]:
@@ -161,17 +124,7 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 
 def explained(name: str) -> tuple[Key, ...]:
-    """List what a name stands for: the keys of a table or a noun, the nouns of a family, or one key.
-
-    Args:
-        name: Such as "beam", "vessel.fan", "vessel" or "target.pitch".
-
-    Returns:
-        Keys, or nouns with what they are.
-
-    Raises:
-        BadInput: There is nothing of that name.
-    """
+    """List what a name stands for: the keys of a table or a noun, the nouns of a family, or one key."""
     try:
         return keys_of(name)
     except BadInput as error:

@@ -63,7 +63,7 @@ Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_foc
 
 
 class WebSection(Section):
-    """What the web is to be.
+    """Speed and length of the web.
 
     speed: of its neutral line.  length: to be printed.
     """
@@ -73,7 +73,7 @@ class WebSection(Section):
 
 
 class WebResinSection(Section):
-    """How the uncured resin flows.
+    """Flow of the uncured resin.
 
     density: of the resin.  viscosity: a gel has none.
     """
@@ -106,19 +106,7 @@ class MachineFile(Section):
 
 
 def read_limits(path: str | Path, settings: Iterable[str] = ()) -> WebLimits:
-    """Read the limits of a web's machine from a TOML file.
-
-    Args:
-        path: The file.
-        settings: ``key=value`` that replace its values.
-
-    Returns:
-        The limits.
-
-    Raises:
-        JobError: The file cannot be read, or a key is wrong.
-        BadInput: The machine's parts do not fit.
-    """
+    """Read the limits of a web's machine from a TOML file. Raises `JobError`, `BadInput`."""
     return parse_limits(read_text(path), settings, source=str(path))
 
 

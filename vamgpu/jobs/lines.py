@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
+from collections import Counter
 
 TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"""'
@@ -20,23 +21,25 @@ Path = tuple[str, ...]
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """Dotted key → line it stands on, counted from 1, for tables and keys of a valid TOML text.
-
-    Keys inside inline tables count as standing where their table does.
-    """
+    """Dotted key → line it stands on, counted from 1, for tables and keys of a valid TOML text."""
     starts = [0, *(m.end() for m in re.finditer("\n", text))]
     found: dict[Path, int] = {}
     table: Path = ()
     words: list[str] = []
-    depth, value = 0, False
+    depth, value, many = 0, False, False
+    tables: Counter[Path] = Counter()
     for match in TOKEN.finditer(text):
         token, line = match[0], bisect_right(starts, match.start())
         if token == "\n":
             if not value and depth == 0 and words and words[0] == "[":
                 table = _path(words[1:])
                 found.setdefault(table, line)
+                if many:
+                    tables[table] += 1
+                    table = (*table, str(tables[table] - 1))
+                    found[table] = line
             if depth == 0:
-                words, value = [], False
+                words, value, many = [], False, False
         elif token.startswith("#"):
             continue
         elif value:
@@ -44,7 +47,9 @@ def key_lines(text: str) -> dict[Path, int]:
         elif token == "=":
             found.setdefault(table + _path(words), line)
             value = True
-        elif token != "]" and not (token == "[" and words):
+        elif token == "[" and words:
+            many = True
+        elif token != "]":
             words.append(token)
     if words and words[0] == "[" and not value:
         found.setdefault(_path(words[1:]), len(starts))

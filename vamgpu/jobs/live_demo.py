@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
-from vamgpu.jobs.run import StageProgress, _quietly, solve
+from vamgpu.jobs.run import StageProgress, quiet, solve
 
 JOB = """\
 # A nut of 2 mm in a vial of 16 mm whose resin and wall are matched, small enough to be planned anew in a second.
@@ -31,6 +31,7 @@ bath_index = 1.0
 absorption = "0.1 1/mm"
 
 [solve]
+method = "lbfgs"
 iterations = 30
 
 [frames]
@@ -44,19 +45,8 @@ AGED = {
 `vamgpu.live.Truth`."""
 
 
-def demo_job(out: str | Path, *, progress: StageProgress = _quietly) -> Path:
-    """Solve and write the job of the watched demo.
-
-    Args:
-        out: The folder to write into.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The folder of the job.
-
-    Raises:
-        StorageError: The folder cannot be written.
-    """
+def demo_job(out: str | Path, *, progress: StageProgress = quiet) -> Path:
+    """Solve and write the job of the watched demo. Raises `StorageError`."""
     job, left = _begun(Job, JOB, out, "nut", (), "report.html")
     solve(job, left.folder, overwrite=True, progress=progress)
     return left.folder

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.jobs.web import is_web, is_web_folder, read_web
+from vamgpu.jobs.read import Job, read_job
+from vamgpu.jobs.web import WebJob, is_web, is_web_folder, read_web
+from vamgpu.methods.plan import Plan
+from vamgpu.methods.saved import load_plan
+from vamgpu.printing.folder import frames_of
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.proof import Proof
+from vamgpu.printing.proof_folder import load_proof
 from vamgpu.storage.atomic import as_path
 from vamgpu.storage.folder import Folder
-
-if TYPE_CHECKING:
-    from vamgpu.jobs.read import Job
-    from vamgpu.jobs.web import WebJob
-    from vamgpu.methods.plan import Plan
-    from vamgpu.printing.frames import Frames
-    from vamgpu.printing.proof import Proof
-    from vamgpu.webs.store import WebFolder
+from vamgpu.webs.store import WebFolder
 
 
 def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames | Proof | Job | WebFolder | WebJob:
@@ -39,25 +38,15 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
     """
     place = as_path(path)
     if place.suffix.lower() == ".toml":
-        from vamgpu.jobs.read import read_job
-
         return read_web(place) if is_web(place) else read_job(place)
     if is_web_folder(place):
-        from vamgpu.webs.store import WebFolder
-
         return WebFolder.open(place)
     folder, there = Folder.open(place), open_device(device)
     saved = folder.manifest.details.get("saved", "frames")
     if saved == "plan":
-        from vamgpu.methods.saved import load_plan
-
         return load_plan(place, there)
     if saved == "proof":
-        from vamgpu.printing.kept import load_proof
-
         return load_proof(place, there)
-    from vamgpu.printing.folder import frames_of
-
     return frames_of(folder, there, _plan_of(folder, there))
 
 
@@ -65,8 +54,6 @@ def _plan_of(folder: Folder, device: Device) -> Plan | None:
     """The plan of frames that a folder keeps as light; None for bytes, and for what nothing but Python describes."""
     if "geometry" not in folder.manifest.inputs or folder.record("frames").dtype == "uint8":
         return None
-    from vamgpu.methods.saved import load_plan
-
     try:
         return load_plan(folder.path, device)
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""What a resin's sources say, put where a job file says nothing."""
+"""Fill index, absorption and critical dose of a material into a job file."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ TABLES = ("vial", "vat", "vessel", "light")
 
 def with_material(data: Any, folder: Path | None) -> Any:
     """The tables of a file, with index, absorption and critical dose of its [resin] where they are needed and absent.
-
-    Raises `Misplaced` for a material that is unknown or lacks what is needed.
-    """
+    The tables of a file, with index, absorption and critical dose of its [resin] where they are needed and absent."""
     table = data.get("resin") if isinstance(data, dict) else None
     if not isinstance(table, dict) or not isinstance(table.get("material"), str):
         return data
     resin = load_resin(table["material"], folder)
-    data = dict(data)
-    for name in TABLES:
-        if isinstance(data.get(name), dict):
-            kind = data[name].get("kind", name)
-            data[name] = _filled(data[name], "light" if name == "light" else "vessel", kind, resin, table, (name,))
+    written, data = data, dict(data)
+    vessels = [name for name in TABLES if isinstance(data.get(name), dict)]
+    for name in vessels:
+        kind = data[name].get("kind", name)
+        data[name] = _filled(data[name], "light" if name == "light" else "vessel", kind, resin, table, (name,))
     if isinstance(data.get("print"), dict) and resin.critical_dose is not None:
         data["print"] = {"critical_dose": f"{resin.critical_dose.value!r} mJ/mm3", **data["print"]}
+    if data == written and "inhibitor" not in table:
+        has = f"[{vessels[0]}] has index and absorption of its own" if vessels else "there is no vessel such as [vial]"
+        remedy = "leave them out there" if vessels else "add [vial]"
+        said = f"got {table['material']!r}, of which nothing is used: {has}; expected keys for it to give"
+        raise Misplaced(f"{said}: {remedy}, or remove it", "resin", "material")
     return data
 
 
@@ -44,7 +47,7 @@ def load_resin(material: str, folder: Path | None) -> Resin:
 
 
 def diffusion_of(section: Any, folder: Path | None) -> Diffusion | None:
-    """What diffuses while the light is on, as a job's [resin] says. Raises `BadInput`."""
+    """Diffusion of a job's [resin]. Raises `BadInput`."""
     if section.inhibitor is None:
         return section.diffusion
     resin = load_resin(section.material, folder)
@@ -71,7 +74,7 @@ def _filled(
 
 
 def _at(ask: Any, table: dict[str, Any], where: tuple[str, ...]) -> float:
-    """What a resin has at the wavelength of a job."""
+    """Property of a resin at the wavelength of a job."""
     try:
         return ask(parse(table.get("wavelength"), "a wavelength"))
     except OutsideData as error:

@@ -1,4 +1,4 @@
-"""What a job file may say. Lengths and the like carry their units and are read into mm, s and mJ.
+"""Models of a job file. Lengths and the like carry their units and are read into mm, s and mJ.
 
 Tables that are nouns of the library have the fields of their constructors, which `vamgpu.schema` reads; the tables of
 this file say what is to be made of them.
@@ -29,9 +29,12 @@ from vamgpu.schema.quantities import (
     Irradiance,
     Length,
     NonNegative,
+    Pitch,
+    PixelPitch,
     Place,
     Positive,
     Quantity,
+    Share,
     Thickness,
     Turn,
     Wavelength,
@@ -79,7 +82,8 @@ class BodySection(Section):
         if (self.mesh is None) == (self.shape is None):
             raise ValueError('expected exactly one of mesh = "part.stl" and shape = "boat"')
         if (self.dose is None) == (self.role in ("gray", "keep out")):
-            raise ValueError(f'role is "{self.role}"; expected a dose of gray and keep out, and of no other role')
+            raise ValueError(f'role is "{self.role}"; expected dose = 0.7, say, for gray and keep out, and no dose '
+                             "for other roles")  # fmt: skip
         if self.role != "insert" and (self.index is not None or self.absorption is not None):
             raise ValueError(f'role is "{self.role}"; expected index and absorption of inserts alone')
         return self
@@ -89,17 +93,18 @@ class TargetSection(Section):
     """The part: a mesh file or a bundled shape, its size and its voxels; those of all bodies where there are [[body]].
 
     mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  height: of
-    the part along z.  factor: by which it is scaled, in place of a height.  pitch: edge of a voxel.  orientation: 3 × 3
-    matrix that turns the part first.  margin: voxels between the part and the rim.  shape_of_grid: voxels along x, y
-    and z, beside bodies; by default as many as they need.  origin: point of the bodies' frame that comes to the middle
-    of the axis.  void: limit of the dose where no body is, a share of the dose that prints.
+    the part along z.  factor: by which it is scaled, in place of a height.  pitch: edge of a voxel; by default
+    that of a pixel, as narrow as it is in the resin.  orientation: 3 × 3 matrix that turns the part first.  margin:
+    voxels between the part and the rim.  shape_of_grid: voxels along x, y and z, beside bodies; by default as many as
+    they need.  origin: point of the bodies' frame that comes to the middle of the axis.  void: limit of the dose where
+    no body is, a share of the dose that prints.
     """
 
     mesh: Annotated[str | None, Named] = None
     shape: str | None = None
     height: Length | None = None
     factor: Positive | None = None
-    pitch: Length
+    pitch: Pitch | None = None
     orientation: Annotated[tuple[Row, Row, Row] | None, Listed] = None
     margin: Annotated[int, Field(ge=0)] = 2
     shape_of_grid: Annotated[tuple[Count, Count, Count] | None, Listed] = None
@@ -144,7 +149,7 @@ class BeamSection(Section):
     meets a voxel: "exact", by its area, or "joseph", by one ray.
     """
 
-    pitch: Length
+    pitch: PixelPitch
     pixels: Annotated[tuple[Count, Count] | None, Listed] = None
     fill: Fill = 1.0
     spread: Annotated[float | str, BeforeValidator(_length_or_file), Named] | None = None
@@ -164,14 +169,21 @@ def _count_or_file(value: Any) -> Any:
 class TurntableSection(Section):
     """The motion: even angles over a full turn or a range of it, or measured ones from a file.
 
-    angles: how many, or a CSV file of measured ones.  range: part of a turn that they are even over.
+    angles: how many, or a CSV file of measured ones; by default as many as `vamgpu.enough_angles` tells.  most: angles
+    that the projector shows in a turn, where the job leaves angles out.  range: part of a turn that they are even over.
+    lit_share: of each step, during which its frame is lit while the container turns, 0 (at rest) to 1; by default 1,
+    and 0 for measured angles.
     """
 
-    angles: Annotated[int | str, BeforeValidator(_count_or_file), Named] = 360
+    angles: Annotated[int | str, BeforeValidator(_count_or_file), Named] | None = None
+    most: Count | None = None
     range: Angle | None = None
+    lit_share: Share | None = None
 
     @model_validator(mode="after")
     def _one_of_both(self) -> TurntableSection:
+        if self.most is not None and self.angles is not None:
+            raise Misplaced(f"got {self.most} beside angles = {self.angles!r}; remove one of both", "most")
         if self.range is not None and isinstance(self.angles, str):
             raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of both")
         if self.range is not None and self.range > FULL_TURN * (1.0 + 1e-9):
@@ -180,7 +192,7 @@ class TurntableSection(Section):
 
 
 class WobbleSection(Section):
-    """How far the axis of rotation is off its place: an offset across and along, or a circle.
+    """Offset of the axis of rotation: across and along the light, or a circle.
 
     across: offset across the light, one for all angles or one for each.  along: offset along the light, one for all
     angles or one for each.  radius: of a circle that the axis runs once a turn, in place of offsets.  phase: angle,
@@ -200,7 +212,7 @@ class WobbleSection(Section):
 
 
 class ResinSection(Section):
-    """What the resin is, and what its inhibitor does while the light is on.
+    """The resin, and diffusion of its inhibitor during the exposure.
 
     material: a bundled resin, or a file. It gives index and absorption at the wavelength to the vessel, and the
     critical dose to [print].  wavelength: of the light.  inhibitor: that diffuses as fast as the resin's viscosity
@@ -239,14 +251,14 @@ class ColorsSection(Section):
 
 
 class SolveSection(Section):
-    """How light is found.
+    """The search for light.
 
     method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
     default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
-    spent.  exposure_limit: time that the light may last at most, by lamp and resin of [print]: the widest window of
-    such light.  device: where to compute; the best one here by default.  operator: "voxels", by rays through each;
-    "rings", by Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within
-    0.003 of the window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
+    spent.  exposure_limit: time that the light may last at most, by lamp and resin of [print]; for the default method.
+    device: where to compute; the best one here by default.  operator: "voxels", by rays through each; "rings", by
+    Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003 of the
+    window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
     """
 
     method: str = "default"
@@ -260,12 +272,12 @@ class SolveSection(Section):
 
 
 class FramesSection(Section):
-    """How light becomes frames.
+    """The packing of light into frames.
 
     bits: of a pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
     shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows;
     by default all but hot ones.  dither: round to the nearest level, carry the error on to the next angle, or choose
-    pixels of 1 bit by their dose.
+    pixels by their dose; by default the last where it can be, and of two colors of 1 bit the second.
     """
 
     bits: Literal[1, 8] = 8
@@ -274,11 +286,11 @@ class FramesSection(Section):
     flip_z: bool = False
     shift: Annotated[tuple[float, float], Listed] = (0.0, 0.0)
     quantile: Annotated[float | None, Field(gt=0, le=1)] = None
-    dither: Literal["round", "error-diffusion", "fit"] = "round"
+    dither: Literal["round", "error-diffusion", "fit"] | None = None
 
 
 class PrintSection(Section):
-    """What it takes to predict times.
+    """Lamp and resin that predict print times.
 
     irradiance: of a full-on pixel in air.  critical_dose: from which the resin is solid.
     absorption: of the resin, where the vessel says none.

@@ -14,13 +14,13 @@ from vamgpu.deprecated import Renamed
 from vamgpu.errors import JobError
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.model import JobFile
-from vamgpu.schema.read import complaint, model_in
-from vamgpu.schema.registry import nearest_of
+from vamgpu.schema.read import complaint, model_in, nouns_in
+from vamgpu.schema.registry import name_of, nearest_of
 from vamgpu.storage import reading
 from vamgpu.storage.reading import parse_toml
 
-MOST_TOLD = 100
-"""Wrong values of a file that are told at once; the spelling of each is looked up."""
+MOST_REPORTED = 100
+"""Wrong values of a file that one message names."""
 
 File = TypeVar("File", bound=BaseModel)
 
@@ -38,18 +38,7 @@ class CheckedJob(Generic[File]):
 
     @classmethod
     def read(cls, path: str | Path, settings: Iterable[str] = ()) -> Self:
-        """Read a TOML job file.
-
-        Args:
-            path: The file.
-            settings: ``key=value`` that replace its values.
-
-        Returns:
-            The job.
-
-        Raises:
-            JobError: The file or one that it names is not there, or a key is wrong; the message names the line.
-        """
+        """Read a TOML job file. Raises `JobError`."""
         place = Path(path)
         return cls.parse(read_text(place), settings, source=str(path), folder=place.parent, name=place.stem, files=True)
 
@@ -93,13 +82,7 @@ def checked(
     model: type[File], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(),
     files: bool = False, current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
-    """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to.
-
-    files: those that it names must be there.  current: brings tables of an earlier version up to date, in place, and
-    returns old key → new key.
-
-    Raises `JobError` naming every wrong value at once.
-    """
+    """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to."""
     try:
         data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -112,7 +95,7 @@ def validated(
     folder: Path = Path(), files: bool = False,
     current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
-    """Tables as a model of a file; arguments and errors as for `checked`, ``text`` is where their lines are told by."""
+    """Tables as a model of a file; arguments and errors as for `checked`, ``text`` yields their lines."""
     replaced = {_replace(data, setting) for setting in settings}
     moved = {} if current is None else current(data)
     replaced |= {new + key[len(old) :] for old, new in moved.items() for key in replaced if key[: len(old)] == old}
@@ -123,8 +106,8 @@ def validated(
         for old, new in moved.items():
             lines |= {new + key[len(old) :]: at for key, at in lines.items() if key[: len(old)] == old}
         every = error.errors()
-        found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_TOLD]]
-        found += [f"{source}: {len(every) - MOST_TOLD} more wrong values"] if len(every) > MOST_TOLD else []
+        found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
+        found += [f"{source}: {len(every) - MOST_REPORTED} more wrong values"] if len(every) > MOST_REPORTED else []
         raise JobError("\n".join(found)) from error
 
 
@@ -162,7 +145,7 @@ def _complaint(
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
-        line = line_of(lines, named)
+        line = line_of(lines, _numbered(key, named, lines))
         place = f"{source}, line {line}" if line else source
     if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and key[-1].isdigit():
         key = key[:-1]  # what is missing in a list has no name
@@ -170,6 +153,17 @@ def _complaint(
     if entry["type"] == "extra_forbidden":
         return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
     return f"{place}: {subject}{complaint(entry, _remedy(key))}"
+
+
+def _numbered(key: tuple[str, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
+    """A key as written, with the numbers that tables of the file have."""
+    found, words = (), iter(named)
+    for part in key:
+        if not part.isdigit():
+            found = (*found, next(words))
+        elif (*found, part) in lines:
+            found = (*found, part)
+    return found
 
 
 def _models(
@@ -195,10 +189,27 @@ def _as_written(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any
 
 
 def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:
-    *_, (model, _) = _models(key[:-1], file, data)
+    *_, (model, table) = _models(key[:-1], file, data)
     known = list(model.model_fields)
+    if others := _of_another_kind(key, file, data, table):
+        return others
     close = nearest_of(key[-1], known)
     return f"did you mean {close!r}?" if close else f"expected one of {', '.join(known)}: correct or remove it"
+
+
+def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any], table: Any) -> str:
+    """Which nouns that may stand in a table have a key that its own has not; empty where none has."""
+    if len(key) < 2:
+        return ""
+    *_, (within, _) = _models(key[:-2], file, data)
+    field = within.model_fields.get(key[-2])
+    nouns = None if field is None else nouns_in(field.annotation, field.metadata)
+    if nouns is None or not isinstance(table, dict) or not (kinds := nouns.having(key[-1])):
+        return ""
+    _, own = name_of(nouns.chosen(table)) or ("", "")
+    is_ = "is" if nouns.word in table else f"without a {nouns.word} is"
+    others = " or ".join(f'{nouns.word} = "{kind}"' for kind in kinds)
+    return f'it is one of {others}, and this table {is_} "{own}"; name the {nouns.word} that is meant, or remove it'
 
 
 def _remedy(key: tuple[str, ...]) -> str:

@@ -14,7 +14,7 @@ from itertools import count
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,30 +32,38 @@ from vamgpu.errors import (
     WorkerLost,
 )
 from vamgpu.jobs.build import packing_of, projection_of, target_of, with_diffusion
+from vamgpu.jobs.cluster import slabs
+from vamgpu.jobs.colors import recolored, recorded, subtracted, superposed
+from vamgpu.jobs.estimate import expected
 from vamgpu.jobs.read import Job
+from vamgpu.methods import bound, optimize
+from vamgpu.methods.limit import ExposureLimit
+from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.saved import (
     IMPORTED,
     INTERRUPTED,
     PlanRecord,
     describe,
+    load_plan,
     operator_from,
+    save_plan,
     target_from,
     tolerances_from,
 )
+from vamgpu.methods.tolerances import Tolerances
+from vamgpu.methods.tradeoff import ParetoPoint, pareto
 from vamgpu.operators.defocus import Defocused
-from vamgpu.operators.ring_projection import RingProjection, against_rings, pays_on_rings
+from vamgpu.operators.projector import with_algorithm
+from vamgpu.operators.ring_projection import unsupported_reason
+from vamgpu.printing.corners import prove_corners
+from vamgpu.printing.folder import frames_of, save_frames
+from vamgpu.printing.pack import Solved, check_dither, pack
 from vamgpu.printing.placement import FIT
-from vamgpu.schema.registry import family, find, nearest
+from vamgpu.printing.proof import Proof
+from vamgpu.printing.simulate import simulate
 from vamgpu.storage.atomic import clear
-from vamgpu.storage.folder import Folder, digest
+from vamgpu.storage.folder import Folder, check_place, digest
 from vamgpu.targets.target import Target
-
-if TYPE_CHECKING:
-    from vamgpu.methods.plan import Plan, Step
-    from vamgpu.methods.tolerances import Tolerances
-    from vamgpu.methods.tradeoff import ParetoPoint
-    from vamgpu.printing.pack import Solved
-    from vamgpu.printing.proof import Proof
 
 CHECKPOINT = 300.0
 """Seconds of a run on a cluster after which its plan is kept: so much is lost with a worker, at most."""
@@ -71,74 +79,33 @@ StageProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Proven:
-    """A proof and the record of the plan behind it.
-
-    Args:
-        proof: The proof.
-        plan: How the light was found; without a history where this library did not.
-    """
+    """A proof and the record of the plan behind it."""
 
     proof: Proof
     plan: PlanRecord
 
     def report(self, path: str | Path) -> Path:
-        """Write the report.
-
-        Args:
-            path: Where to, ending in .html.
-
-        Returns:
-            The path written.
-
-        Raises:
-            StorageError: The page cannot be written.
-        """
+        """Write the report. Raises `StorageError`."""
         return self.proof.report(path, self.plan)
 
 
-def _quietly(stage: str, share: float) -> None:
-    """Tell nobody."""
+def quiet(stage: str, share: float) -> None:
+    """Ignore progress."""
 
 
 def solve(
     job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None, pareto: bool = False,
-    cluster: str | None = None, progress: StageProgress = _quietly,
+    cluster: str | None = None, progress: StageProgress = quiet,
 ) -> Folder:  # fmt: skip
-    """Find the light of a job, and write its folder, or go on with one that was interrupted.
-
-    A run that is stopped by Ctrl-C leaves the plan it had reached, which can be proven; the next run goes on from it.
-
-    Args:
-        job: The job.
-        path: The folder to write.
-        overwrite: Replace a job folder that stands there.
-        start: Folder of a plan whose light is the first guess, of as many angles and pixels. Where method and geometry
-            are those of the job, and the run was interrupted, it goes on as if it never had been.
-        pareto: Find the windows of shorter exposures too, and keep them for the report.
-        cluster: As `vamgpu.jobs.cluster.slabs` takes it: its workers are then one device, and a run goes on from the
-            last plan that was kept when one is lost. None for the job's own device.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The folder.
-
-    Raises:
-        BadInput: A value of the job is out of range.
-        MeshError: The mesh cannot be used.
-        TargetTooLarge: The part reaches beyond the grid.
-        DeviceError: The device is not there, or its memory is used up; or as `vamgpu.jobs.cluster.slabs`.
-        StorageError: The folder cannot be written.
-        Cancelled: On Ctrl-C; the folder holds the plan that was reached.
-    """
+    """Find the light of a job, and write its folder, or go on with one that was interrupted."""
     file, place = job.file, Path(path)
-    for taken in (place, second(place)) if file.colors is not None else (place,):
-        _refuse_taken(taken, overwrite)
+    for taken in (place, uv_folder(place)) if file.colors is not None else (place,):
+        clear(taken)
+        check_place(taken, overwrite=overwrite or is_interrupted(taken))
     method, onward = file.method or _method(file.solve.method), start is None and not overwrite
     given: dict[str, Any] = {"overwrite": overwrite, "start": start, "pareto": pareto, "progress": progress}
     if cluster is None:
         return _solve(job, method, place, open_device(file.solve.device), kept=place if onward else None, **given)
-    from vamgpu.jobs.cluster import slabs
-
     with slabs(cluster, file.solve.device) as made, _kept_on_the_way(place, onward) as kept:
         for tried in count():
             due = _Due(CHECKPOINT if file.colors is None else inf)
@@ -173,10 +140,7 @@ def _while_stopped(error: BaseException | None) -> bool:
 
 @dataclass
 class _Due:
-    """Whether it is time to keep a plan, so many seconds after the first iteration was begun.
-
-    A run goes on from its plan as it began, so one that takes long to begin keeps its plan less often.
-    """
+    """Whether it is time to keep a plan, so many seconds after the first iteration was begun."""
 
     period: float
     came: bool = False
@@ -196,9 +160,6 @@ def _solve(
     progress: StageProgress, kept: Path | None, due: _Due | None = None,
 ) -> Folder:  # fmt: skip
     """`solve` on a device. What is ``due`` is kept at ``kept``, which the run goes on from if it is there."""
-    from vamgpu.printing.folder import save_frames
-    from vamgpu.printing.pack import pack
-
     file = job.file
     packing = packing_of(file.frames, job.folder)
     progress("voxels", 0.0)
@@ -223,7 +184,7 @@ def _solve(
     progress("frames", 0.0)
     packed = [pack(light, **packing) for light in lights]
     progress("folder", 0.0)
-    places = (place, second(place))
+    places = (place, uv_folder(place))
     folders = [
         save_frames(where, frames, inputs=inputs, overwrite=overwrite or is_interrupted(where))
         for frames, where in zip(packed, places, strict=False)
@@ -233,8 +194,6 @@ def _solve(
 
 def _keep(error: Cancelled, place: Path, inputs: dict[str, Any]) -> None:
     """Write what an interrupted run had reached, so that the next one goes on from there."""
-    from vamgpu.methods.saved import save_plan
-
     if error.plan is None:
         return
     plan: Any = error.plan
@@ -242,14 +201,7 @@ def _keep(error: Cancelled, place: Path, inputs: dict[str, Any]) -> None:
 
 
 def is_interrupted(path: str | Path) -> bool:
-    """Whether a folder holds the plan of a run that was stopped before its end.
-
-    Args:
-        path: The folder.
-
-    Returns:
-        The answer; False where there is no job.
-    """
+    """Whether a folder holds the plan of a run that was stopped before its end."""
     try:
         return INTERRUPTED in Folder.open(path).manifest.inputs
     except StorageError:
@@ -261,16 +213,17 @@ def _one(
     due: Callable[[], bool] | None = None,
 ) -> Plan:  # fmt: skip
     """The light of a job, found anew or from the light of an earlier plan on."""
-    from vamgpu.methods import optimize
-    from vamgpu.printing.pack import check_dither
-
-    file, limit = job.file, job.file.solve.iterations or method.iterations
+    file = job.file
+    limit = file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
     if file.solve.operator != "voxels":
         light, A = (_on_rings(light, A, file.solve.operator == "rings"),) * 2
     describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
-    check_dither(file.frames.dither, A, target)
+    check_dither(file.frames.dither, A, target, file.frames.bits)
+    if (tell := getattr(progress, "tell", None)) is not None:
+        corners = 1 if file.tolerances is None else len(file.tolerances.corners())
+        tell(str(expected(A, target, method, file.solve.evaluations or limit * method.cost * corners, corners)))
     progress("light", 0.0)
     if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
         method = replace(method, diffusion=A.inner.diffusion)
@@ -285,30 +238,16 @@ def _one(
 
 
 def _on_rings(light: Any, A: Any, asked: bool) -> Any:
-    """The light of a job on rings, where they take it and are asked for or pay; else the operator as it is.
-
-    Raises:
-        JobError: They are asked for and do not take it.
-    """
-    rays: Any = light.operator if isinstance(light, Defocused) else light
-    why = "the dose diffuses" if light is not A else against_rings(rays)
-    if not why and (asked or pays_on_rings(rays)):
-        try:
-            on_rings = RingProjection.of(rays)
-            return on_rings if rays is light else Defocused(on_rings, light.defocus, light.tolerance)
-        except OutOfMemory:
-            if asked:
-                raise
-            return A
-    if asked:
+    """The light of a job on rings, where they are asked for or faster. Raises `JobError` if they cannot be."""
+    rays = light.operator if isinstance(light, Defocused) else light
+    why = "the dose diffuses" if light is not A else unsupported_reason(rays)
+    if asked and why:
         raise JobError(f'solve.operator: got "rings", which do not take this job: {why}; expected "voxels" or "auto"')
-    return A
+    return A if why else with_algorithm(light, "rings" if asked else "auto")
 
 
 def _traded(job: Job, plan: Any, progress: StageProgress) -> tuple[ParetoPoint, ...]:
     """Windows of a job's light and of shorter exposures."""
-    from vamgpu.methods.tradeoff import pareto
-
     if job.file.colors is not None:
         raise JobError("windows of shorter exposures are found for one color; leave --pareto or [colors] out")
     return pareto(plan, **_lamp(job), progress=lambda share: progress("pareto", share))
@@ -325,10 +264,7 @@ def _onward(
     place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None,
     lamp: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    """How `optimize` goes on from a plan: where it stopped if all is the same, else with its light as the start."""
-    from vamgpu.methods.limit import ExposureLimit
-    from vamgpu.methods.saved import load_plan
-
+    """Arguments of `optimize` that resume an equal plan, or start with the light of another."""
     if place is None:
         return {}
     begun = load_plan(place, operator.device)
@@ -342,7 +278,7 @@ def _onward(
 
 
 def _known(operator: Any, target: Any) -> tuple[Any, ...]:
-    """What a plan is for, to be compared; a `Target`, or None."""
+    """Comparable description of a plan's operator and target."""
     arrays: dict[str, Any] = {}
     described = describe(operator, arrays)
     return described, {name: digest(values) for name, values in arrays.items()}, target and _seal(target)
@@ -361,9 +297,6 @@ def _seal(target: Target) -> str:
 
 def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> tuple[list[Solved], PlanRecord]:
     """The same for a job of two colors; one light where its rule sends no second."""
-    from vamgpu.jobs.colors import recolored, recorded, superposed
-    from vamgpu.printing.pack import Solved
-
     if job.file.solve.operator == "rings":
         raise JobError('solve.operator: got "rings", which take one color; expected "voxels" or "auto"')
     if job.file.frames.dither == FIT:
@@ -385,80 +318,35 @@ def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> 
 
 def prove(
     path: str | Path, device: str | None = None, *, evaluations: float = 0.0, tolerances: bool = False,
-    slices: tuple[int, int] | None = None, progress: StageProgress = _quietly,
+    slices: tuple[int, int] | None = None, coarse: bool = False, progress: StageProgress = quiet,
 ) -> Proven:  # fmt: skip
-    """Simulate a written job from its frames' bytes and gray curve.
-
-    Args:
-        path: The folder; that of the first of two colors stands for both.
-        device: Device by name; None takes the best one.
-        evaluations: Projector evaluations, of every corner, to find the widest window that any light can have; 0 leaves
-            it unknown.
-        tolerances: Prove it at every corner of the job's tolerances too, by rays traced for each; the widest window is
-            then that at all of them.
-        slices: First slice, and the one behind the last, that alone are asked for the widest window.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The proof and the record of the plan.
-
-    Raises:
-        StorageError: The folder is missing, damaged or changed.
-        DeviceError: The device is not there.
-        BadInput: The widest window is asked for two colors, or by too few evaluations; or corners are, of a job without
-            tolerances or of two colors.
-    """
-    from vamgpu.methods import bound
-    from vamgpu.printing.corners import prove_corners
-    from vamgpu.printing.folder import frames_of
-    from vamgpu.printing.simulate import simulate
-
+    """Simulate a written job from its frames' bytes and gray curve."""
     folder, place = Folder.open(path), open_device(device)
-    inputs = folder.manifest.inputs
-    try:
-        exposure, colors = dict(inputs.get("print") or {}), inputs.get("colors")
-        strength = float(colors["strength"]) if colors else 0.0
-        signature(simulate).bind(None, None, None, **exposure)
-        record = PlanRecord.read(inputs.get("plan") or IMPORTED)
-        record = replace(record, pareto=tuple(dict(point) for point in inputs.get("pareto") or ()))
-    except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(
-            f"{str(path)!r} lacks or garbles {error} in its manifest; write it with `vam solve`"
-        ) from error
+    record, exposure, strength = _recorded(folder)
+    off = tolerances_from(folder) if tolerances else None
+    if tolerances and (off is None or strength):
+        what = "two colors" if strength else "no tolerances"
+        raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one color")
+    if evaluations and strength:
+        raise BadInput(f"{str(path)!r} has two colors, whose doses no bound is known for; prove it without one")
     progress("read", 0.0)
     try:
         A = operator_from(folder, place)
-        target = target_from(folder, A.grid, place, solid=False)
-        if mended := ((inputs.get("target") or {}).get("solid") or {}).get("mended"):
-            warnings.warn(f"the mesh was mended before it was solved for: {'; '.join(map(str, mended))}", MeshWarning,
-                          stacklevel=2)  # fmt: skip
-        if target is None:
-            raise StorageError(f"{str(path)!r} has no target to judge a print by; save the plan, or write the job with "
-                               "`vam solve`")  # fmt: skip
+        target = _judged_target(folder, A, place)
         progress("frames", 0.0)
         frames = frames_of(folder, place)
         progress("proof", 0.0)
-        proof = simulate(A, frames, target, progress=lambda share: progress("proof", share), **exposure)
-        off = tolerances_from(folder) if tolerances else None
-        if tolerances and (off is None or strength):
-            what = "two colors" if strength else "no tolerances"
-            raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one "
-                           "color")  # fmt: skip
+        told = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        proof = replace(simulate(A, frames, target, **told, **exposure), history=record.history)
         if evaluations:
-            if strength:
-                raise BadInput(f"{str(path)!r} has two colors, whose doses no bound is known for; prove it without one")
             progress("bound", 0.0)
             most = evaluations * (len(off.corners()) if off is not None else 1)
-            found = bound(
-                A, target, evaluations=most, tolerances=off, slices=slices, progress=_spent(progress, most)
-            )  # fmt: skip
-            proof = replace(proof, bound=found)
+            widest = bound(A, target, evaluations=most, tolerances=off, slices=slices, progress=_spent(progress, most))
+            proof = replace(proof, bound=widest)
         if off is not None:
             proof = replace(proof, corners=prove_corners(A, frames, target, off))
-        if strength and os.path.exists(second(Path(path))):
-            from vamgpu.jobs.colors import subtracted
-
-            beside = Folder.open(second(Path(path)))
+        if strength and not coarse and os.path.exists(uv_folder(Path(path))):
+            beside = Folder.open(uv_folder(Path(path)))
             proof = subtracted(proof, strength, operator_from(beside, place), frames_of(beside, place))
     except MemoryError as error:
         raise OutOfMemory(f"the light of {str(path)!r} takes more memory than there is: {error}; check its manifest, "
@@ -466,25 +354,46 @@ def prove(
     return Proven(proof, record)
 
 
-def second(path: Path) -> Path:
+def _recorded(folder: Folder) -> tuple[PlanRecord, dict[str, Any], float]:
+    """Plan, lamp and resin, and strength of a second color (0 without one) in a manifest. Raises `StorageError`."""
+    inputs = folder.manifest.inputs
+    try:
+        exposure, colors = dict(inputs.get("print") or {}), inputs.get("colors")
+        signature(simulate).bind(None, None, None, **exposure)
+        record = PlanRecord.read(inputs.get("plan") or IMPORTED)
+        record = replace(record, pareto=tuple(dict(point) for point in inputs.get("pareto") or ()))
+        return record, exposure, float(colors["strength"]) if colors else 0.0
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(
+            f"the manifest of {str(folder.path)!r} lacks {error}, or it is malformed; write the job with `vam solve`"
+        ) from error
+
+
+def _judged_target(folder: Folder, A: Any, device: Device) -> Target:
+    """The target of a job folder; warns of a repaired mesh. Raises `StorageError`."""
+    target = target_from(folder, A.grid, device)
+    if mended := ((folder.manifest.inputs.get("target") or {}).get("solid") or {}).get("mended"):
+        warnings.warn(f"the mesh was repaired before it was solved for: {'; '.join(map(str, mended))}", MeshWarning,
+                      stacklevel=3)  # fmt: skip
+    if target is None:
+        raise StorageError(f"{str(folder.path)!r} has no target to judge a print by; save the plan, give pack its "
+                           "target, or write the job with `vam solve`")  # fmt: skip
+    return target
+
+
+def uv_folder(path: Path) -> Path:
     """The folder of the second color beside that of the first: boat.vam and boat-uv.vam."""
     return path.with_name(f"{path.stem}-uv{path.suffix}")
 
 
-def _refuse_taken(place: Path, overwrite: bool) -> None:
-    """Say before the work, not after it, that the place is taken."""
-    clear(place)
-    if os.path.lexists(place) and not overwrite and not is_interrupted(place):
-        raise StorageError(f"{str(place)!r} exists; choose another path, or allow overwriting it (--overwrite)")
-
-
 def _method(name: str) -> Any:
     """The method of that name with its default parameters."""
-    methods = family("method")
-    known = ("default", *methods.nouns)
-    if name not in known:
-        raise JobError(f"solve.method: got {name!r}; expected one of {', '.join(known)}{nearest(name, known)}")
-    return find("method", "best" if name == "default" else name)()
+    from vamgpu.methods.choose import chosen
+
+    try:
+        return chosen(name)
+    except BadInput as error:
+        raise JobError(f"solve.method: {error}") from None
 
 
 def _share(progress: StageProgress, limit: int) -> Callable[[Step], None]:

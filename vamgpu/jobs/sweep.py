@@ -12,6 +12,7 @@ from pathlib import Path
 from vamgpu.errors import BadInput, StorageError, VamError
 from vamgpu.jobs.cluster import workers
 from vamgpu.jobs.read import read_job
+from vamgpu.jobs.run import is_interrupted, prove, solve
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Folder
 
@@ -46,7 +47,7 @@ class Point:
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker is given."""
+    """Task of a worker."""
 
     job: Path
     settings: tuple[str, ...]
@@ -54,17 +55,7 @@ class _Task:
 
 
 def values_of(text: str) -> tuple[str, list[str]]:
-    """Read a key and its values.
-
-    Args:
-        text: ``key=value,value``; commas within brackets and quotes belong to a value.
-
-    Returns:
-        The key and the values.
-
-    Raises:
-        BadInput: There is no key, or a value is empty.
-    """
+    """Read a key and its values. Raises `BadInput`."""
     key, equals, rest = text.partition("=")
     values = [value.strip() for value in re.findall(r'(?:"[^"]*"|\[[^\]]*\]|[^,"\[])+', rest)]
     if not key.strip() or not equals or not values or not all(values) or rest.rstrip().endswith(","):
@@ -92,7 +83,7 @@ def sweep(
         path: Folder of the job folders, which are numbered from 0001.vam in the order of the combinations.
         settings: ``key=value`` for all points.
         cluster: As `vamgpu.jobs.cluster.workers` takes it; None for this process.
-        progress: Is told every point when it is done, and how many there are.
+        progress: Called with every point that is done, and the number of points.
 
     Returns:
         The points, in the order of the combinations.
@@ -107,7 +98,7 @@ def sweep(
     combinations = list(product(*vary.values())) if vary else []
     if not 1 <= len(combinations) <= MOST:
         raise BadInput(f"got {len(combinations)} points; expected 1 to {MOST}: name keys and values to vary")
-    wanted = read_job(source, settings)
+    checked = read_job(source, settings)
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,7 +108,7 @@ def sweep(
         for number, values in enumerate(combinations, 1)
     ]
     tasks = [_Task(source, tuple(settings), point) for point in points]
-    with workers(cluster, wanted.file.solve.device) as each:
+    with workers(cluster, checked.file.solve.device) as each:
         for found in each(_solved, tasks):
             points[found.number - 1] = found
             _write(place / "sweep.csv", points)
@@ -127,8 +118,6 @@ def sweep(
 
 def _solved(task: _Task) -> Point:
     """Solve and prove one point; what is wrong with it is its answer."""
-    from vamgpu.jobs.run import prove, solve
-
     point = task.point
     try:
         job = read_job(task.job, (*task.settings, *(f"{key}={value}" for key, value in point.values.items())))
@@ -142,8 +131,6 @@ def _solved(task: _Task) -> Point:
 
 
 def _is_done(folder: Path, given: object) -> bool:
-    from vamgpu.jobs.run import is_interrupted
-
     try:
         return Folder.open(folder).manifest.inputs.get("job") == given and not is_interrupted(folder)
     except StorageError:

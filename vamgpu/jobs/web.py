@@ -15,15 +15,22 @@ from vamgpu.errors import JobError, StorageError, VamError
 from vamgpu.jobs.cluster import workers
 from vamgpu.jobs.limits import Lens, Roll, WebResinSection
 from vamgpu.jobs.read import CheckedJob, read_text
-from vamgpu.jobs.run import StageProgress, _quietly
+from vamgpu.jobs.run import StageProgress, quiet
 from vamgpu.methods.bclp import BCLP
+from vamgpu.metrics.contrast import contrast
+from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
+from vamgpu.printing.gray import GrayCurve
 from vamgpu.schema.quantities import Count, Length, NonNegative, Positive, Speed
 from vamgpu.schema.read import noun
 from vamgpu.schema.section import Misplaced, Named, Section
+from vamgpu.storage.atomic import check_folder
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import is_file, parse_toml
+from vamgpu.targets import lattices
+from vamgpu.targets.mesh import load_mesh
+from vamgpu.targets.stream import Repeated
 from vamgpu.webs.display import Display
 from vamgpu.webs.segment import Segment
 from vamgpu.webs.store import RECORD, WebFolder
@@ -34,7 +41,7 @@ RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 
 
 class WebTarget(Section):
-    """What is printed on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
+    """The part on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
 
     A mesh stays where it is: its x along the web, its y from the roller's side outwards, its z across about the middle.
 
@@ -82,7 +89,7 @@ class WebBeam(Section):
 
 
 class WebSolve(Section):
-    """How light is found.
+    """The search for light.
 
     method: by its name, with its own parameters, "best" for the widest window; by default that of [method].
     iterations: of each segment.  core, overlap: of a segment, in windows of light.  device: where to compute; the best
@@ -92,12 +99,12 @@ class WebSolve(Section):
     method: str | None = None
     iterations: Count = 100
     core: Positive = 2.0
-    overlap: NonNegative = 1.0
+    overlap: NonNegative = 1.25
     device: str | None = None
 
 
 class WebFrames(Section):
-    """How light becomes frames.
+    """The packing of light into frames.
 
     gray: file of the projector's gray curve.  scale: light of a full-on pixel.
     """
@@ -107,7 +114,7 @@ class WebFrames(Section):
 
 
 class WebFile(Section):
-    """A whole job file of a web. The tables of the machine are those that its limits are told from."""
+    """A whole job file of a web. `vam limits` reads the tables of its machine."""
 
     film: Annotated[Film, noun("film")]
     roller: Roll
@@ -139,14 +146,7 @@ parse_web: Callable[..., WebJob] = WebJob.parse
 
 
 def is_web(path: str | Path) -> bool:
-    """Whether a job file is that of a web: it has a roller.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The answer; False for a file that is no TOML.
-    """
+    """Whether a job file is that of a web: it has a roller."""
     try:
         return "roller" in parse_toml(read_text(path))
     except tomllib.TOMLDecodeError:
@@ -154,22 +154,12 @@ def is_web(path: str | Path) -> bool:
 
 
 def is_web_folder(path: str | Path) -> bool:
-    """Whether a folder holds the frames of a web.
-
-    Args:
-        path: The folder.
-
-    Returns:
-        The answer.
-    """
+    """Whether a folder holds the frames of a web."""
     return is_file(Path(path) / RECORD)
 
 
 def stream_of(job: WebJob) -> Stream:
     """The stream of a job. Raises `JobError`, `BadInput`, `MeshError`, `StorageError`, `DeviceError`."""
-    from vamgpu.methods import BCLP
-    from vamgpu.printing.gray import GrayCurve
-
     file = job.file
     roller = roller_of(file)
     pitch = file.beam.pitch
@@ -197,14 +187,11 @@ def roller_of(file: WebFile) -> Roller:
 
 
 def target_of(job: WebJob) -> Any:
-    """What is printed, as a stream takes it."""
+    """Target of a stream."""
     section = job.file.target
     if section.lattice is not None:
         return _lattice(section)
     if section.mesh is not None:
-        from vamgpu.targets.mesh import load_mesh
-        from vamgpu.targets.stream import Repeated
-
         assert section.period is not None
         return Repeated(load_mesh(job.folder / section.mesh, center=False), section.period)
     try:
@@ -216,8 +203,6 @@ def target_of(job: WebJob) -> Any:
 
 
 def _lattice(section: WebTarget) -> Any:
-    from vamgpu.targets import lattices
-
     known = {name.lower(): name for name in lattices.__all__}
     name = known.get(str(section.lattice).replace(" ", "").replace("-", "").lower())
     if name is None:
@@ -234,37 +219,19 @@ def _lattice(section: WebTarget) -> Any:
 
 def solve_web(
     job: WebJob, path: str | Path, *, overwrite: bool = False, cluster: str | None = None,
-    progress: StageProgress = _quietly,
+    progress: StageProgress = quiet,
 ) -> WebFolder:  # fmt: skip
-    """Write the frames of a web to a folder, or go on with one that was interrupted.
-
-    Args:
-        job: The job.
-        path: The folder to write.
-        overwrite: Replace a folder that stands there.
-        cluster: As `vamgpu.jobs.cluster.workers` takes it: segments are then solved by its workers, who must see the
-            job's files at the same place; None for this process.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The folder.
-
-    Raises:
-        BadInput: A value of the job is out of range.
-        TileError: The lattice does not fit its tile.
-        MeshError: The mesh cannot be used.
-        DeviceError: The device is not there, or its memory is used up; or as `vamgpu.jobs.cluster.workers`.
-        StorageError: The folder cannot be written.
-    """
+    """Write the frames of a web to a folder, or go on with one that was interrupted."""
+    check_folder(Path(path))
     progress("voxels", 0.0)
     stream = stream_of(job)
 
-    def told(done: int, of: int | None) -> None:
+    def advance(done: int, of: int | None) -> None:
         progress("light", done / of if of else 0.0)
 
     progress("light", 0.0)
     if cluster is None:
-        return stream.write(path, overwrite=overwrite, progress=told)
+        return stream.write(path, overwrite=overwrite, progress=advance)
     with workers(cluster, job.file.solve.device) as each:
 
         def spread(numbers: range, scale: float | None) -> Iterator[Segment]:
@@ -276,12 +243,12 @@ def solve_web(
             for segment in each(_segment, [_Task(job, number, scale) for number in left], ordered=True):
                 yield _found(segment)
 
-        return stream.write(path, overwrite=overwrite, progress=told, spread=spread)
+        return stream.write(path, overwrite=overwrite, progress=advance, spread=spread)
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker is given."""
+    """Task of a worker."""
 
     job: WebJob
     number: int
@@ -312,13 +279,7 @@ _latest: tuple[WebJob, Stream] | None = None
 def contrasts(
     ratios: Iterable[float] = RATIOS, *, voxels: int = 64, device: str | None = None
 ) -> tuple[tuple[float, float], ...]:
-    """Index ratio m and contrast ξ of the best dose within arcsin m of the normal, for one random target of 3 mm.
-
-    Source: Toombs et al., section S10 and Fig. S9, whose target is not published.
-    """
-    from vamgpu.metrics.contrast import contrast
-    from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
-
+    """Index ratio m and contrast ξ of the best dose within arcsin m of the normal, for one random target of 3 mm."""
     target = random_plane(voxels)
     doses = ((m, limited_dose(target, 3.0 / voxels, m, device=device)) for m in ratios)
     return tuple((m, contrast(responded(dose), target)) for m, dose in doses)

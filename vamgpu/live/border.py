@@ -19,12 +19,7 @@ STEEPEST = 1e-3
 
 
 class Border:
-    """Pairs of neighbors of which one is in the part, and how far from halfway the dose crosses a threshold.
-
-    Args:
-        part: Fractions, [x, y, z].
-        threshold: Dose from which resin is solid.
-    """
+    """Neighbor pairs across the part's surface, and how far from halfway the dose crosses a threshold between them."""
 
     threshold: float
 
@@ -43,26 +38,11 @@ class Border:
         self._pairs = pairs[:, :: max(-(-pairs.shape[1] // PAIRS), 1)]
 
     def off(self, dose: Any) -> float:
-        """How far the surface of a print lies from the part's.
-
-        Args:
-            dose: Of the whole print, [x, y, z], NumPy or on a device.
-
-        Returns:
-            Root mean square [voxels], up to `FARTHEST`, which a part without a surface always has.
-        """
+        """Root mean square distance [voxels] of a print's surface from the part's, `FARTHEST` at most."""
         return self._rms(*self._ends(dose))
 
     def share(self, had: Any, more: Any) -> float:
-        """How much more dose puts the surface nearest to the part's.
-
-        Args:
-            had: Dose so far, [x, y, z], NumPy or on a device.
-            more: Dose to come, [x, y, z], likewise.
-
-        Returns:
-            The share of it to give, 0 to 2.
-        """
+        """The share, 0 to 2, of the dose to come that puts the print's surface nearest to the part's."""
         (a, b), (da, db) = self._ends(had), self._ends(more)
         best, step = 1.0, 1.0
         for shares in (40, 40):  # the second time between the neighbors of the first one's best

@@ -27,7 +27,7 @@ LEAST = 1e-6
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """How gray levels scatter: variance = read² + gain·level + 1/12, the last of rounding.
+    """Noise of gray levels: variance = read² + gain·level + 1/12, the last of rounding.
 
     Args:
         read: Standard deviation in the dark [gray levels].
@@ -51,7 +51,7 @@ class SensorNoise:
         return 2**self.bits - 1
 
     def variance(self, images: np.ndarray) -> np.ndarray:
-        """How much gray levels scatter.
+        """Variance of gray levels.
 
         Args:
             images: Gray levels, (...,).
@@ -62,7 +62,7 @@ class SensorNoise:
         return self.read**2 + self.gain * np.maximum(images, 0.0) + 1.0 / 12.0
 
     def expose(self, images: np.ndarray, seed: int) -> np.ndarray:
-        """What a sensor makes of gray levels without noise.
+        """Gray levels with the sensor's noise.
 
         Args:
             images: Gray levels, (...,).
@@ -194,7 +194,7 @@ class MonitoringCamera:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the images of a turn: angles, rows, columns."""
+        """Shape of the images of a turn: angles, rows, columns."""
         angles, columns, rows = self.projection.range.shape
         return angles, rows, columns
 
@@ -329,7 +329,7 @@ class MonitoringCamera:
 
     # ---- and back ---------------------------------------------------------------------------------------------------
     def optical_depth(self, images: Any) -> tuple[np.ndarray, np.ndarray]:
-        """How much light a print took, and how well that is known.
+        """Optical depth of a print, and its weight.
 
         Pixels that are saturated, not finite (a lost frame is NaN throughout), or darker than twice their noise weigh
         nothing. The open field counts as exact.

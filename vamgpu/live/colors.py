@@ -12,8 +12,10 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.live.replan import ROUNDING, SURE, Outlook, finite
+from vamgpu.live.fields import scaled
+from vamgpu.live.replan import ROUNDING, SURE, Forecast, finite
 from vamgpu.losses.band import Band
+from vamgpu.losses.loss import Loss
 from vamgpu.methods.joint.descent import ColorDescent, gains_of
 from vamgpu.methods.joint.models import KineticModel, Pair, SpeciesFields
 from vamgpu.methods.joint.run import LossWeights
@@ -36,8 +38,8 @@ class ReplannedColors:
     """
 
     light: Pair
-    kept: Outlook
-    expected: Outlook
+    kept: Forecast
+    expected: Forecast
     evaluations: float
 
 
@@ -101,44 +103,29 @@ class ColorReplanner:
             BadInput: A state or light that is no number, or no turns.
             ShapeMismatch: An array of another geometry.
         """
-        counts = sorted({int(count) for count in turns})
-        if not counts or counts[0] < 0 or planned < 0:
-            raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
-        allowed, device = positive("evaluations", evaluations), model.device
-        state = SpeciesFields(*(finite(model.operators[0].domain, part, device, f"the {name}")
-                                for name, part in zip(SpeciesFields._fields, delivered, strict=True)))  # fmt: skip
-        light = Pair(*(finite(A.range, part, device, "the plan's light")
-                       for A, part in zip(model.operators, plan, strict=True)))  # fmt: skip
+        counts, allowed = _counts(turns, planned), positive("evaluations", evaluations)
+        state, light = _on_device(model, delivered, plan)
         now = state.effective_dose(model.resin)
-        loss, judge = self._loss(model, now, deviation), OptimizerState(model.operators[0], self._fractions, {}, "loss")
-        loss = loss.on(judge.field)
-
-        def looked(count: int, dose: DeviceArray) -> tuple[Outlook, float]:
-            found = self._outlook(count, dose, judge)
-            return found, judge.loss(dose, loss)
-
+        judge = OptimizerState(model.operators[0], self._fractions, {}, "loss")
+        loss = self._loss(model, now, deviation).on(judge.field)
         before = judge.part_mean(now)
         after = model.going_on(planned, state).expose(light) if planned else combine(1.0, now, 0.0, now, judge.volume())
         rise = max(judge.part_mean(after) - before, 0.0) if planned else 0.0
         spent = 0.5 * bool(planned)
-        kept, kept_loss = looked(planned, after)
-        best, best_loss = (light, kept), np.inf
-        if planned in counts and self._shown(light):
-            best_loss = kept_loss
-        if counts[0] == 0 and not planned:
-            best_loss = kept_loss
-        elif counts[0] == 0:
-            dark = Pair(*(device.upload(np.zeros(part.shape, np.float32)) for part in light))
-            outlook, stopped = looked(0, combine(1.0, now, 0.0, now, after))
+        kept, kept_loss = self._judged(planned, after, judge, loss)
+        possible = (planned in counts and self._shown(light)) or (counts[0] == 0 and not planned)
+        best, best_loss = (light, kept), kept_loss if possible else np.inf
+        if counts[0] == 0 and planned:
+            forecast, stopped = self._judged(0, now, judge, loss)
             if stopped <= best_loss:
-                best, best_loss = (dark, outlook), stopped
+                best, best_loss = (Pair(*(scaled(part, 0.0) for part in light)), forecast), stopped
         if counts[-1] and rise:
             count, start = self._start(model, light, planned, counts, rise, before)
-            found = self._lowered(model.going_on(count, state), loss, start, allowed - spent - 0.5)
-            spent += found[1] + 0.5
-            outlook, lowered = looked(count, model.going_on(count, state).expose(found[0]))
-            if lowered < best_loss:
-                best = (found[0], outlook)
+            lowered, steps = self._lowered(model.going_on(count, state), loss, start, allowed - spent - 0.5)
+            spent += steps + 0.5
+            forecast, found = self._judged(count, model.going_on(count, state).expose(lowered), judge, loss)
+            if found < best_loss:
+                best = (lowered, forecast)
         return ReplannedColors(best[0], kept, best[1], spent)
 
     def _start(
@@ -178,7 +165,28 @@ class ColorReplanner:
         lost = np.where(part, sure > self.weights.most, sure >= self.weights.inside)
         return replace(band, weight=(~lost).astype(np.float32)) if lost.any() and not lost.all() else band
 
-    def _outlook(self, turns: int, dose: DeviceArray, judge: OptimizerState) -> Outlook:
+    def _judged(self, turns: int, dose: DeviceArray, judge: OptimizerState, loss: Loss) -> tuple[Forecast, float]:
+        """The forecast of a print and its loss; the dose becomes the loss's gradient."""
+        return self._forecast(turns, dose, judge), judge.loss(dose, loss)
+
+    def _forecast(self, turns: int, dose: DeviceArray, judge: OptimizerState) -> Forecast:
         threshold = 0.5 * (self.weights.outside + self.weights.inside) if self.threshold is None else self.threshold
         iou = float(score(dose, self._fractions, threshold=threshold).iou)
-        return Outlook(turns, judge.window(dose)[0], iou)
+        return Forecast(turns, judge.window(dose)[0], iou)
+
+
+def _counts(turns: Sequence[int], planned: int) -> list[int]:
+    """Numbers of further turns, in order. Raises `BadInput`."""
+    counts = sorted({int(count) for count in turns})
+    if not counts or counts[0] < 0 or planned < 0:
+        raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
+    return counts
+
+
+def _on_device(model: KineticModel, delivered: SpeciesFields, plan: Pair) -> tuple[SpeciesFields, Pair]:
+    """The species and the plan's light as finite fields on the model's device. Raises `BadInput`, `ShapeMismatch`."""
+    state = SpeciesFields(*(finite(model.operators[0].domain, part, model.device, f"the {name}")
+                            for name, part in zip(SpeciesFields._fields, delivered, strict=True)))  # fmt: skip
+    light = Pair(*(finite(A.range, part, model.device, "the plan's light")
+                   for A, part in zip(model.operators, plan, strict=True)))  # fmt: skip
+    return state, light

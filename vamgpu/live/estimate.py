@@ -1,8 +1,7 @@
-"""What the light of the turns so far did, against what the model said: a few parameters, then every voxel."""
+"""Estimates what the light of the turns so far did: a few parameters, then a gain of every voxel."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -16,9 +15,11 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
-from vamgpu.kernels.watch import lean_gain, match_dose, share_gain, weigh_evidence
-from vamgpu.live.delivering import Delivering
+from vamgpu.kernels.watch import likelihood_weights, match_dose, share_gain, tilted_gain
+from vamgpu.live.calibrated import CalibratedProjection
 from vamgpu.live.fields import here, picked, places, scaled
+from vamgpu.live.local_dose import LocalDose
+from vamgpu.live.prior import LEAST, MOST, NAMES, OPTICAL, Prior
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smooth import Smoothing
 from vamgpu.losses.response import Response
@@ -30,100 +31,26 @@ from vamgpu.operators.row_resampler import banded
 from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
 
-NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "head_start")
-"""Factors of the dose and of the absorption coefficient; places of the axis across the light and of the light along z
-[mm]; what the gain changes by from the middle to the top, and over half of the squared radius; dose that the resin has
-had before, as where inhibitor was used up."""
-NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-OPTICAL = (1, 2, 3)
-"""Parameters that need an operator of their own; the dose is linear in the others."""
-DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 1e-3)
-LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0, -np.inf])
-MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0, np.inf])
-"""Beyond these a print is no print any more; nor is the axis, or the height, farther off than a tenth of the beam."""
 EDGE = 1e-3
-"""From their bounds, where parameters may start."""
+"""Least distance of starting values from their bounds."""
 STEPS = (0.05, 0.1, 0.1)
-"""Of the differences that derivatives are taken from: a factor of absorption, and shares of a pixel."""
+"""Steps of the differences for derivatives: a factor of absorption, and shares of a pixel."""
 APART = (4, 2, 2)
 """Steps from one place that derivatives are taken about to the next; the dose is known to second order between."""
 FAR = 0.75
-"""Of these distances, beyond which derivatives are taken anew."""
+"""Share of these distances beyond which derivatives are taken anew."""
 KEPT = 16
 """Operators whose tables are kept."""
 SLICES = 32
-"""Of the voxels that parameters are estimated from, at most: slices do not light each other."""
+"""Most slices with voxels that parameters are estimated from: slices do not light each other."""
 
 
 FAINT = 0.02
 """Share of the greatest dose below which two operators are not compared."""
 OTHER = 1.5
-"""By which they are taken to differ at most."""
+"""Largest expected ratio between them."""
 STILL = 0.05
 """Share of a pixel by which an axis beside the light's middle makes no difference to a plan."""
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the parameters before a turn is seen: a normal distribution.
-
-    Args:
-        mean: Of each of `NAMES`, (7,).
-        covariance: Of each with each, (7, 7).
-
-    Raises:
-        BadInput: A number is not finite, or the covariance is not positive definite.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    def __post_init__(self) -> None:
-        mean, covariance = np.array(self.mean, float), np.array(self.covariance, float)
-        count = len(NAMES)
-        fits = mean.shape == (count,) and covariance.shape == (count, count)
-        if not (fits and np.isfinite(mean).all() and np.isfinite(covariance).all()):
-            raise BadInput(f"a prior has shapes {mean.shape} and {covariance.shape}; expected {count} finite means and "
-                           f"a covariance of {', '.join(NAMES)}")  # fmt: skip
-        if np.linalg.eigvalsh(covariance).min() <= 0.0:
-            raise BadInput("the covariance of a prior is not positive definite; expected variances above 0")
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "covariance", covariance)
-
-    @classmethod
-    def of(cls, history: ResinHistory | None = None, deviations: Mapping[str, float] | None = None) -> Prior:
-        """From what a vial has been through: resin of less oxygen needs as much less light.
-
-        Args:
-            history: Of the vial; None for fresh resin.
-            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; those left out are the
-                usual ones.
-
-        Returns:
-            The prior.
-
-        Raises:
-            BadInput: A name is unknown, a deviation not positive, or no oxygen is left.
-        """
-        usual = dict(zip(NAMES, DEVIATIONS, strict=True)) | dict(deviations or {})
-        if set(usual) != set(NAMES):
-            raise BadInput(f"got deviations of {', '.join(usual)}; expected names among {', '.join(NAMES)}")
-        mean = NOMINAL.copy()
-        if history is not None:
-            mean[0] = 1.0 / positive("oxygen", history.oxygen)
-        return cls(mean, np.diag([positive(f"deviation of {name}", usual[name]) ** 2 for name in NAMES]))
-
-    def drifted(self, deviations: Mapping[str, float]) -> Prior:
-        """The prior a turn later, of parameters that wander by so much a turn.
-
-        Args:
-            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; others stay as they are.
-
-        Returns:
-            The prior of the next turn.
-        """
-        noise = np.array([deviations.get(name, 0.0) ** 2 for name in NAMES])
-        return Prior(self.mean, self.covariance + np.diag(noise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +62,7 @@ class Estimate:
         covariance: Of each with each, (7, 7), widened where the residuals are greater than the noise.
         delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
         lit: Of it, what the light since the estimate before gave by the parameters alone, [x, y, z] on the device.
-        doubt: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
+        std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Used for the parameters.
     """
@@ -144,7 +71,7 @@ class Estimate:
     covariance: np.ndarray
     delivered: DeviceArray
     lit: DeviceArray
-    doubt: DeviceArray
+    std: DeviceArray
     chi_square: float
     voxels: int
 
@@ -155,8 +82,8 @@ class Estimate:
 
     @cached_property
     def deviation(self) -> np.ndarray:
-        """`doubt` as a NumPy array, [x, y, z]."""
-        return self.doubt.numpy()
+        """`std` as a NumPy array, [x, y, z]."""
+        return self.std.numpy()
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -166,7 +93,7 @@ class Estimate:
 
     @property
     def correlation(self) -> np.ndarray:
-        """Of each parameter with each, −1 to 1, (7, 7)."""
+        """Correlation of the parameters, −1 to 1, (7, 7)."""
         spread = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(spread, spread)
 
@@ -190,39 +117,20 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Near:
-    """Dose of n voxels near some parameters, to second order in the optical ones.
+class _Fit:
+    """Data of a fit: light, numbers of n voxels, their earlier dose, conversion and its deviation; mean, whitening."""
 
-    center: parameters, (7,).  even: dose there of a gain of 1, (n,).  slopes, curves: its derivatives, (3, n).  up,
-    out: profiles of the gain along z and along r, (n,).  before: dose of earlier turns, (n,).
-    """
-
-    center: np.ndarray
-    even: np.ndarray
-    slopes: np.ndarray
-    curves: np.ndarray
-    up: np.ndarray
-    out: np.ndarray
+    light: DeviceArray
+    used: np.ndarray
     before: Any
-
-    def _parts(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        off = (p - self.center)[list(OPTICAL)]
-        even = self.even + off @ self.slopes + 0.5 * off**2 @ self.curves
-        return even, self.slopes + off[:, None] * self.curves, 1.0 + p[4] * self.up + p[5] * self.out
-
-    def dose(self, p: np.ndarray) -> np.ndarray:
-        even, _, profile = self._parts(p)
-        return self.before + p[6] + p[0] * profile * even
-
-    def rates(self, p: np.ndarray) -> np.ndarray:
-        """Derivatives of the dose by the parameters, (7, n)."""
-        even, slopes, profile = self._parts(p)
-        gains = profile * even, *(p[0] * profile * slopes), p[0] * even * self.up, p[0] * even * self.out
-        return np.stack([*gains, np.ones_like(even)])
+    seen: np.ndarray
+    sigma: np.ndarray
+    mean: np.ndarray
+    whitening: np.ndarray
 
 
 def _raising(rows: int, up: float) -> np.ndarray:
-    """What rows get of rows by light that lies higher by so many, linear between them, (rows, rows)."""
+    """The matrix (rows, rows) that raises light by ``up`` rows, linear between them."""
     return np.maximum(1.0 - np.abs(np.arange(rows)[:, None] - up - np.arange(rows)), 0.0)
 
 
@@ -297,16 +205,16 @@ class Estimator:
         gain = self.operator.device.empty(self.operator.domain.shape)
         up, aside = self._profiles
         self.operator.device.launch(
-            lean_gain, up=up, aside=aside, level=values[0], along=values[4], across=values[5], gain=gain
+            tilted_gain, up=up, aside=aside, level=values[0], along=values[4], across=values[5], gain=gain
         )
         return gain
 
     @cached_property
     def _profiles(self) -> tuple[DeviceArray, DeviceArray]:
-        """What the gain changes with, along z and across, as tables."""
+        """Profiles of the gain along z and across, as tables."""
         return self.operator.device.table(self._up), self.operator.device.table(self._out)
 
-    def delivering(self, values: np.ndarray) -> Delivering:
+    def calibrated(self, values: np.ndarray) -> CalibratedProjection:
         """The operator with these parameters; its transpose is what light delivers.
 
         Args:
@@ -315,10 +223,11 @@ class Estimator:
         Returns:
             The operator, on the device of the planned one.
         """
-        return Delivering(self._placed(float(values[1]), float(values[2])), self._gain(values), float(values[3]))
+        placed = self._placed(float(values[1]), float(values[2]))
+        return CalibratedProjection(placed, self._gain(values), float(values[3]))
 
-    def nearly(self, values: np.ndarray, light: Any, dose: Any) -> Delivering:
-        """`delivering`, to plan with: on rings where they are faster, and `delivering` itself elsewhere.
+    def nearly(self, values: np.ndarray, light: Any, dose: Any) -> CalibratedProjection:
+        """`calibrated`, to plan with: on rings where they are faster, and `calibrated` itself elsewhere.
 
         The tables of rings are those of the planned operator. Light is moved; what more or less absorption does is a
         gain, with which some light has the dose that it should. The dose of other light is nearly right.
@@ -332,10 +241,10 @@ class Estimator:
             The operator, on the device of the planned one.
         """
         if self.quick is None:
-            return self.delivering(values)
+            return self.calibrated(values)
         device, raised = self.operator.device, self.quick.raised(float(values[3]))
         across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
-        moved, wanted = Delivering(raised, self._gain(values), across=across), here(device, dose)
+        moved, wanted = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
         got = moved.T(here(device, light))
         device.launch(match_dose, dose=wanted, got=got, least=FAINT * extent(wanted)[1], most=OTHER, gain=moved.gain)
         return moved
@@ -384,34 +293,39 @@ class Estimator:
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
-        data, residuals, optical = np.empty((0, len(NAMES))), np.empty(0), list(OPTICAL)
-        near: _Near | None = None
-        for _ in range(self.rounds):
-            if near is not None and (np.abs(values - near.center)[optical] <= FAR * self._apart).all():
-                break
-            near = self._near(lit, self._center(values), used, base)
-
-            def gaps(p: np.ndarray, near: _Near = near) -> np.ndarray:
-                seen_less = (self.conversion(near.dose(p)) - told) / sigma
-                return np.concatenate([seen_less, whitening @ (p - prior.mean)])
-
-            def rise(p: np.ndarray, near: _Near = near) -> np.ndarray:
-                rate = self._slope(near.dose(p)) / sigma
-                return np.concatenate([(rate * near.rates(p)).T, whitening])
-
-            begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
-            found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST))  # pyright: ignore[reportArgumentType]
-            values, data, residuals = found.x, found.jac[: used.size], found.fun[: used.size]
+        fit = _Fit(lit, used, base, told, sigma, prior.mean, whitening)
+        values, data, residuals = self._fitted(fit, values)
         chi = float(residuals @ residuals)
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
-        dose = self.delivering(values).T(lit)
+        dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
         if before is not None:
             combine(1.0, field, 1.0, here(device, before.delivered), field)
-        doubt = self._by_voxel(field, seen, spread)
-        return Estimate(values, covariance, field, dose, doubt, chi, used.size)
+        std = self._by_voxel(field, seen, spread)
+        return Estimate(values, covariance, field, dose, std, chi, used.size)
+
+    def _fitted(self, fit: _Fit, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The most probable parameters, and the derivatives and residuals of the voxels used, by Gauss-Newton."""
+        data, residuals, near = np.empty((0, len(NAMES))), np.empty(0), None
+        for _ in range(self.rounds):
+            if near is not None and (np.abs(values - near.center)[list(OPTICAL)] <= FAR * self._apart).all():
+                break
+            near = self._near(fit.light, self._center(values), fit.used, fit.before)
+
+            def gaps(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                seen_less = (self.conversion(near.dose(p)) - fit.seen) / fit.sigma
+                return np.concatenate([seen_less, fit.whitening @ (p - fit.mean)])
+
+            def rise(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                rate = self._slope(near.dose(p)) / fit.sigma
+                return np.concatenate([(rate * near.rates(p)).T, fit.whitening])
+
+            begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
+            found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST))  # pyright: ignore[reportArgumentType]
+            values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
+        return values, data, residuals
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
         """Conversion and its deviation on the device, 0 where nothing is seen, and where something is; None for all."""
@@ -484,7 +398,7 @@ class Estimator:
         device.launch(resample, source=light, lanes=light, **banded(device, weights), target=mixed)
         return mixed
 
-    def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray, before: Any) -> _Near:
+    def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray, before: Any) -> LocalDose:
         """The dose about some parameters, by differences of operators."""
         count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
         slices, place = np.unique(used % count, return_inverse=True)
@@ -513,7 +427,7 @@ class Estimator:
                 slopes[k] = (high - low) / (2.0 * self._steps[k])
                 curves[k] = (high - 2.0 * middle + low) / self._steps[k] ** 2
         up, out = self._up[used % count], self._out.reshape(-1)[used // count]
-        return _Near(center, middle, slopes, curves, up, out, before)
+        return LocalDose(center, middle, slopes, curves, up, out, before)
 
     @property
     def _absorbs(self) -> bool:
@@ -536,28 +450,28 @@ class Estimator:
         absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
             told = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
-            raise BadInput(f"what was seen asks for {told}, which no print has; expected the conversion of this print: "
+            raise BadInput(f"got {told} from the conversion seen, impossible for a print; expected that of this print: "
                            "drop this turn's images and go on by the last plan")  # fmt: skip
 
     def _width(self, axis: int) -> float:
         return self.operator.beam.pixels[axis] * self.operator.beam.pitch
 
     def _by_voxel(self, dose: DeviceArray, seen: DeviceArray, spread: DeviceArray) -> DeviceArray:
-        """Give the dose the gain of every voxel that its neighborhood speaks for; the deviation that is left."""
+        """Give each voxel's dose a gain estimated from its neighbors; returns the deviation that is left."""
         device, curve = self.operator.device, self._curve
         shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
         weight, pull = (device.empty(dose.shape) for _ in range(2))
         device.launch(
-            weigh_evidence, dose=dose, seen=seen, deviation=spread, judged=self._judged, samples=self._samples,
+            likelihood_weights, dose=dose, seen=seen, deviation=spread, judged=self._judged, samples=self._samples,
             start=curve.start, density=curve.density, weight=weight, pull=pull,
         )  # fmt: skip
         weight, pull = self._neighborhoods(weight), self._neighborhoods(pull)
-        least, doubt = self.residual**-2, device.empty(dose.shape)
+        least, std = self.residual**-2, device.empty(dose.shape)
         device.launch(
             share_gain, pull=pull, weight=weight, least=shared * least, shared=shared, strength=least, dose=dose,
-            deviation=doubt,
+            deviation=std,
         )  # fmt: skip
-        return doubt
+        return std
 
     @cached_property
     def _judged(self) -> DeviceArray:

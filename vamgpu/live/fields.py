@@ -1,4 +1,4 @@
-"""What a watched print does to whole fields, where they live."""
+"""Operations on whole fields, on the device where they are."""
 
 from __future__ import annotations
 
@@ -15,46 +15,20 @@ from vamgpu.operators.reductions import EVERYWHERE, extent
 
 
 def here(device: Device, values: Any) -> DeviceArray:
-    """An array as a field on a device, by way of the host only where it lives elsewhere.
-
-    Args:
-        device: Where it is wanted.
-        values: [i, j, z], NumPy or on any device.
-
-    Returns:
-        The field, to be read.
-    """
+    """Values [i, j, z] as a field on a device; they pass the host only if they live on another device."""
     away = isinstance(values, DeviceArray) and values.device is not device
     return device.field(values.numpy() if away else values)
 
 
 def scaled(field: DeviceArray, factor: float, offset: float = 0.0) -> DeviceArray:
-    """A new field, offset + factor·field.
-
-    Args:
-        field: [i, j, z].
-        factor: Of every value.
-        offset: Added to it.
-
-    Returns:
-        The field, [i, j, z].
-    """
+    """A new field: offset + factor·field."""
     out, ends = field.device.empty(field.shape), {"low": offset, "high": offset + factor}
     field.device.launch(fill_background, target=field, **ends, reach=EVERYWHERE, model=out)
     return out
 
 
 def added(first: DeviceArray, *others: DeviceArray, factor: float = 1.0) -> DeviceArray:
-    """A new field, first + factor·(sum of the others).
-
-    Args:
-        first: [i, j, z].
-        others: On its device, [i, j, z].
-        factor: Of each of the others.
-
-    Returns:
-        The field, [i, j, z].
-    """
+    """A new field: first + factor·(sum of the others), all on one device."""
     out = combine(1.0, first, 0.0, first, first.device.empty(first.shape))
     for other in others:
         combine(1.0, out, factor, other, out)
@@ -62,43 +36,18 @@ def added(first: DeviceArray, *others: DeviceArray, factor: float = 1.0) -> Devi
 
 
 def alike(first: DeviceArray, second: DeviceArray) -> bool:
-    """Whether two fields of one device hold the same finite numbers.
-
-    Args:
-        first: [i, j, z].
-        second: [i, j, z].
-
-    Returns:
-        Whether they do.
-    """
+    """Whether two fields of one device hold the same finite numbers."""
     off = combine(1.0, first, -1.0, second, first.device.empty(first.shape))
     return extent(off) == (0.0, 0.0)
 
 
 def places(device: Device, numbers: np.ndarray, shape: tuple[int, ...]) -> DeviceArray:
-    """Where voxels lie, for `picked`.
-
-    Args:
-        device: Of the fields.
-        numbers: Of voxels in C order, (count,).
-        shape: Of the fields, (x, y, z).
-
-    Returns:
-        A table on the device, (count, 3).
-    """
+    """A table (count, 3) of the indices of voxels, given by their numbers in C order; for `picked`."""
     return device.table(np.stack(np.unravel_index(numbers, shape), axis=1), "int32")
 
 
 def picked(field: DeviceArray, places: DeviceArray) -> np.ndarray:
-    """Values of single voxels; nothing else leaves the device.
-
-    Args:
-        field: [x, y, z].
-        places: Of `places`, (count, 3).
-
-    Returns:
-        float64, (count,).
-    """
+    """Values of the voxels of `places`, float64 (count,); nothing else leaves the device."""
     device, count = field.device, places.shape[0]
     found = device.empty((count,), device.kept("float32"), table=True)  # type: ignore[arg-type]
     device.launch(pick_voxels, field=field, places=places, picked=found)

@@ -11,7 +11,7 @@ import numpy as np
 
 from vamgpu.geometry import positive
 from vamgpu.live.loop import Decision
-from vamgpu.live.maps import cuts
+from vamgpu.live.maps import BRIGHT, cuts
 from vamgpu.live.record import LiveRecord
 from vamgpu.reports import style
 from vamgpu.storage.films import write_film
@@ -19,43 +19,17 @@ from vamgpu.storage.films import write_film
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BRIGHT = 1.5
-"""Dose of the brightest color, over that from which resin is solid."""
 CURVES = {"sensitivity": style.BLUE, "absorption": style.ORANGE, "inhibitor": style.GREEN}
-"""Of what is estimated, what is drawn over the turns; all are 1 where nothing is off."""
+"""Estimates that are drawn over the turns; all are 1 where nothing is off."""
 
 
 def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
-    """Make the film; every turn is decided anew for it.
-
-    Args:
-        record: Of the print.
-        path: Where to, ending in .mp4.
-        rate: Turns a second.
-
-    Returns:
-        The path written.
-
-    Raises:
-        BadInput: The setup cannot be read, or the rate is not above 0.
-        StorageError: A file of the record is missing or damaged, or the film cannot be written.
-    """
+    """Write a film (.mp4) of a recorded print; every turn is computed anew. rate: pictures a second, one a turn."""
     return write_film(path, pictures(record), positive("rate [turns/s]", rate))
 
 
 def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
-    """One picture a turn.
-
-    Args:
-        record: Of the print.
-
-    Yields:
-        uint8 [row, column, color], all of one size.
-
-    Raises:
-        BadInput: The setup cannot be read.
-        StorageError: A file is missing or damaged.
-    """
+    """One picture a turn, uint8 [row, column, color], all of one size."""
     part, open_field, count = record.part(), record.setup().open_field, len(record.decided())
     before: list[Decision] = []
     for _, frames, decision in record.again():
@@ -65,18 +39,7 @@ def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
 
 
 def drawn(part: np.ndarray, frames: np.ndarray, decisions: Sequence[Decision], open_field: float, count: int) -> Figure:
-    """A turn of a print as a figure.
-
-    Args:
-        part: Fractions, [x, y, z].
-        frames: Of the turn, gray levels, [angle, row, column].
-        decisions: Up to the one after this turn.
-        open_field: Gray level through the vial before the print.
-        count: Turns of the whole print.
-
-    Returns:
-        The figure; whoever saves it does so within `vamgpu.reports.style.styled`.
-    """
+    """A figure of one turn: its frames, and the decisions up to the one after it. count: turns of the whole print."""
     now = decisions[-1]
     with style.styled():
         figure, axes = style.sheet("cdv;ppp", 4.8, height_ratios=(1.4, 1.0), width_ratios=(1.0, 1.5, 1.5))

@@ -15,13 +15,14 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import VamError
-from vamgpu.kernels.watch import doubt_conversion
-from vamgpu.live.estimate import Estimate, Estimator, Prior
+from vamgpu.kernels.watch import conversion_deviation
+from vamgpu.live.estimate import Estimate, Estimator
 from vamgpu.live.fields import added, alike, here, picked, places, scaled
 from vamgpu.live.printer import CuringResin
+from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smooth import Smoothing
-from vamgpu.live.tomography import Measured, Seen, Tomograph
+from vamgpu.live.tomography import OpticalDepths, Reconstruction, Tomograph
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
@@ -36,7 +37,7 @@ ALIKE = 30.0
 """Neighbors that are wrong alike, and speak as one."""
 FIRST = 1000
 """Voxels of the first look at most."""
-USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "head_start": 0.2, "sensitivity": 0.2}
+USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
 """Deviations of what little can be told apart by a rounded field, and of the inhibitor that a vial's age used up;
 places [mm], others dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
@@ -48,7 +49,7 @@ KEPT = 4
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What is decided after a turn.
+    """The decision after a turn.
 
     Args:
         turn: Turns shown so far.
@@ -64,7 +65,7 @@ class Decision:
         stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
         dose: Estimated of all light so far, over that from which resin is solid, [x, y, z] on the device (``.numpy()``
             copies it); no part of `entry`. None where nothing is estimated.
-        conversion: Seen, [x, y, z] likewise; no part of `entry`. None before the first field.
+        conversion: Reconstructed, [x, y, z] likewise; no part of `entry`. None before the first field.
     """
 
     turn: int
@@ -107,7 +108,7 @@ class _Laps:
 
 @dataclass(frozen=True, eq=False)
 class LiveState:
-    """What the loop knows between turns.
+    """State of the loop between turns.
 
     Args:
         turn: Turns shown so far.
@@ -128,7 +129,7 @@ class LiveState:
     light: np.ndarray
     turns: int
     version: int = 0
-    seen: Seen | None = None
+    seen: Reconstruction | None = None
     committed: tuple[np.ndarray, ...] = ()
     values: np.ndarray | None = None
 
@@ -190,7 +191,7 @@ class LiveLoop:
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
-        """What to do after one more turn: of the first committed light, or where none is, of the state's light.
+        """Decide after one more turn of the first committed light, or of the state's light if none is committed.
 
         Images or estimates that are refused cost the update of this turn only.
 
@@ -278,7 +279,7 @@ class LiveLoop:
         stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
         return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
 
-    def _replanned(self, at: _Turn, told: Measured, seen: Seen, laps: _Laps) -> Decision:
+    def _replanned(self, at: _Turn, told: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
             some = max(at.left, min(1, self.longest - at.turn - self.ahead))
@@ -288,11 +289,11 @@ class LiveLoop:
         acted = added(at.shown, at.pending, factor=-1.0)
         found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
         laps.over("estimate")
-        delivering = self.estimator.nearly(found.values, acted, found.lit)
-        more = delivering.T(added(at.pending, *map(self._field, at.committed)))
+        calibrated = self.estimator.nearly(found.values, acted, found.lit)
+        more = calibrated.T(added(at.pending, *map(self._field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
         plan = self.replanner.replan(
-            delivering, delivered, self._field(at.before.light), at.left,
+            calibrated, delivered, self._field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
             wanted=self._wanted(float(found.values[6])),
         )  # fmt: skip
@@ -300,7 +301,7 @@ class LiveLoop:
         laps.over("replan")
         return decision
 
-    def _cured(self, seen: Seen) -> int:
+    def _cured(self, seen: Reconstruction) -> int:
         """Voxels in the judged cylinder that have."""
         level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
         return int(above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1])
@@ -318,7 +319,7 @@ class LiveLoop:
         return self.estimator.estimate(acted, seen, scaled(deviation, sqrt(ALIKE)), self.prior, start=start)
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
-        """What follows from a plan of the rest."""
+        """The decision that follows from a plan of the rest."""
         turns, light = plan.expected.turns, at.before.light
         swapped = not alike(plan.light, self._field(light))
         if swapped:
@@ -331,31 +332,31 @@ class LiveLoop:
             f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
-    def _deviation(self, told: Measured, seen: Seen) -> DeviceArray:
+    def _deviation(self, told: OpticalDepths, seen: Reconstruction) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
         variance = self._field(self.tomograph.variance(told, iterations=self.iterations))
         sharp = self._field(seen.cured)
         variance.device.launch(
-            doubt_conversion, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
+            conversion_deviation, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
             **self._slopes, model=MODEL, variance=variance,
         )  # fmt: skip
         return variance
 
     @cached_property
     def _slopes(self) -> dict[str, DeviceArray]:
-        """From which extinction on conversion rises how steeply, as tables."""
+        """Slopes of the conversion, and the extinctions where they begin, as tables."""
         resin, device = self.tomograph.turbidity, self.estimator.operator.device
         return {"knots": device.table(np.array(resin.extinction[:-1])), "slopes": device.table(resin.slopes)}
 
     @cached_property
     def _rounding(self) -> Smoothing:
-        """Of the edges that a tomograph sees."""
+        """Smoothing like that of edges in a reconstruction."""
         return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
 
-    def _wanted(self, head_start: float) -> DeviceArray:
+    def _wanted(self, initial_dose: float) -> DeviceArray:
         """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""
         solid = self.resin.solid
-        return scaled(self._planned_dose, (solid - head_start) / solid, head_start)
+        return scaled(self._planned_dose, (solid - initial_dose) / solid, initial_dose)
 
     @cached_property
     def _planned_dose(self) -> DeviceArray:

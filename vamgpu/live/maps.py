@@ -12,6 +12,8 @@ from vamgpu.geometry import positive
 from vamgpu.live.fields import picked, places
 from vamgpu.reports.chart import colored
 
+BRIGHT = 1.5
+"""Dose of the brightest color, over that from which resin is solid."""
 TALL = 160
 """Least height of a picture [pixels]."""
 GAP = 6
@@ -20,21 +22,7 @@ OUTLINE = np.array([255, 255, 255], np.uint8)
 
 
 def cuts(field: Any, part: np.ndarray, most: float, colors: str = "magma") -> np.ndarray:
-    """A cut across the axis beside one along it, the part outlined in both.
-
-    Args:
-        field: Values, [x, y, z], NumPy or on a device, of which only the cuts are copied.
-        part: Fractions, [x, y, z].
-        most: Value of the brightest color, in the field's unit.
-        colors: A matplotlib color map.
-
-    Returns:
-        The picture, uint8 [row, column, color]: x to the right; y, and z, upwards.
-
-    Raises:
-        ShapeMismatch: Field and part are of unlike grids.
-        BadInput: ``most`` is not above 0.
-    """
+    """A cut across the axis beside one along it, uint8 [row, column, color]; the part is outlined in both."""
     most = positive("most", most)
     shape = field.shape if isinstance(field, DeviceArray) else np.shape(field)
     if len(shape) != 3 or shape != np.shape(part):

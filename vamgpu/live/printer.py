@@ -73,12 +73,12 @@ class CuringResin:
 
     @property
     def response(self) -> Interpolated:
-        """Of fresh resin, for an `Estimator`."""
+        """Response of fresh resin, for an `Estimator`."""
         doses = np.linspace(0.0, HIGHEST, 601)
         return Interpolated(tuple(doses), tuple(self.conversion(doses)))
 
     def expose(self, state: np.ndarray, dose: np.ndarray) -> np.ndarray:
-        """What a turn does, exactly.
+        """The state after a turn, exactly.
 
         Args:
             state: Inhibitor [dose], radicals [dose] and conversion of voxels, (3, ...).
@@ -110,7 +110,7 @@ class CuringResin:
 
 @dataclass(frozen=True)
 class Truth:
-    """By what a print differs from its plan.
+    """Differences of a print from its plan.
 
     Args:
         inhibitor: Over that of fresh resin, dimensionless.
@@ -181,7 +181,7 @@ class VirtualPrinter:
         return FINER**3 * (1.0 + self.truth.along_z * z / z[-1])
 
     def dose(self, light: np.ndarray) -> np.ndarray:
-        """What a turn delivers at full lamp power.
+        """Dose of a turn at full lamp power.
 
         Args:
             light: Of the turn, [angle, r, z].

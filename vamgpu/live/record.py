@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,9 @@ from vamgpu.storage.reading import parse_json, read_text
 
 SETUP, DECISIONS = "live.json", "live.jsonl"
 STAGES = ("sense", "see", "estimate", "replan", "pack", "upload")
-"""Of a decision: images come in, become a field, parameters, light and frames, and these are checked and kept."""
+"""Stages of a decision: images become a field, parameters, light and frames, which are checked and kept."""
 ENTRY = "turn", "action", "version", "turns", "inhibitor", "parameters", "iou", "reason", "light"
-"""What every decision of a record has."""
+"""Keys of every decision in a record."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,7 @@ class LiveSetup:
         fill: Share of a pixel of the beam that is lit.
         spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
         dose: Of one unit of planned light, in units of the resin's dose.
+        lit_share: Share of each step during which its image is lit while the vial turns; pictures are of its angle.
         rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None where they are faster.
     """
 
@@ -86,6 +87,7 @@ class LiveSetup:
     spread: float | None = None
     dose: float = 1.0
     rings: bool | None = None
+    lit_share: float = 1.0
 
     def projection(self, vial: Vial, beam: Beam | None = None) -> Projection:
         """Rays through a vial, on the device of this setup.
@@ -100,12 +102,12 @@ class LiveSetup:
         device = open_device(self.device or None)
         return Projection(
             Grid(self.shape, self.pitch), beam or Beam(self.pixels, self.pixel, self.fill, self.spread),
-            Turntable(self.angles), vial, device=device,
+            Turntable(self.angles, lit_share=self.lit_share), vial, device=device,
         )  # fmt: skip
 
     def camera(self) -> MonitoringCamera:
         """The camera on the plan's grid."""
-        rays = self.projection(self.red, Beam(self.pixels, self.pixel))
+        rays = replace(self, lit_share=0.0).projection(self.red, Beam(self.pixels, self.pixel))
         return MonitoringCamera(rays, self.open_field, self.noise)
 
     def loop(self, part: np.ndarray, light: np.ndarray) -> LiveLoop:
@@ -127,7 +129,7 @@ class LiveSetup:
 
     @classmethod
     def of(cls, told: dict[str, Any]) -> LiveSetup:
-        """From what `dataclasses.asdict` made of one.
+        """Read the values that `dataclasses.asdict` made of a setup.
 
         Args:
             told: The values by name.
@@ -144,6 +146,7 @@ class LiveSetup:
                 name: kinds[name](**value) if name in kinds else value for name, value in told.items()
             }
             plain |= {name: tuple(plain[name]) for name in ("shape", "pixels")}
+            plain.setdefault("lit_share", 0.0)  # what has no such key was decided for a vial at rest
             return cls(**plain)
         except (TypeError, KeyError) as error:
             raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: take "
@@ -253,7 +256,7 @@ class LiveRecord:
         return told
 
     def setup(self) -> LiveSetup:
-        """What the loop was made of.
+        """The setup of the loop.
 
         Raises:
             BadInput: It cannot be read.
@@ -321,14 +324,7 @@ def _rounded(stages: Mapping[str, float]) -> dict[str, float]:
 
 
 def budget(decisions: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float, int]]:
-    """How long the stages of decisions took.
-
-    Args:
-        decisions: As a record has them.
-
-    Returns:
-        Of each stage its name, its median and greatest wall time [s], and in how many decisions it was.
-    """
+    """Name, median and greatest wall time [s], and number of decisions of each stage."""
     told = [each.get("stages", {}) for each in decisions]
     names = [name for name in STAGES if any(name in each for each in told)]
     times = {name: [each[name] for each in told if name in each] for name in names}

@@ -20,12 +20,11 @@ from vamgpu.live.fields import scaled
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.part import fractions_of, one_limit
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
-from vamgpu.methods.window import SPAN
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.compose import capped, combine
@@ -36,16 +35,16 @@ SURE = 2.0
 """Standard deviations by which a voxel must be over its limit to be given up."""
 LITTLE = 0.02
 """Dose of the first light looked at where the part has its dose already, for the sake of voxels that have not."""
-CAP = 0.25
+CAP, SPAN = 0.25, 0.25
 """Frequency [cycles per column] beyond which the preconditioner is level."""
 ROUNDING = 1e-6
 """Share by which light may seem to exceed a bound."""
 RATIO = 5.0
-"""By which a pixel of the plan is brightened at most for the dose that is wanted."""
+"""Greatest factor by which a pixel of the plan is brightened for the dose that is wanted."""
 FORMED = 1.0
 """Distance from the part's [voxels] within which a surface must lie where a print may stop."""
 WORTH = 0.02
-"""By which further turns must bring the surface nearer to the part's [voxels]."""
+"""Distance by which further turns must bring the surface nearer to the part's [voxels]."""
 
 
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
@@ -58,8 +57,8 @@ def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """What a print is expected to be.
+class Forecast:
+    """Forecast of a print.
 
     Args:
         turns: From now on.
@@ -84,14 +83,14 @@ class Replanned:
     """
 
     light: DeviceArray
-    kept: Outlook
-    expected: Outlook
+    kept: Forecast
+    expected: Forecast
     evaluations: float
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """What light a print still needs: delivered dose, the plan's light of a turn, and numbers of turns, in order."""
+class _Task:
+    """A task: delivered dose, the plan's light of a turn, and allowed numbers of turns, in order."""
 
     state: OptimizerState
     target: DeviceArray
@@ -105,7 +104,7 @@ class _Asked:
 class _Printed:
     """A print, and how far its surface is off [voxels]."""
 
-    outlook: Outlook
+    forecast: Forecast
     off: float
 
 
@@ -154,7 +153,7 @@ class Replanner:
         """Light for the rest of a print, the best found with what may be spent.
 
         Args:
-            operator: As estimated, e.g. `Estimator.delivering`.
+            operator: As estimated, e.g. `Estimator.calibrated`.
             delivered: Dose so far, [x, y, z], NumPy or on the device, as the next.
             plan: Light of each turn that would be shown otherwise, [angle, r, z].
             planned: Turns it would be shown for.
@@ -179,59 +178,59 @@ class Replanner:
         state.most_evaluations = positive("evaluations", evaluations)
         given = finite(operator.domain, delivered, operator.device, "the delivered dose")
         light = finite(operator.range, plan, operator.device, "the plan's light")
-        asked, dose = _Asked(state, target, border, given, light, counts), state.volume()
+        task, dose = _Task(state, target, border, given, light, counts), state.volume()
         state.expose(light, dose)
-        kept = self._printed(asked, planned, float(planned), dose)
+        kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
         if counts[-1]:
-            fewest = self._begin(asked, dose, wanted)
+            fewest = self._begin(task, dose, wanted)
             loss = self._loss(given, target, deviation).on(state.field)
             best = self._lowered(state, loss, given, fewest)
-            found = self._sized(asked, best, dose)
-        return self._chosen(asked, planned, kept, best, found)
+            found = self._sized(task, best, dose)
+        return self._chosen(task, planned, kept, best, found)
 
-    def _begin(self, asked: _Asked, dose: DeviceArray, wanted: Any) -> int:
+    def _begin(self, task: _Task, dose: DeviceArray, wanted: Any) -> int:
         """Make the state's light that of all the turns together, to begin with; the fewest turns that can give it."""
-        state, light = asked.state, asked.light
-        lacking = 0.5 * (self.inside + self.greatest) - state.part_mean(asked.given)
+        state, light = task.state, task.light
+        lacking = 0.5 * (self.inside + self.greatest) - state.part_mean(task.given)
         share = max(lacking, LITTLE) / state.part_mean(dose)
         begin = state.memory["light"] = state.sinogram()
         state.scale(share, light, begin)
-        fewest = self._turns(begin, asked.counts)
+        fewest = self._turns(begin, task.counts)
         if wanted is not None and state.affords(1.0 + 0.5):
             whole = finite(state.operator.domain, wanted, state.device, "the wanted dose")
-            self._corrected(state, begin, share, dose, asked.given, whole)
+            self._corrected(state, begin, share, dose, task.given, whole)
         capped(begin, fewest * self.most)
         return fewest
 
-    def _sized(self, asked: _Asked, light: DeviceArray, dose: DeviceArray) -> _Printed:
+    def _sized(self, task: _Task, light: DeviceArray, dose: DeviceArray) -> _Printed:
         """Scale light to what brings the surface nearest to the part's, as far as the projector can; its print."""
-        state, counts = asked.state, asked.counts
+        state, counts = task.state, task.counts
         state.expose(light, dose)
         possible = counts[-1] * self.most / max(extent(light)[1], 1e-30)
-        share = min(asked.border.share(asked.given, dose), possible)
+        share = min(task.border.share(task.given, dose), possible)
         state.scale(share, light, light)
-        return self._printed(asked, self._turns(light, counts), share, dose)
+        return self._printed(task, self._turns(light, counts), share, dose)
 
     def _chosen(
-        self, asked: _Asked, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
+        self, task: _Task, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
     ) -> Replanned:
         """The dark, the plan's light or the light found, by where the surface of the print will lie."""
-        counts, spent = asked.counts, asked.state.evaluations
-        possible = planned in counts and extent(asked.light)[1] <= self.most * (1.0 + ROUNDING)
+        counts, spent = task.counts, task.state.evaluations
+        possible = planned in counts and extent(task.light)[1] <= self.most * (1.0 + ROUNDING)
         going_on = min(inf if found is None else found.off, kept.off if possible else inf)
-        if counts[0] == 0 and asked.border.off(asked.given) <= min(FORMED, going_on + WORTH):
-            return Replanned(scaled(asked.light, 0.0), kept.outlook, self._outlook(asked, 0, asked.given), spent)
+        if counts[0] == 0 and task.border.off(task.given) <= min(FORMED, going_on + WORTH):
+            return Replanned(scaled(task.light, 0.0), kept.forecast, self._forecast(task, 0, task.given), spent)
         if light is None or found is None or (possible and kept.off <= found.off):
-            return Replanned(asked.light, kept.outlook, kept.outlook, spent)
-        asked.state.scale(1.0 / found.outlook.turns, light, light)
-        return Replanned(light, kept.outlook, found.outlook, spent)
+            return Replanned(task.light, kept.forecast, kept.forecast, spent)
+        task.state.scale(1.0 / found.forecast.turns, light, light)
+        return Replanned(light, kept.forecast, found.forecast, spent)
 
-    def _printed(self, asked: _Asked, turns: int, share: float, dose: DeviceArray) -> _Printed:
+    def _printed(self, task: _Task, turns: int, share: float, dose: DeviceArray) -> _Printed:
         """The print after a share of a dose."""
-        whole = asked.state.volume()
-        asked.state.combine(1.0, asked.given, share, dose, whole)
-        return _Printed(self._outlook(asked, turns, whole), asked.border.off(whole))
+        whole = task.state.volume()
+        task.state.combine(1.0, task.given, share, dose, whole)
+        return _Printed(self._forecast(task, turns, whole), task.border.off(whole))
 
     def prepare(self, operator: Projector) -> None:
         """Find the part's border now, not in the first plan.
@@ -270,7 +269,7 @@ class Replanner:
         """Light of all the turns together, from the state's on, with what may be spent less one half."""
         gain = getattr(state.operator, "gain", None)
         gain = 1.0 if gain is None else dot(gain, gain) / prod(gain.shape)
-        pace = Pace(1.0 / gain, soon=1.0, possible=True)
+        pace = StepRule(1.0 / gain, soon=1.0, possible=True)
         channel = Channel(state, capped_ramp(state.operator, CAP, SPAN))
         steps = minimize(DoseObjective(state, loss, pace, rest=given, windows=False), (channel,), pace)
         while state.affords(1.0 + 0.5) and next(steps, None) is not None:
@@ -295,8 +294,8 @@ class Replanner:
             return band
         return Band(band.center, band.slack, band.gain, band.power, binary=True, weight=weight)
 
-    def _outlook(self, asked: _Asked, turns: int, dose: DeviceArray) -> Outlook:
+    def _forecast(self, task: _Task, turns: int, dose: DeviceArray) -> Forecast:
         assert self.threshold is not None
-        parts = Parts(dose, asked.target, 0.5, None)
+        parts = Parts(dose, task.target, 0.5, None)
         (_, excess), (missing, printed) = above(parts, float(np.float32(self.threshold)))[0].tolist()
-        return Outlook(turns, asked.state.window(dose)[0], printed / (missing + printed + excess))
+        return Forecast(turns, task.state.window(dose)[0], printed / (missing + printed + excess))

@@ -15,31 +15,17 @@ from vamgpu.reports import chart
 from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
 
 SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor")
-"""Of what is estimated, what has a curve."""
+"""Estimates that have a curve."""
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
-"""Of `Truth`, what each is."""
+"""The attribute of `Truth` for each estimate."""
 
 
 def page(
     record: LiveRecord, truth: Truth | None = None, overlaps: tuple[float, float] | None = None,
     conversion: np.ndarray | None = None,
 ) -> Page:  # fmt: skip
-    """What a print that was watched came to.
-
-    Args:
-        record: Of the print.
-        truth: How an emulated print differed from its plan; None for a real one.
-        overlaps: Of emulated resin with the part, unwatched and watched, dimensionless, 0..1.
-        conversion: Of emulated resin in the end, [x, y, z], a share.
-
-    Returns:
-        The page.
-
-    Raises:
-        BadInput: The setup cannot be read.
-        StorageError: A file is missing or damaged.
-    """
+    """The report of a recorded print. truth, overlaps (unwatched, watched), conversion: of an emulated print."""
     told, setup = record.decided(), record.setup()
     found = [each for each in told if each["parameters"]]
     swaps = sum(each["action"] == "swap" for each in told)

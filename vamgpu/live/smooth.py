@@ -17,13 +17,7 @@ REACH = 4.0
 
 
 class Smoothing:
-    """Gaussian means over voxels, on a device; at the faces of the grid over the voxels that there are.
-
-    Args:
-        device: Where to compute.
-        shape: Of the fields, (x, y, z).
-        sigma: Standard deviation [voxels].
-    """
+    """Gaussian means over voxels on a device; at the faces of the grid, over the voxels that exist. sigma: [voxels]."""
 
     def __init__(self, device: Device, shape: tuple[int, int, int], sigma: float) -> None:
         reach = np.arange(int(REACH * sigma + 0.5) + 1)
@@ -35,14 +29,7 @@ class Smoothing:
         self._share = device.upload(1.0 / (x[:, None, None] * y[:, None] * z))
 
     def __call__(self, field: DeviceArray) -> DeviceArray:
-        """The means.
-
-        Args:
-            field: [x, y, z].
-
-        Returns:
-            Another field, [x, y, z].
-        """
+        """The means of a field [x, y, z]."""
         launch, taps = self._device.launch, self._taps
         first, second = (self._device.empty(field.shape) for _ in range(2))
         launch(blur_planes, source=field, taps=taps, blurred=first)
@@ -50,14 +37,3 @@ class Smoothing:
         launch(blur_slices, source=second, taps=taps, blurred=first)
         launch(multiply, x=first, y=self._share, out=first)
         return first
-
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """The means of an array in host memory.
-
-        Args:
-            values: [x, y, z].
-
-        Returns:
-            The means, [x, y, z].
-        """
-        return self(self._device.upload(values)).numpy()

@@ -43,23 +43,17 @@ PATCH = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """What the images of a turn say, as a camera's projection has it, on its device.
+class OpticalDepths:
+    """Optical depths of a turn's images, as a camera's projection has them, on its device."""
 
-    Attributes:
-        depth: Optical depth times the share of its column's light that gets in, [angle, r, z].
-        weight: The inverse of its variance, [angle, r, z]; 0 where a pixel says nothing.
-        pixels: That say anything.
-    """
-
-    depth: DeviceArray
-    weight: DeviceArray
-    pixels: int
+    depth: DeviceArray  # times the share of its column's light that gets in, [angle, r, z]
+    weight: DeviceArray  # 1/variance, [angle, r, z]; 0: the pixel says nothing
+    pixels: int  # number of those that say anything
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What a turn of images says.
+class Reconstruction:
+    """The field reconstructed from the images of a turn.
 
     Attributes:
         field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
@@ -127,11 +121,11 @@ class Tomograph:
 
     @cached_property
     def operator(self) -> Projection | RingProjection:
-        """What fields are found with; its tables are made when it is first asked for."""
+        """The operator of reconstructions; its tables are made when it is first asked for."""
         return on_rings(self.camera.projection, self.rings) or self.camera.projection
 
-    def measure(self, images: Any) -> Measured:
-        """What the images of a turn say; `see` and `deviation` take it in place of the images.
+    def measure(self, images: Any) -> OpticalDepths:
+        """Optical depths of a turn's images; `see` and `deviation` take them in place of the images.
 
         Args:
             images: Gray levels [angle, row, column]; frames that were lost are NaN.
@@ -148,11 +142,11 @@ class Tomograph:
         if not pixels:
             raise BadInput("no pixel of the images is lit, below saturation and finite; expected one turn of the lit "
                            "vial: check exposure, bits and noise of the camera")  # fmt: skip
-        return Measured(depth, weight, pixels)
+        return OpticalDepths(depth, weight, pixels)
 
     def see(
-        self, images: Any, last: Seen | None = None, *, iterations: int = ITERATIONS, deadline: float = inf
-    ) -> Seen:
+        self, images: Any, last: Reconstruction | None = None, *, iterations: int = ITERATIONS, deadline: float = inf
+    ) -> Reconstruction:
         """The field behind the images of one turn.
 
         Args:
@@ -187,7 +181,7 @@ class Tomograph:
             done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
         cured, misfit = self._device.empty(start.shape), steps.misfit
         self._device.launch(interpolate, x=steps.field, **self._conversions, out=cured)
-        return Seen(steps.field, cured, done, misfit, perf_counter() - begun)
+        return Reconstruction(steps.field, cured, done, misfit, perf_counter() - begun)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
         """Standard deviation of the extinction that the noise of a turn's images leaves.
@@ -196,7 +190,7 @@ class Tomograph:
         makes void more certain does not count, nor what smoothing rounds off.
 
         Args:
-            images: As for `see`, gray levels [angle, row, column] or `Measured`.
+            images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.
             iterations: As for `see`; it takes as long.
             seed: Of the noise.
 
@@ -234,12 +228,12 @@ class Tomograph:
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
         return self._patches(start)
 
-    def _measured(self, images: Any, iterations: int) -> Measured:
+    def _measured(self, images: Any, iterations: int) -> OpticalDepths:
         if isinstance(iterations, bool) or not isinstance(iterations, int) or iterations < 1:
             raise BadInput(f"iterations is {iterations!r}; expected a whole number of at least 1")
-        return images if isinstance(images, Measured) else self.measure(images)
+        return images if isinstance(images, OpticalDepths) else self.measure(images)
 
-    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, last: Seen) -> DeviceArray:
+    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, last: Reconstruction) -> DeviceArray:
         """Depths less by how much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
         index = None
         if self.turbidity.index and self.camera.focus:
@@ -286,7 +280,7 @@ class _Descent:
     """Steps towards the most probable field, all on the device."""
 
     def __init__(
-        self, tomograph: Tomograph, depth: DeviceArray, told: Measured, start: DeviceArray, floor: float
+        self, tomograph: Tomograph, depth: DeviceArray, told: OpticalDepths, start: DeviceArray, floor: float
     ) -> None:
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
         self._depth, self._weight, self._pixels = depth, told.weight, told.pixels
@@ -323,7 +317,7 @@ class _Descent:
         self.field, self._next, self._taken = self._next, self.field, self._taken + 1
 
     def _add_differences(self) -> None:
-        """What neighbors that differ add to the slope."""
+        """Add the slope of the differences between neighbors."""
         launch, taps, part = self._A.device.launch, self._tomograph._bending, self._part
         for across in range(3):
             if across == 0:

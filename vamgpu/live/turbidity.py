@@ -1,4 +1,4 @@
-"""What curing does to light that does not cure: it scatters more, and bends."""
+"""Turbidity of curing resin for light that does not cure: it scatters more, and bends."""
 
 from __future__ import annotations
 

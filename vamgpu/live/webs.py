@@ -19,13 +19,13 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.storage.manifest import plain
 from vamgpu.web import WebGrid
 from vamgpu.webs.drift import WebDrift, clouded, drifts_of, gains
+from vamgpu.webs.frame_light import light_of
 from vamgpu.webs.segment import Segment
-from vamgpu.webs.shown import light_of
-from vamgpu.webs.solver import Given
+from vamgpu.webs.solver import Start
 from vamgpu.webs.store import RECORD, SegmentRecord, WebFolder
 from vamgpu.webs.stream import Progress, Stream
 
-Shown = WebFolder | Sequence[WebFolder]
+PlanFolders = WebFolder | Sequence[WebFolder]
 """A web as it is shown: a folder, or several, of which each goes on where the one before it ends."""
 
 
@@ -77,7 +77,7 @@ class WebReplanner:
         layout = self.stream.layout
         return max(ceil((layout.lead - 1) * layout.step) + layout.window - int(layout.lead * layout.step), 1)
 
-    def delivered(self, plan: Shown, horizon: int) -> np.ndarray:
+    def delivered(self, plan: PlanFolders, horizon: int) -> np.ndarray:
         """Dose that the committed frames deliver to the open window.
 
         Args:
@@ -115,7 +115,7 @@ class WebReplanner:
         return light
 
     def segments(
-        self, plan: Shown, horizon: int, *, delivered: np.ndarray | None = None, first: int | None = None
+        self, plan: PlanFolders, horizon: int, *, delivered: np.ndarray | None = None, first: int | None = None
     ) -> Iterator[Segment]:
         """Solve segment after segment, from the horizon on.
 
@@ -144,7 +144,7 @@ class WebReplanner:
             raise BadInput(f"a delivered dose of shape {dose.shape}; expected finite numbers {grid.shape} [l, rho, z]")
         start, stop = self.open_window(horizon)
 
-        def given(number: int) -> Given:
+        def given(number: int) -> Start:
             begin, origin = number * layout.core - layout.overlap, layout.origin(number)
             poses = begin + np.arange(layout.poses)
             decided = int(np.clip(horizon * layout.core - begin, 0, layout.poses))
@@ -155,7 +155,7 @@ class WebReplanner:
                 offset[: max(start - origin, 0)] = np.nan
                 offset[low - origin : high - origin] = dose[low - start : high - start]
             light = self._lit(folders, begin, layout.poses, lambda folder: drifts_of(folder.details))
-            return Given(light, (poses >= 0) & (poses < frames), most, decided, offset)
+            return Start(light, (poses >= 0) & (poses < frames), most, decided, offset)
 
         before = None
         if 0 < first <= len(known):
@@ -164,7 +164,7 @@ class WebReplanner:
         yield from stream.segments(first, most, before, given)
 
     def write(
-        self, path: str | Path, plan: Shown, horizon: int, *, count: int | None = None,
+        self, path: str | Path, plan: PlanFolders, horizon: int, *, count: int | None = None,
         delivered: np.ndarray | None = None, overwrite: bool = False, progress: Progress | None = None,
     ) -> WebFolder:  # fmt: skip
         """Write a web of the committed frames, byte for byte, and of those found for the rest.
@@ -225,11 +225,11 @@ class WebReplanner:
         )
 
 
-def _folders(plan: Shown) -> tuple[WebFolder, ...]:
+def _folders(plan: PlanFolders) -> tuple[WebFolder, ...]:
     return (plan,) if isinstance(plan, WebFolder) else tuple(plan)
 
 
-def _segments(plan: Shown, horizon: int) -> list[tuple[WebFolder, SegmentRecord]]:
+def _segments(plan: PlanFolders, horizon: int) -> list[tuple[WebFolder, SegmentRecord]]:
     """Each segment, and the folder that has it. Raises `BadInput` for a horizon beyond them."""
     found: list[tuple[WebFolder, SegmentRecord]] = []
     for folder in _folders(plan):

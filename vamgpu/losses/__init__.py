@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss, Mean
+from vamgpu.losses.ramp import Ramp
 from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic, Response
 from vamgpu.losses.sampled import VoxelLoss, cross_entropy
 
@@ -15,6 +16,7 @@ __all__ = [
     "Logistic",
     "Loss",
     "Mean",
+    "Ramp",
     "Response",
     "VoxelLoss",
     "cross_entropy",

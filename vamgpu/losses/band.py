@@ -20,6 +20,13 @@ GREATEST_POWER = 64.0
 """Of an excess: that of a dose three times the part's to a higher power leaves float32."""
 
 
+def check_thresholds(outside: float, inside: float, most: float) -> None:
+    """Raise `BadInput` for thresholds of the dose that are not in order."""
+    if not 0 <= outside < inside <= most < MOST:
+        raise BadInput(f"outside, inside, most are {outside!r}, {inside!r}, {most!r}; expected "
+                       f"0 ≤ outside < inside ≤ most < {MOST:g}, such as 0.75, 0.95 and 1")  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Band(KernelLoss):
     """Loss Σ w·gain·e^power + ridge·M², e = max(0, |M − c| − slack) with M = response(dose).
@@ -76,8 +83,7 @@ class Band(KernelLoss):
         Raises:
             BadInput: Unless 0 ≤ outside < inside ≤ most.
         """
-        if not 0 <= outside < inside <= most:
-            raise BadInput(f"thresholds {outside}, {inside}, {most}; expected 0 ≤ outside < inside ≤ most")
+        check_thresholds(outside, inside, most)
         center, slack = (0.5 * outside, 0.5 * (inside + most)), (0.5 * outside, 0.5 * (most - inside))
         return cls(center, slack, (1.0 / power, 1.0 / power), power, binary=True)
 

@@ -118,13 +118,13 @@ class KernelLoss(Loss):
 
     @abstractmethod
     def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
-        """What to launch for it.
+        """Name the kernel that computes the loss.
 
         Args:
             device: Where the loss is computed.
 
         Returns:
-            The kernel, and what it takes besides dose, target, weight, reach and parts.
+            The kernel, and its arguments besides dose, target, weight, reach and parts.
         """
         ...
 

@@ -7,7 +7,7 @@ from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.bounds import bound
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.certificate import Bound
-from vamgpu.methods.default import BestWindow
+from vamgpu.methods.choose import METHODS
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
@@ -16,18 +16,16 @@ from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.rebin import rebin
 from vamgpu.methods.recipe import Recipe
-from vamgpu.methods.run import METHODS, optimize
+from vamgpu.methods.run import optimize
+from vamgpu.methods.surface import SurfaceRamp
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.tradeoff import ParetoPoint, pareto
-from vamgpu.methods.widest import WidestWindow
-from vamgpu.methods.window import ProcessWindow
 
 __all__ = [
     "BCLP",
     "LBFGS",
     "METHODS",
     "OSMO",
-    "BestWindow",
     "Bound",
     "Descent",
     "FilteredBackProjection",
@@ -39,11 +37,10 @@ __all__ = [
     "PenaltyMinimization",
     "ParetoPoint",
     "Plan",
-    "ProcessWindow",
     "Recipe",
     "Step",
+    "SurfaceRamp",
     "Tolerances",
-    "WidestWindow",
     "bound",
     "optimize",
     "pareto",

@@ -83,14 +83,29 @@ class BCLP(ByDescent):
 
         A learning rate has the unit of its light, which is not told: here the first step changes the light by a
         hundredth of itself and later ones are as long as its rate makes them, but for those that would raise the loss.
-        q = 1 couples a whole web: `optimize` takes it on a `WebProjection`; `Stream` takes `paper_002`, which couples
-        nothing.
+        q = 1 couples a whole web, by one number: `optimize` finds it anew at each step of a `WebProjection`, `Stream`
+        once, from its first segment.
         """
         return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)
 
     def band(self) -> Band:
         """The loss of a voxel, where q is p."""
         return self._band(self.ridge)
+
+    def apart(self, excess: float) -> BCLP:
+        """With q = p, and as much regularization as has the same minimum: then distant parts do not couple.
+
+        The power q/p of the norm scales its slope by q/p·excess^(q/p − 1); the regularization's is divided by that.
+
+        Args:
+            excess: Mean over the voxels of w·max(0, |M(d) − f| − ε)^p at that minimum, ≥ 0.
+
+        Returns:
+            The method.
+        """
+        if self.q is None:
+            return self
+        return replace(self, q=None, ridge=self.ridge * self.p / self.q * excess ** max(0.0, 1.0 - self.q / self.p))
 
     def _band(self, ridge: float) -> Band:
         return Band((0.0, 1.0), self.slack, self.penalty, self.p, ridge, response=self.response, weight=self.weight)

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 class Best:
-    """One more sinogram of memory, and nothing more: methods offer light whose dose they have computed anyway.
-
-    Args:
-        memory: Of the run; holds the light and what is known of it, so that a resumed run goes on with it.
-        criterion: What tells better from worse.
-    """
+    """One more sinogram of memory, and nothing more: methods offer light whose dose they have computed anyway."""
 
     memory: dict[str, Any]
 
@@ -35,17 +30,7 @@ class Best:
         return window > self.window if self.criterion == "window" else loss < self.loss
 
     def offer(self, light: DeviceArray, loss: float, window: float, iteration: int) -> bool:
-        """Copy the light if it is better than the one kept.
-
-        Args:
-            light: [angle, r, z] ≥ 0, as it was evaluated.
-            loss: The method's own, of this light or of the point its step looked at.
-            window: Strict window of this light's dose.
-            iteration: Number of iterations after which the light was reached.
-
-        Returns:
-            Whether it is the best so far.
-        """
+        """Copy the light if it is better than the one kept."""
         self.unseen = None
         if not self.better(loss, window):
             return False
@@ -54,15 +39,6 @@ class Best:
         combine(1.0, light, 0.0, light, self.memory["best"], floor=0.0)
         self.memory.update({"best loss": loss, "best window": window, "best iteration": iteration})
         return True
-
-    def forget(self) -> None:
-        """Drop the light kept, which a run that goes on must not return."""
-        for name in ("best", "best loss", "best window", "best iteration"):
-            self.memory.pop(name, None)
-
-    def renew(self) -> None:
-        """Let the next light be the best, whatever it is: the loss means something else from here on."""
-        self.memory.pop("best loss", None)
 
     @property
     def loss(self) -> float:
@@ -80,12 +56,7 @@ class Best:
         return int(self.memory.get("best iteration", 0))
 
     def choose(self, state: OptimizerState) -> tuple[DeviceArray, float, int]:
-        """The light to return, by one more evaluation at most, and none where all light was offered.
-
-        Returns:
-            The better one of the light kept and the run's last light, its strict window, and the number of iterations
-            after which it was reached.
-        """
+        """The light to return, by one more evaluation at most, and none where all light was offered."""
         kept = self.memory.get("best")
         if kept is not None and self.unseen is None:
             return kept, self.window, self.iteration

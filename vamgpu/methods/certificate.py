@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
 from numbers import Real
@@ -11,7 +12,6 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.covering import NEVER, cover_scale, divide_prices, level_cover, light_short_pixels
 from vamgpu.kernels.reduce import HIGH
-from vamgpu.methods.graylimits import GrayPrices
 from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import folded, parts_for, total
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 SWEEPS = 4
 """Covers in a row, each with more light where the one before was shortest."""
-KEPT = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
-"""Shares of what the part pays that are tried to be left out, where that is cheaper than to cover it."""
+GOLDEN, TRIED = 0.5 * (5**0.5 - 1.0), 20
+"""Share of the way, and times, that the share of what the part pays is looked for that is left out, where that is
+cheaper than to cover it: by golden sections, to 1e-4, for the bound is convex in it."""
 ROUNDING = 1e-4
 """Share of what the part pays that is left out for the rounding of float32, over a hundred times as large as it was
 seen to be on any device; the bound is greater by as much."""
@@ -43,11 +44,14 @@ class Bound:
         value: The bound, a share of the greatest dose; 1, the widest window that could be, where nothing is known.
         prices: Of a dose in each voxel [x, y, z], on the operator's device; 0 where voxels are not judged.
         evaluations: Projector evaluations it took, those of the run that found the prices included.
+        on: The voxels and the motion of the vial that it holds for, in words; of finer voxels, and of a vial that moves
+            otherwise, it says nothing. Empty where the operator does not tell.
     """
 
     value: float
     prices: DeviceArray = field(repr=False)
     evaluations: float
+    on: str = ""
 
     def share(self, plan: Plan | float) -> float:
         """How near a light comes to the best there can be.
@@ -69,7 +73,7 @@ class Bound:
         Returns:
             One sentence.
         """
-        said = f"no light whatever gives more than {self.value:+.3f}"
+        said = f"no light whatever gives more than {self.value:+.3f}{f' on {self.on}' if self.on else ''}"
         return said if plan is None else f"{said}; this one has {_window(plan):+.3f} ({100 * self.share(plan):.0f} %)"
 
     def __repr__(self) -> str:
@@ -84,31 +88,20 @@ def _window(plan: Plan | float) -> float:
 
 
 def certified(
-    operator: Projector, target: DeviceArray, reach: float, wall: DeviceArray, cap: DeviceArray,
-    rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0, gray: GrayPrices | None = None,
+    operator: Projector, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
+    rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
 ) -> Bound:  # fmt: skip
-    """The bound by the prices of a run, made to hold; takes `SWEEPS` and one more evaluations.
+    """The bound by the multipliers of a run, made feasible; takes `SWEEPS` and one more evaluations.
 
-    Args:
-        operator: The projector.
-        target: Fractions of the part [x, y, z] on its device.
-        reach: Radius of the cylinder that counts, in voxels.
-        wall: Prices of a dose too low inside and too high outside [x, y, z]; 0 where voxels do not count.
-        cap: Prices of a dose above the greatest one, inside.
-        rows: Dose of light 1 everywhere; any scale.
-        columns: Shadow of the voxels that count; any scale.
-        evaluations: Spent before.
-        gray: What prices of gray doses come to; None without any.
-
-    Returns:
-        The bound.
+    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 where voxels do not count.  rows, columns: dose of light 1 and
+    projection of the voxels that count, of any scale.
     """
     device = operator.device
     spent = evaluations + SWEEPS + 1.0
     paid, cost, raised = (device.empty(target.shape) for _ in range(3))
 
     def divide(inside: float, outside: float) -> tuple[float, float]:
-        own = {"wall": wall, "cap": cap, "target": target, "inside": inside, "outside": outside}
+        own = {"lower": lower, "upper": upper, "target": target, "inside": inside, "outside": outside}
         device.launch(divide_prices, **own, paid=paid, cost=cost)
         return total(paid), total(cost)
 
@@ -116,14 +109,8 @@ def certified(
     outside = divide(1.0, 1.0)[1] - caps
     if not inside > 0.0:
         return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
-    if gray is None:
-        gray = GrayPrices(inside, 0.0, caps)
-    if not gray.on_least > 0.0:
-        return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
-    share = 1.0 / gray.on_least
-    left_over = max(0.0, 1.0 - share * gray.on_leak)
-    divide(share, left_over / outside if outside > 0.0 else 0.0)
-    beyond = max(0.0, share * gray.on_leak - 1.0)  # a dose outside is 1 at most
+    share = 1.0 / inside
+    divide(share, 1.0 / outside if outside > 0.0 else 0.0)
     gain, loss = operator(paid), operator(cost)
     cover, light = columns, combine(0.0, columns, 0.0, columns, device.empty(columns.shape), floor=1.0)
     for sweep in range(SWEEPS):
@@ -135,10 +122,12 @@ def certified(
         device.launch(level_cover, rows=rows, reach=reach, cover=raised)
         cover = operator(raised, out=None if sweep == 0 else cover)
     price = total(raised)
-    value, left, scale = min(
-        (share * (gray.fixed + left * inside) + beyond + scale * price, left, scale)
-        for left in KEPT for scale in (_scale(gain, loss, cover, 1.0 - left),)
-    )  # fmt: skip
+
+    def leaving(left: float) -> tuple[float, float, float]:
+        scale = _scale(gain, loss, cover, 1.0 - left)
+        return share * (caps + left * inside) + scale * price, left, scale
+
+    value, left, scale = min(_lowest(leaving, 1.0), leaving(0.0))
     value += ROUNDING * share * inside
     if not value < 1.0:
         return Bound(1.0, combine(0.0, paid, 0.0, paid, paid), spent)
@@ -151,3 +140,17 @@ def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float
     highs = parts_for(cover_scale, paid)
     paid.device.launch(cover_scale, paid=paid, cost=cost, cover=cover, keep=keep, highs=highs)
     return folded(highs, HIGH)
+
+
+def _lowest(of: Callable[[float], tuple[float, float, float]], most: float) -> tuple[float, float, float]:
+    """Least of a convex function between 0 and most, by its first number; right of where it is not finite."""
+    low, high = 0.0, most
+    first, second = of(high - GOLDEN * (high - low)), of(low + GOLDEN * (high - low))
+    for _ in range(TRIED):
+        if first[0] < second[0]:
+            high, second = second[1], first
+            first = of(high - GOLDEN * (high - low))
+        else:
+            low, first = first[1], second
+            second = of(low + GOLDEN * (high - low))
+    return min(first, second)

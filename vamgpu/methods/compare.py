@@ -10,7 +10,6 @@ from vamgpu.losses.band import Band
 from vamgpu.losses.response import Logistic
 from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.calgd import GradientDescent
-from vamgpu.methods.default import BestWindow
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS
 from vamgpu.methods.method import Method
@@ -20,15 +19,12 @@ from vamgpu.methods.plan import Plan
 from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import optimize
-from vamgpu.methods.widest import WidestWindow
-from vamgpu.methods.window import ProcessWindow
+from vamgpu.methods.surface import SurfaceRamp
 
 OUTSIDE, INSIDE = 0.78, 0.95
-"""Thresholds of the default method, in units of the part's dose."""
+"""Thresholds that methods are compared at, in units of the part's dose."""
 LABELS = {
-    "best": "best window (default)",
-    "window": "process window, two thresholds",
-    "widest": "widest window",
+    "ramp": "surface ramp (default)",
     "lbfgs": "L-BFGS, two thresholds",
     "bclp": "BCLP",
     "penalty": "penalty minimization",
@@ -44,8 +40,7 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     """A method by its name in `LABELS` that asks for given thresholds, everything else its own default.
 
     Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half way
-    between the two. The recipe asks for doses, not for thresholds, the default, the widest window and filtered
-    back projection for none: all four stay.
+    between the two. The recipe asks for doses, not for thresholds, filtered back projection for none: both stay.
 
     Args:
         name: Of the method.
@@ -61,9 +56,7 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     Band.thresholds(outside, inside)
     middle = Logistic(middle=0.5 * (outside + inside))
     made: dict[str, Method] = {
-        "best": BestWindow(),
-        "window": ProcessWindow(outside=outside, inside=inside),
-        "widest": WidestWindow(),
+        "ramp": SurfaceRamp(outside=outside, inside=inside, dark=min(SurfaceRamp.dark, outside)),
         "lbfgs": LBFGS(outside=outside, inside=inside),
         "bclp": BCLP(response=middle),
         "penalty": PenaltyMinimization(outside=outside, inside=inside),

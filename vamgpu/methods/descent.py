@@ -14,7 +14,7 @@ from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import lower
 from vamgpu.methods.method import Criterion, Method, Steps
-from vamgpu.methods.minimize import Pace
+from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.state import OptimizerState
 
 ABOVE = 0.05
@@ -56,12 +56,11 @@ class Descent(Method):
             raise BadInput(f"got {self.loss!r} as loss; expected a Loss, such as VoxelLoss(void=…, part=…)")
         if not (0 < self.share < inf and 1 <= self.growth < inf and 0 <= self.momentum < 1):
             raise BadInput(f"{self!r}: expected share > 0, growth ≥ 1 and 0 ≤ momentum < 1")
-        if isinstance(self.history, bool) or not isinstance(self.history, int) or self.history < 0:
-            raise BadInput(f"history is {self.history!r}; expected a whole number ≥ 0")
+        check_pairs(self.history, least=0)
 
     def steps(self, state: OptimizerState) -> Steps:
-        pace = Pace(share=self.share, growth=self.growth, momentum=self.momentum, back=1.0, history=self.history)
-        yield from lower(state, self.loss, pace)
+        rule = StepRule(share=self.share, growth=self.growth, momentum=self.momentum, back=1.0, history=self.history)
+        yield from lower(state, self.loss, rule)
 
 
 class ByDescent(ABC):

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from vamgpu.backend.array import DeviceArray
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Steps
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import identity
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.reductions import dot
+
+if TYPE_CHECKING:
+    from vamgpu.methods.surface import Beside
 
 
 class DoseObjective:
@@ -18,56 +23,48 @@ class DoseObjective:
     A step looks at ``ahead``, which momentum carries beyond the light that is held. Doses are linear, so that the dose
     of the light itself, by which light is chosen, follows from that of ``ahead`` without projecting. Half an evaluation
     for a value, half for a gradient.
-
-    Args:
-        state: Of the run; lines are searched for from ``light`` in its memory, steps taken from ``ahead``.
-        loss: Of the dose.
-        pace: That it is lowered at.
-        penalty: Of light, and its power; for steps that are searched for.
-        rest: Dose that other light brings.
-        dose: To work in; None for a new volume.
-        gradient: To work in; None for a new sinogram.
-        windows: Whether to find the strict window of each light; without, it is told as 0.
     """
 
     state: OptimizerState
     loss: Loss
-    pace: Pace
+    rule: StepRule
     penalty: tuple[float, float]
     rest: DeviceArray | None
 
     def __init__(
-        self, state: OptimizerState, loss: Loss, pace: Pace, *, penalty: tuple[float, float] = (0.0, 1.0),
-        rest: DeviceArray | None = None, dose: DeviceArray | None = None, gradient: DeviceArray | None = None,
-        windows: bool = True,
+        self, state: OptimizerState, loss: Loss, rule: StepRule, *, penalty: tuple[float, float] = (0.0, 1.0),
+        rest: DeviceArray | None = None, beside: Beside | None = None, dose: DeviceArray | None = None,
+        gradient: DeviceArray | None = None, windows: bool = True,
     ) -> None:  # fmt: skip
-        self.state, self.loss, self.pace, self.penalty, self.rest = state, loss.on(state.field), pace, penalty, rest
+        self.state, self.loss, self.rule, self.penalty, self.rest = state, loss.on(state.field), rule, penalty, rest
+        self._beside = beside
         self.dose: DeviceArray = state.volume() if dose is None else dose
-        if pace.history and "gradient" not in state.memory:
+        if rule.history and "gradient" not in state.memory:
             state.memory["gradient"] = state.sinogram()
-        kept = state.memory.get("gradient") if pace.history else gradient
+        kept = state.memory.get("gradient") if rule.history else gradient
         self._gradient = state.sinogram() if kept is None else kept
-        self._at = "light" if pace.history else "ahead"
+        self._at = "light" if rule.history else "ahead"
         self._projected, self._windows = False, windows
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
-        state, pace, self._projected = self.state, self.pace, False
-        state.expose(state.buffer(self._at), self.dose)
+        state, rule, self._projected = self.state, self.rule, False
+        state.expose(state.buffer(self._at), self.dose, self._beside)
         if self.rest is not None:
             state.combine(1.0, self.dose, 1.0, self.rest, self.dose)
-        held = self._dose_of_light(carried) if self._windows or pace.back <= 1.0 else self.dose
-        window = state.window(held)[0] if self._windows and not pace.fixed else 0.0
+        held = self._dose_of_light(carried) if self._windows or rule.back <= 1.0 else self.dose
+        window = state.window(held)[0] if self._windows and not rule.fixed else 0.0
         loss = state.loss(self.dose, self.loss) + self._bright()
-        if pace.back <= 1.0 and loss > 0.0:
+        loss += self._beside.value() if self._beside is not None else 0.0
+        if rule.back <= 1.0 and loss > 0.0:
             self.gradient()  # also where the step is taken back: an iteration is one evaluation
-        if pace.back <= 1.0 and held is not self.dose:  # the loss that counts is that of the light held
+        if rule.back <= 1.0 and held is not self.dose:  # the loss that counts is that of the light held
             state.scale(1.0, held, self.dose)
             loss = state.loss(self.dose, self.loss)
         return loss, window
 
     def gradient(self) -> tuple[DeviceArray]:
         if not self._projected:
-            self.state.project(self.dose, self._gradient)
+            self.state.project(self.dose, self._gradient, self._beside)
             self._bright()
             self._projected = True
         return (self._gradient,)
@@ -81,8 +78,8 @@ class DoseObjective:
 
     def _dose_of_light(self, carried: float) -> DeviceArray:
         """Dose of ``light`` from that of ``ahead`` = light + m·(light − the light before it)."""
-        pace, memory, state = self.pace, self.state.memory, self.state
-        if pace.history or pace.fixed or pace.momentum == 0.0:
+        rule, memory, state = self.rule, self.state.memory, self.state
+        if rule.history or rule.fixed or rule.momentum == 0.0:
             return self.dose
         if "dose" not in memory:
             memory["dose"], carried = state.volume(), 0.0
@@ -94,24 +91,13 @@ class DoseObjective:
         return dose
 
 
-def lower(state: OptimizerState, loss: Loss, pace: Pace, *, efficiency: float = 0.0, power: float = 1.0) -> Steps:
-    """Lower a loss of the dose, from filtered back projection on, or from where the memory of the state stands.
-
-    Args:
-        state: Of the run.
-        loss: Of the dose.
-        pace: That it is lowered at.
-        efficiency: Penalty of the first light against a part that is all wrong by one; needs a pace with a history.
-        power: Of the light in that penalty.
-
-    Yields:
-        As `minimize` does.
-    """
+def lower(state: OptimizerState, loss: Loss, rule: StepRule, *, efficiency: float = 0.0, power: float = 1.0) -> Steps:
+    """Lower a loss of the dose, from filtered back projection on, or from where the memory of the state stands."""
     memory = state.memory
     if "light" not in memory:
         filtered_light(state, state.volume())
     if efficiency and "penalty" not in memory:
         bright = state.apply_penalty(state.buffer("light"), state.sinogram(), 1.0, power, hold=False)
         memory["penalty"] = efficiency * dot(state.target, state.target) / max(bright, 1e-60)
-    exposure = DoseObjective(state, loss, pace, penalty=(state.number("penalty"), power))
-    yield from minimize(exposure, (Channel(state, identity(state.operator)),), pace)
+    exposure = DoseObjective(state, loss, rule, penalty=(state.number("penalty"), power))
+    yield from minimize(exposure, (Channel(state, identity(state.operator)),), rule)

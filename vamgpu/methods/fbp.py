@@ -42,7 +42,7 @@ def filtered_light(state: OptimizerState, dose: DeviceArray) -> float:
     Scaled so that the part's mean dose is one; one projector evaluation. Returns what it was before.
     """
     projected, light = state.sinogram(), state.sinogram()
-    state.send(state.target, projected)
+    state.project_scaled(state.target, projected)
     state.filter(projected, ramp(state.operator), light, floor=0.0)
     state.expose(light, dose)
     gain = state.part_mean(dose)

@@ -2,21 +2,57 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
 from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
 from vamgpu.losses.band import GREATEST_POWER, MOST, Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import lower
 from vamgpu.methods.method import Criterion, Method, Steps
-from vamgpu.methods.minimize import Pace
+from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.papers import LIMITED_MEMORY, THRESHOLDS
 from vamgpu.methods.state import OptimizerState
 
 
+class ByPairs(Method):
+    """What methods share that lower thresholds of the dose by limited-memory quasi-Newton steps."""
+
+    outside: float
+    inside: float
+    most: float
+    history: int
+    history_bytes: int | None
+    papers: ClassVar[tuple[str, ...]] = (LIMITED_MEMORY, THRESHOLDS)
+    iterations: ClassVar[int] = 40
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "loss"
+    takes_start: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def loss(self) -> Loss:
+        """That of doses, which refuses thresholds that are not in order."""
+        ...
+
+    @property
+    def rule(self) -> StepRule:
+        """At which it is lowered."""
+        return StepRule(history=self.history, history_bytes=self.history_bytes)
+
+    def __post_init__(self) -> None:
+        for name in ("outside", "inside", "most"):
+            positive(name, getattr(self, name), zero=True)
+        _ = self.loss
+        check_pairs(self.history)
+        if self.history_bytes is not None:
+            positive("history_bytes", self.history_bytes, zero=True)
+
+
 @dataclass(frozen=True)
-class LBFGS(Method):
+class LBFGS(ByPairs):
     """Projected limited-memory quasi-Newton steps with backtracking.
 
     Args:
@@ -41,23 +77,15 @@ class LBFGS(Method):
     power: float = 4.0
     history: int = 5
     history_bytes: int | None = None
-    papers: ClassVar[tuple[str, ...]] = (LIMITED_MEMORY, THRESHOLDS)
-    iterations: ClassVar[int] = 40
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
-    takes_start: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        Band.thresholds(self.outside, self.inside, self.most)
-        counted = isinstance(self.history, int) and self.history >= 1
-        if not (counted and 0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
-            raise BadInput(
-                f"{self!r}: expected efficiency ≥ 0, a power from 1 to {GREATEST_POWER:g} and a whole history ≥ 1"
-            )
+        super().__post_init__()
+        if not (0 <= self.efficiency < MOST and 1 <= self.power <= GREATEST_POWER):
+            raise BadInput(f"{self!r}: expected efficiency ≥ 0 and a power from 1 to {GREATEST_POWER:g}")
 
     @property
     def loss(self) -> Loss:
-        """That of doses."""
+        """Two thresholds of the dose, outside the part and in it."""
         return Band.thresholds(self.outside, self.inside, self.most)
 
     @property
@@ -68,5 +96,4 @@ class LBFGS(Method):
         return f"efficiency is {self.efficiency}: its penalty is set by all light of a web; expected 0"
 
     def steps(self, state: OptimizerState) -> Steps:
-        pace = Pace(history=self.history, history_bytes=self.history_bytes)
-        yield from lower(state, self.loss, pace, efficiency=self.efficiency, power=self.power)
+        yield from lower(state, self.loss, self.rule, efficiency=self.efficiency, power=self.power)

@@ -8,16 +8,12 @@ from typing import Any
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
 from vamgpu.operators.dose_unit import dose_unit
 from vamgpu.operators.reductions import extent
-from vamgpu.quantity import parse
+from vamgpu.schema.quantities import Absorption, Dose, ExposureTime, Irradiance, measured
 
 MARGIN = 0.99
 """Share of the brightness allowed that steps keep to, as the threshold moves until the run ends."""
-UNITS = {"exposure_limit": ("a time", "s"), "irradiance": ("an irradiance", "mW/mm²"),
-         "critical_dose": ("a dose", "mJ/mm³"), "absorption": ("an absorption", "1/mm")}  # fmt: skip
-"""What each is in text, and the unit of a number."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +57,11 @@ class ExposureLimit:
                 "and critical_dose"
             )
         return cls(
-            _number("exposure_limit", exposure_limit), _number("irradiance", irradiance),
-            _number("critical_dose", critical_dose), None if absorption is None else _number("absorption", absorption),
-        )  # fmt: skip
+            measured("exposure_limit", exposure_limit, ExposureTime),
+            measured("irradiance", irradiance, Irradiance),
+            measured("critical_dose", critical_dose, Dose),
+            None if absorption is None else measured("absorption", absorption, Absorption),
+        )
 
     def brightness(self, operator: Any) -> float:
         """Greatest light of a pixel over the dose at the threshold, in the operator's units [1/mm].
@@ -102,9 +100,10 @@ class ExposureLimit:
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(
-                f"the exposure limit of {self.seconds:.4g} s binds: with all pixels full-on at {self.irradiance:g} "
-                f"mW/mm² the darkest voxel of the part takes {least:.4g} s to {self.critical_dose:g} mJ/mm³; expected "
-                "more time, a brighter lamp, or a resin of a lower critical dose"
+                f"the exposure limit of {self.seconds:.4g} s is too short: with all pixels full-on at "
+                f"{self.irradiance:g} mW/mm² the darkest voxel of the part takes {least:.4g} s to "
+                f"{self.critical_dose:g} mJ/mm³; expected more time, a brighter lamp, or a resin of a lower critical "
+                "dose"
             )
 
     def _time(self, operator: Any) -> float:
@@ -117,13 +116,3 @@ class ExposureLimit:
             )
         share = 1.0 / operator.motion.angles
         return self.critical_dose / dose_unit(operator, share, unit=self.irradiance, absorption=self.absorption)
-
-
-def _number(name: str, value: Any) -> float:
-    kind, unit = UNITS[name]
-    if isinstance(value, str):
-        try:
-            value = parse(value, kind)
-        except ValueError as error:
-            raise BadInput(f"{name}: got {value!r}; {error}") from error
-    return positive(f"{name} [{unit}]", value)

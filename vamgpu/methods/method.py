@@ -29,7 +29,6 @@ class Method(Protocol):
             does not, and `optimize` refuses a ``start``.
         takes_weights: Whether weights of bodies change its light, as they do wherever ``state.loss`` is lowered;
             without the attribute they do, and where it is False `optimize` refuses them.
-        takes_gray: Whether it holds gray bodies from above too; likewise.
     """
 
     papers: ClassVar[tuple[str, ...]]

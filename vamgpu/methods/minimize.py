@@ -10,18 +10,26 @@ from typing import Protocol
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput
+from vamgpu.kernels.update import multiply
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.method import Steps
 from vamgpu.methods.pairs import Pairs
 from vamgpu.methods.ramp import Taps
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.compose import combine
+from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot
 
 RETREATS = 24
 """Returns to the best light in a row, each with steps half as long, after which none that helps is expected."""
 TRIES = 12
 """Lengths that a line search looks at."""
+
+
+def check_pairs(history: int, least: int = 1) -> None:
+    """Raise `BadInput` for a history that is no number of pairs."""
+    if isinstance(history, bool) or not isinstance(history, int) or history < least:
+        raise BadInput(f"history is {history!r}; expected a whole number of pairs ≥ {least}, such as 5")
 
 
 class Objective(Protocol):
@@ -40,13 +48,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Light of one color: ``light`` and ``ahead`` of it in the memory of its state.
-
-    Attributes:
-        state: Its operator and memory.
-        taps: Filter of its gradient along r.
-        length: Of its steps over those of the others.
-    """
+    """Light of one color: ``light`` and ``ahead`` of it in the memory of its state."""
 
     state: OptimizerState
     taps: Taps
@@ -75,54 +77,32 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Pace:
-    """How long steps are, and what happens where the loss does not fall.
+class StepRule:
+    """How long steps are, and what happens where the loss does not fall."""
 
-    Attributes:
-        step: Length of the first; None takes one that changes the light by ``share`` of itself.
-        share: See ``step``.
-        growth: Of the step, after one that lowered the loss.
-        momentum: Share of the last step that is added to the next; None for Nesterov's k / (k + 3). A rise drops it.
-        shrink: Of the step where the loss rises ...
-        soon: ... within so many steps of a restart; a later rise costs the momentum alone.
-        calm: Share of the growth that a rise leaves.
-        back: Times the least loss, from which on the light is again the best so far. 1 takes back every step that does
-            not lower the loss, which then never rises from one record to the next.
-        possible: Whether what momentum carries ahead is kept ≥ 0, so that it can be shown and returned; needed where
-            doses do not add up linearly.
-        fixed: No regard for the loss, and no best light: what happens at a place depends on what is near it alone.
-        history: Pairs of a limited-memory quasi-Newton method, whose steps are searched for along its directions; 0
-            for steps along the filtered gradient.
-        history_bytes: Memory they may take; None for what the device has.
-    """
-
-    step: float | None = None
+    step: float | None = None  # length of the first; None for one that changes the light by ``share`` of itself
     share: float = 0.1
-    growth: float = 1.0
-    momentum: float | None = None
-    shrink: float = 0.5
-    soon: float = inf
-    calm: float = 1.0
-    back: float = inf
-    possible: bool = False
-    fixed: bool = False
-    history: int = 0
-    history_bytes: int | None = None
+    growth: float = 1.0  # of the step, after one that lowered the loss
+    momentum: float | None = None  # share of the last step added to the next; None for Nesterov's k / (k + 3)
+    shrink: float = 0.5  # of the step where the loss rises within ``soon`` steps of a restart
+    soon: float = inf  # a later rise costs the momentum alone
+    calm: float = 1.0  # share of the growth that a rise leaves
+    back: float = inf  # times the least loss, from which on steps are taken back; 1 takes back all that raise the loss
+    possible: bool = False  # whether ``ahead`` is kept ≥ 0, where doses do not add up linearly
+    fixed: bool = False  # no regard for the loss: what happens at a place depends on what is near it alone
+    history: int = 0  # pairs of a limited-memory quasi-Newton method; 0 for steps along the filtered gradient
+    history_bytes: int | None = None  # memory they may take; None for what the device has
 
 
-def minimize(objective: Objective, channels: Sequence[Channel], pace: Pace) -> Steps:
+def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) -> Steps:
     """Lower an objective by light ≥ 0, from ``light`` in the memory of each channel on.
 
     It goes on for ever, or until the loss is 0 or no step lowers it; whoever asks for its records counts, cancels and
     tells divergence. Numbers are kept in the memory of the first channel. A later call with the same memories goes on
     bit by bit where this one stopped. The best light is kept as the criterion of the works says.
-
-    Yields:
-        Loss and strict window: of the light held where steps are taken back; else of the point ahead of it, and the
-        window of the light that was held before the step.
     """
-    if pace.history:
-        yield from _searched(objective, channels[0].state, pace)
+    if rule.history:
+        yield from _searched(objective, channels[0].state, rule)
         return
     lead = channels[0].state
     memory, best = lead.memory, lead.best
@@ -130,22 +110,22 @@ def minimize(objective: Objective, channels: Sequence[Channel], pace: Pace) -> S
         if "ahead" not in channel.state.memory:
             channel.state.memory["ahead"] = channel.state.sinogram()
             combine(1.0, channel.light, 0.0, channel.light, channel.ahead)
-    if pace.step is not None:
-        memory.setdefault("step", pace.step)
+    if rule.step is not None:
+        memory.setdefault("step", rule.step)
     while True:
         loss, window = objective.value(lead.number("carried"))
         returned = memory.pop("returned", False)  # to the best light, whose loss is no progress yet
-        rose = not (pace.fixed or returned or loss < lead.number("loss", inf))
-        if not pace.fixed and _offered(channels, loss, window, pace.possible):
+        rose = not (rule.fixed or returned or loss < lead.number("loss", inf))
+        if not rule.fixed and _offered(channels, loss, window, rule.possible):
             memory["retreats"] = 0.0
-        _paced(lead, pace, rose, returned)
+        _lengthened(lead, rule, rose, returned)
         memory["loss"] = loss
-        if rose and pace.back < inf and not loss < pace.back * best.loss:
+        if rose and rule.back < inf and not loss < rule.back * best.loss:
             loss, window = _retreated(channels, loss, window)
-        elif loss > 0.0 or pace.fixed:
-            _moved(objective, channels, pace)
+        elif loss > 0.0 or rule.fixed:
+            _moved(objective, channels, rule)
         yield loss, window
-        if not pace.fixed and (loss == 0.0 or lead.number("retreats") >= RETREATS):
+        if not rule.fixed and (loss == 0.0 or lead.number("retreats") >= RETREATS):
             return
 
 
@@ -159,12 +139,12 @@ def _offered(channels: Sequence[Channel], loss: float, window: float, possible: 
     return offers[0]
 
 
-def _paced(lead: OptimizerState, pace: Pace, rose: bool, returned: bool) -> None:
+def _lengthened(lead: OptimizerState, rule: StepRule, rose: bool, returned: bool) -> None:
     """Lengthen the step, or shorten it and drop the momentum."""
-    memory, growth = lead.memory, lead.number("growth", pace.growth)
+    memory, growth = lead.memory, lead.number("growth", rule.growth)
     if rose:
-        memory["step"] = lead.number("step") * (pace.shrink if lead.number("run") <= pace.soon else 1.0)
-        memory["growth"] = 1.0 + pace.calm * (growth - 1.0)
+        memory["step"] = lead.number("step") * (rule.shrink if lead.number("run") <= rule.soon else 1.0)
+        memory["growth"] = 1.0 + rule.calm * (growth - 1.0)
         memory["run"] = 0.0
     elif "step" in memory and not returned:
         memory["step"] = lead.number("step") * growth
@@ -183,19 +163,19 @@ def _retreated(channels: Sequence[Channel], loss: float, window: float) -> tuple
     return loss, window
 
 
-def _moved(objective: Objective, channels: Sequence[Channel], pace: Pace) -> None:
+def _moved(objective: Objective, channels: Sequence[Channel], rule: StepRule) -> None:
     """One step of every channel; what is dark and should stay so is held."""
     lead, gradients = channels[0].state, objective.gradient()
     run = lead.number("run")
-    momentum = run / (run + 3.0) if pace.momentum is None else pace.momentum * (run > 0 or pace.fixed)
+    momentum = run / (run + 3.0) if rule.momentum is None else rule.momentum * (run > 0 or rule.fixed)
     for channel, gradient in zip(channels, gradients, strict=True):
         channel.state.apply_penalty(channel.ahead, gradient)
         if "step" not in lead.memory:
-            lead.memory["step"] = pace.share * _ratio(channel.light, gradient)
+            lead.memory["step"] = rule.share * _ratio(channel.light, gradient)
         channel.state.step(gradient, channel.taps, lead.number("step") * channel.length, momentum)
-        if pace.possible:
+        if rule.possible:
             combine(1.0, channel.ahead, 0.0, channel.ahead, channel.ahead, floor=0.0)
-    lead.memory.update({"run": run + 1.0, "carried": 0.0 if pace.possible else momentum})
+    lead.memory.update({"run": run + 1.0, "carried": 0.0 if rule.possible else momentum})
     lead.best.unseen = objective.loss
 
 
@@ -205,13 +185,13 @@ def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:
 
 
 # ---- along quasi-Newton directions -------------------------------------------------------------------------------
-def _searched(objective: Objective, state: OptimizerState, pace: Pace) -> Steps:
+def _searched(objective: Objective, state: OptimizerState, rule: StepRule) -> Steps:
     """Projected steps along limited-memory directions, each shorter until the loss falls."""
     memory = state.memory
     if "loss" not in memory:
         memory["loss"], memory["window"] = objective.value()
         objective.gradient()
-    pairs = Pairs(state, pace.history, pace.history_bytes)
+    pairs = Pairs(state, rule.history, rule.history_bytes)
     direction = state.sinogram()
     while True:
         pairs.direct(direction)
@@ -234,6 +214,10 @@ def _line(objective: Objective, state: OptimizerState, pairs: Pairs, direction: 
         if not state.affords(1.0):
             break
         state.combine(1.0, pairs.step, share, direction, light, floor=0.0)
+        if state.most < inf:
+            capped(light, state.most)
+        if state.lit is not None:
+            state.device.launch(multiply, x=light, y=state.lit, out=light)
         loss, window = objective.value()
         if loss < before:
             objective.gradient()

@@ -77,7 +77,7 @@ class OSMO(Method):
         self, state: OptimizerState, model: DeviceArray, projected: DeviceArray, taps: Taps, dose: DeviceArray
     ) -> float:
         """Light for a model, and its dose; returns the window."""
-        state.send(model, projected)
+        state.project_scaled(model, projected)
         state.filter(projected, taps, state.buffer("light"), floor=0.0)
         state.expose(state.buffer("light"), dose)
         window, state.memory["peak"] = state.window(dose)

@@ -36,10 +36,6 @@ RESTART = (
 TWO_METRIC = "D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982) 221"
 LIMITED_MEMORY = "D. C. Liu, J. Nocedal, On the limited memory BFGS method, Math. Program. 45 (1989) 503"
 VIAL = "A. Orth et al., Correcting ray distortion in tomographic additive manufacturing, Opt. Express 29 (2021) 11037"
-SPLITTING = (
-    "J. Eckstein, D. P. Bertsekas, On the Douglas–Rachford splitting method and the proximal point algorithm for "
-    "maximal monotone operators, Math. Program. 55 (1992) 293"
-)
 PRIMAL_DUAL = (
     "A. Chambolle, T. Pock, A first-order primal-dual algorithm for convex problems, "
     "J. Math. Imaging Vis. 40 (2011) 120"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,6 +13,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.methods.certificate import Bound
+from vamgpu.methods.part import idle_light, lit_pixels, on_device
 from vamgpu.operators.compose import combine
 from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.protocol import Operator
@@ -60,11 +62,11 @@ class Plan:
         target_name: Of what it prints.
         state: What resuming needs; a resumed run goes on from its last light, not from the best.
         best_iteration: Number of iterations after which this light was reached; 0 is the first guess.
-        bound: How wide a window any light can have, where the method tells (`WidestWindow` does after 60 steps, by 6
-            evaluations more that are not counted); else see `vamgpu.methods.bound`.
+        bound: How wide a window any light can have, where the method tells; else see `vamgpu.methods.bound`.
         target: What it prints, as it was given to `optimize`; None where nobody said.
         tolerances: That the light was sought for; ``window`` and ``bound`` are those of all their corners together.
         corners: What the light gives at each of them; None without tolerances.
+        notes: What is too coarse for the light to be what it is claimed to be, a sentence each.
     """
 
     sinogram: DeviceArray
@@ -82,6 +84,7 @@ class Plan:
     target: Any = field(default=None, repr=False)
     tolerances: Tolerances | None = None
     corners: CornerDoses | None = field(default=None, repr=False)
+    notes: tuple[str, ...] = ()
     pairs: ClassVar[Renamed] = Renamed("evaluations")
 
     def __repr__(self) -> str:
@@ -94,7 +97,7 @@ class Plan:
         numbers = {
             "strict window": f"{self.window:+.4f} of the greatest dose",
             **({} if self.corners is None else {"nominal window": f"{self.corners.nominal:+.4f}"}),
-            "method": type(self.method).__name__,
+            "method": getattr(self.method, "name", type(self.method).__name__),
             "iterations": f"{len(self.history)}, the best after {self.best_iteration}",
             "evaluations of the projector": f"{self.evaluations:g}",
             "took": f"{self.seconds:.3g} s by {self.ran}",
@@ -113,6 +116,17 @@ class Plan:
         while isinstance(layers[-1], Defocused):
             layers.append(layers[-1].operator)
         return f"{' '.join(type(each).__name__ for each in layers)} on {self.operator.device.name}"
+
+    @cached_property
+    def idle_light(self) -> float:
+        """Share of the light in pixels whose rays never meet the part; NaN where nobody said what is printed.
+
+        One forward projection.
+        """
+        if self.target is None:
+            return float("nan")
+        lit = lit_pixels(self.operator, on_device(self.operator, self.target))
+        return idle_light(self.operator, self.sinogram, lit)
 
     def dose(self) -> DeviceArray:
         """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""

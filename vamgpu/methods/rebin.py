@@ -36,7 +36,7 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
     source, vessel = plan.operator, operator.vessel
     if not isinstance(source, Projection) or source.vessel is not None or vessel is None:
         raise BadInput("rebin takes a plan for straight rays (vessel=None) to an operator with a vessel")
-    if source.motion != operator.motion or source.beam.pixels[1] != operator.beam.pixels[1]:
+    if source.motion.stepped != operator.motion.stepped or source.beam.pixels[1] != operator.beam.pixels[1]:
         raise BadInput(
             f"the plan has {source.motion} and {source.beam.pixels[1]} rows; expected {operator.motion} and "
             f"{operator.beam.pixels[1]}: plan for the same angles and rows"

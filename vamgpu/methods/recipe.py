@@ -58,7 +58,7 @@ class Recipe(Method):
         light, model = state.buffer("light"), state.buffer("model")
         band = Band((self.background, 1.0), (0.0, 0.0))
         while True:
-            state.send(model, projected)
+            state.project_scaled(model, projected)
             state.filter(projected, filtered, light, floor=0.0)
             state.expose(light, dose)
             if spread is not None:
@@ -72,32 +72,6 @@ class Recipe(Method):
             loss = state.loss(felt, band)
             state.offer(loss, window, 1)
             yield loss, window
-
-    def first(self, state: OptimizerState, passes: int, level: float = 1.0) -> Steps:
-        """So many passes that another method goes on from; its own loss begins at their end, also of a resumed run.
-
-        None where the run starts from light.
-
-        Args:
-            state: Of the run.
-            passes: Number of them.
-            level: Mean dose of the part that the light is left with.
-
-        Yields:
-            As `steps` does.
-        """
-        own = self.steps(state)
-        if "started" in state.memory:
-            state.memory["warm"] = float(passes)
-        while state.number("warm") < passes:
-            record = next(own)
-            state.memory["warm"] = state.number("warm") + 1.0
-            if state.number("warm") == passes:
-                state.memory.pop("model")
-                state.scale(level, state.buffer("light"), state.buffer("light"))
-            yield record
-        own.close()
-        state.memory.setdefault("stage", state.iteration)
 
     def _model(self, state: OptimizerState, spread: Spread | None) -> DeviceArray:
         """The target over its background, deconvolved where it will diffuse."""

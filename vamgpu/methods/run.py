@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from importlib.util import find_spec
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import ceil, inf
 from typing import Any
 
@@ -16,52 +13,48 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.deprecated import renamed_arguments
-from vamgpu.errors import BadInput, Cancelled, Diverged, DivergenceWarning, OpticsWarning, ToleranceWarning
-from vamgpu.geometry import counts, positive
+from vamgpu.errors import (
+    BadInput,
+    Cancelled,
+    Diverged,
+    DivergenceWarning,
+    OpticsWarning,
+    OutOfMemory,
+    SamplingWarning,
+    ToleranceWarning,
+)
+from vamgpu.geometry import Grid, Turntable, counts, positive
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.bclp import BCLP
-from vamgpu.methods.calgd import GradientDescent
-from vamgpu.methods.default import BestWindow
-from vamgpu.methods.descent import Descent
-from vamgpu.methods.fbp import FilteredBackProjection
-from vamgpu.methods.lbfgs import LBFGS
+from vamgpu.methods.choose import check_bodies, chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.method import Method
-from vamgpu.methods.osmo import OSMO
-from vamgpu.methods.part import fractions_of, limited
-from vamgpu.methods.penalty import PenaltyMinimization
+from vamgpu.methods.part import fractions_of, limited, radius_of
 from vamgpu.methods.plan import Plan, Step, copied
+from vamgpu.methods.progress import Progress, reporting
 from vamgpu.methods.projector import Projector
-from vamgpu.methods.recipe import Recipe
+from vamgpu.methods.resume import memory_of
 from vamgpu.methods.start import begin
 from vamgpu.methods.state import OptimizerState
+from vamgpu.methods.surface import PIXEL_DEEP, SINOGRAMS, SurfaceRamp, across, as_fine_as_light
 from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_tolerances, doses_of
 from vamgpu.methods.trajectory import LossTrajectory
-from vamgpu.methods.widest import WidestWindow
-from vamgpu.methods.window import ProcessWindow
+from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import extent
-from vamgpu.operators.ring_projection import RingProjection, are_enough
+from vamgpu.operators.ring_projection import RingProjection, covers, direct
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.optics.sampling import sampling_notes
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
-METHODS: dict[str, type[Any]] = {
-    "default": BestWindow,
-    "best": BestWindow,
-    "window": ProcessWindow,
-    "widest": WidestWindow,
-    "recipe": Recipe,
-    "fbp": FilteredBackProjection,
-    "cal": GradientDescent,
-    "osmo": OSMO,
-    "penalty": PenaltyMinimization,
-    "bclp": BCLP,
-    "lbfgs": LBFGS,
-}
-"""Names a method can be chosen by, with default parameters."""
-
-Progress = Callable[[Step], None]
+DIMMED = 20
+"""Times that pixels are dimmed at most to keep an exposure limit; each lowers the threshold a little, too."""
+NOT_JUDGED = ("memory did not do to judge the light on the target's voxels: its window is that on the voxels it was "
+              "found on, a pixel from the surface")  # fmt: skip
+"""Note of a plan."""
+COARSE_CORNERS = ("memory did not do for all corners on voxels as fine as light: it was found on the target's voxels; "
+                  "expected fewer tolerances, or a device with more memory")  # fmt: skip
+"""Note of a plan."""
 
 
 @renamed_arguments(pairs="evaluations")
@@ -85,14 +78,16 @@ def optimize(
 ) -> Plan:
     """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    The plan holds the best light that the run evaluated, not its last; see `Plan`.
+    The plan holds the best light that the run evaluated, not its last; see `Plan`. Light sought on rings is judged by
+    rays through voxels at the end, the run's best and its last; what `Plan.history` tells of it is on rings.
 
     Args:
         operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`
             stands for a `RingProjection` on its rings: the dose is asked for, and judged, on the target's voxels.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
-        method: A name of `METHODS`, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
+        method: A name of `METHODS` in any case, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
         iterations: In all, those of ``resume`` included; None takes the method's own, or what ``evaluations`` allows.
+            0 makes the plan of the light that iterations begin with: ``start``, else filtered back projection.
         tolerance: Stop once the loss has fallen below this share of the first one (0: only when nothing is left to
             gain).
         progress: A function gets every `Step`; True shows a bar with the time left, False none. By default a bar is
@@ -105,10 +100,10 @@ def optimize(
         start: Light to begin with, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should
             get; scaled where the part gets less than half or more than twice that. Not with ``resume``, and not for
             methods that begin with the target.
-        tolerances: How far machine and resin may be off: one light for all corners, with one threshold. Loss, window
-            and bound are then those of all corners together; see `Tolerances` and `Plan.corners`.
+        tolerances: How far machine and resin may be off: one light for all corners, with one threshold. Loss and window
+            are then those of all corners together; see `Tolerances` and `Plan.corners`.
         exposure_limit: Time [s] that the light may last at most, until the dose midway between part and void is
-            ``critical_dose``: the widest window of such light. For "default" and "widest" alone.
+            ``critical_dose``. For "default" alone.
         irradiance: Of a full-on pixel in air [mW/mm²], where there is a limit. Like the others also text with its unit.
         critical_dose: From which resin is solid [mJ/mm³], where there is a limit.
         absorption: Of the resin [1/mm], where there is a limit and the operator absorbs no light.
@@ -128,6 +123,7 @@ def optimize(
     Warns:
         DivergenceWarning: When more than half of what the loss had fallen is lost again, with the iteration from which
             it rose. A loss that exceeds a thousand times its first value ends the run.
+        SamplingWarning: When voxels or angles are too coarse for the pixels; the plan's notes keep it.
         ToleranceWarning: When the light found does not print at every corner, with the corners that hold it.
     """
     if resume is not None and not isinstance(resume, Plan):
@@ -138,64 +134,130 @@ def optimize(
         raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
-    tolerance = positive("tolerance", tolerance, zero=True)
-    posed: Any = _posed_on_voxels(operator, target)
-    field_ = fractions_of(posed, target)
-    limits = getattr(target, "limits", None)
-    criterion = how.criterion
-    if limits is not None and (limits.weighted or limits.gray.any()):
-        _check_bodies(how, limits)
-        criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
-    asked = posed if limits is None else limited(posed, limits)
-    memory = _memory(posed, target, how, resume, tolerances)
-    scenarios = None
-    if tolerances is not None:
-        scenarios = asked = tolerances.scenarios(asked)
-        check_lit(scenarios, tolerances, field_)
-        field_ = scenarios.stacked([field_] * len(scenarios))
-        limits = None if limits is None else limits.stacked(len(scenarios))
-    state = OptimizerState(asked, field_, memory, criterion, limits)
     brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
     if brightest is not None:
-        _limit_light(state, how, operator, brightest, resume)
+        _check_limit(how, exposure_limit, limit)
+    tolerance = positive("tolerance", tolerance, zero=True)
+    posed: Any = _posed_on_voxels(operator, target)
+    problem = _Problem.of(posed, target, how, tolerances)
+    for note in problem.notes:
+        warnings.warn(note, SamplingWarning, stacklevel=3)
+    memory = memory_of(posed, target, how, resume, tolerances)
+    state = problem.state(memory, how)
+    if brightest is not None:
+        _limit_light(state, operator, brightest, resume, problem.finer)
     elif "brightness" in memory:
         raise BadInput("the plan to resume has an exposure limit; resume it with that, or start with its light")
     state.most_evaluations = inf if evaluations is None else positive("evaluations", evaluations)
-    state.budget = min(limit * how.cost * getattr(asked, "cost", 1.0), state.most_evaluations)
-    if start is not None:
-        begin(state, how, start, resume)
-    run = _Run(posed, how, state, target, resume, tolerances=tolerances)
-    with _reporting(progress, limit) as report:
+    if start is not None or (limit == 0 and resume is None):
+        begin(state, how, start, resume, 1.0 / problem.finer)
+    run = _Run(posed, how, state, target, resume, problem, tolerances=tolerances)
+    with reporting(progress, limit) as report:
         run.go(limit, tolerance, report, cancel or (lambda: False))
     plan = run.plan()
-    kept = state.best.window >= -1.0 and ("rows" in plan.state or "free" in plan.state)
-    if brightest is not None and not (plan.window > 0.0 and kept):
+    if brightest is not None and not (plan.window > 0.0 and run.within):
         _tell_limit(plan, brightest)
     return plan
 
 
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What light is sought on: operator, target and limits of its voxels, of all corners of tolerances."""
+
+    operator: Any
+    target: DeviceArray
+    limits: Limits | None
+    judge: OptimizerState | None  # on the voxels of the caller, where light is sought on others
+    finer: float = 1.0  # dose of a light on these voxels over that on the caller's
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, posed: Any, target: Any, method: Method, tolerances: Tolerances | None) -> _Problem:
+        """That of a method: on voxels as fine as light for `SurfaceRamp`, where memory does."""
+        fractions, limits = fractions_of(posed, target), getattr(target, "limits", None)
+        if limits is not None and (limits.weighted or limits.gray.any()):
+            check_bodies(method, limits)
+        fine = as_fine_as_light(posed) if isinstance(method, SurfaceRamp) and limits is None else None
+        notes = sampling_notes(posed if fine is None else fine, radius_of(posed, target, fractions))
+        given = (posed, target, fractions, method, tolerances)
+        if fine is None:
+            return cls._on(*given, None, notes)
+        try:
+            return cls._on(*given, fine, notes)
+        except OutOfMemory:
+            if tolerances is None:
+                raise
+            return cls._on(*given, None, (*notes, COARSE_CORNERS))
+
+    @classmethod
+    def _on(
+        cls, posed: Any, target: Any, fractions: DeviceArray, method: Method, tolerances: Tolerances | None,
+        fine: Any, notes: tuple[str, ...],
+    ) -> _Problem:  # fmt: skip
+        limits = getattr(target, "limits", None)
+        asked, sought, judge, finer = posed if limits is None else limited(posed, limits), fractions, None, 1.0
+        if isinstance(method, SurfaceRamp):
+            rays = direct(posed)
+            judge = _at_corners(rays if limits is None else limited(rays, limits), fractions, tolerances)
+            if fine is not None:
+                asked, finer = fine, fine.grid.voxel_volume / posed.grid.voxel_volume
+            sought = across(target, posed.grid, asked, method.width)
+        if tolerances is None:
+            return cls(asked, sought, limits, judge and OptimizerState(*judge, {}), finer, notes)
+        asked, stacked = _at_corners(asked, sought, tolerances)
+        check_lit(asked, tolerances, sought)
+        limits = None if limits is None else limits.stacked(len(asked))
+        if fine is not None and not OptimizerState(asked, stacked, {}).has_room(1, SINOGRAMS):
+            raise OutOfMemory(COARSE_CORNERS)
+        return cls(asked, stacked, limits, judge and OptimizerState(*judge, {}), finer, notes)
+
+    def state(self, memory: dict[str, Any], method: Method) -> OptimizerState:
+        """A run on it."""
+        limits, criterion = self.limits, method.criterion
+        if limits is not None and (limits.weighted or limits.gray.any()):
+            criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
+        state = OptimizerState(self.operator, self.target, memory, criterion, limits)
+        if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some of the part is as deep
+            state.margin = PIXEL_DEEP
+        return state
+
+
+def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | None) -> tuple[Any, DeviceArray]:
+    """Operator and target of all corners; of the nominal print without tolerances."""
+    if tolerances is None:
+        return operator, target
+    scenarios = tolerances.scenarios(operator)
+    return scenarios, scenarios.stacked([target] * len(scenarios))
+
+
+def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
+    """Refuse an exposure limit for a method that knows none, and for a run that dims no light."""
+    if limit == 0:
+        raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which dims no light; expected "
+                       "iterations ≥ 1, or no limit")  # fmt: skip
+    if not isinstance(method, SurfaceRamp):
+        raise BadInput(f'got exposure_limit with {method!r}; expected "default", which seeks light that is no brighter')
+
+
 def _limit_light(
-    state: OptimizerState, method: Method, operator: Projector, limit: ExposureLimit, resume: Plan | None
-) -> None:  # fmt: skip
+    state: OptimizerState, operator: Projector, limit: ExposureLimit, resume: Plan | None, finer: float
+) -> None:
     """Let a run find no light that lasts longer than it may. Raises `BadInput`."""
-    if not isinstance(method, (BestWindow, WidestWindow)):
-        raise BadInput(f"got exposure_limit with {method!r}; expected \"default\" or \"widest\", which seek the widest "
-                       "window of light that is no brighter")  # fmt: skip
     brightness = limit.brightness(operator)
     if resume is not None and state.memory.get("brightness") != brightness:
         raise BadInput(
             "the plan to resume has another exposure limit; resume it with its own, or give its light as start"
         )
-    state.memory["brightness"] = state.brightness = brightness
+    state.memory["brightness"], state.brightness = brightness, brightness / finer
     even, dose = state.device.upload(np.ones(state.operator.range.shape, np.float32)), state.volume()
     state.operator.T(even, out=dose)
-    limit.check(operator, extent(dose, state.target, 0.5, inf, state.reach)[0])
+    limit.check(operator, extent(dose, state.target, 0.5, inf, state.reach)[0] / finer)
 
 
 def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
     """Warn of a limit that leaves no window."""
     warnings.warn(
-        f"no light that prints was found within the exposure limit of {limit.seconds:.4g} s: the widest window is "
+        f"no light with a strict window was found within the exposure limit of {limit.seconds:.4g} s: the widest is "
         f"{max(plan.window, -1.0):+.3f}; take more time, a brighter lamp or more iterations; without the limit the run "
         "tells what the part itself allows",
         OpticsWarning,
@@ -212,13 +274,17 @@ class _Run:
     state: OptimizerState
     target: Any
     resumed: Plan | None
+    problem: _Problem
     history: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
     tolerances: Tolerances | None = None
+    within: bool = True  # whether the light of a plan lasts no longer than it may
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.resumed is not None:
             self.history = list(self.resumed.history)
+        self.notes = self.problem.notes
 
     def go(self, limit: int, tolerance: float, report: Progress, cancel: Callable[[], bool]) -> None:
         steps, state = self.method.steps(self.state), self.state
@@ -233,7 +299,7 @@ class _Run:
                 self.history.append(Step(len(self.history) + 1, state.evaluations, *record))
                 state.iteration = len(self.history)
                 report(self.history[-1])
-                ends = LossTrajectory([self.history[self._start()].loss, self.history[-1].loss])
+                ends = LossTrajectory([self.history[0].loss, self.history[-1].loss])
                 if ends.lost:
                     trajectory = self._trajectory()
                     raise Diverged(trajectory.message(), self._plan_of_best(), trajectory.began)
@@ -246,14 +312,8 @@ class _Run:
         if self.history and self._trajectory().risen:
             warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=4)
 
-    def _start(self) -> int:
-        """Iterations before losses meant the same as now."""
-        return min(int(self.state.number("stage")), len(self.history) - 1)
-
     def _trajectory(self) -> LossTrajectory:
-        """Losses since they mean the same."""
-        start = self._start()
-        return LossTrajectory([step.loss for step in self.history[start:]], start)
+        return LossTrajectory([step.loss for step in self.history])
 
     def _plan_of_best(self) -> Plan | None:
         """The plan of a run whose last light is of no use; None without any other."""
@@ -267,16 +327,20 @@ class _Run:
         )
 
     def plan(self) -> Plan:
+        """The best light so far, as its operator judges it."""
         state, before = self.state, self.resumed
         if before is not None and len(self.history) == len(before.history):
             return before
-        if isinstance(state.operator, Scenarios):
-            state.operator.rest((False,) * len(state.operator), None)
         light, window, iteration = state.best.choose(state)
-        if window < -1.0:  # of light that is brighter than it may be, which all other went before
-            window = state.window(state.operator.T(light))[0]
+        rays, field_ = by_rays(state.operator), state.target
+        if (judge := self.problem.judge) is not None:
+            light, window = self._by_voxels(judge, light, window)
+            rays, field_ = judge.operator, judge.target
+        elif rays is not state.operator and state.limits is None and (judged := self._judged(rays, light, iteration)):
+            light, window, iteration = judged
         certify = getattr(self.method, "certify", None)
         bound = None if certify is None else certify(state)
+        bound = bound and replace(bound, on=_where(self.operator))
         seconds = (before.seconds if before else 0.0) + time.perf_counter() - self.started
         return Plan(
             light,
@@ -287,25 +351,63 @@ class _Run:
             state.evaluations,
             self.method.papers,
             seconds,
-            _name(self.target),
+            str(getattr(self.target, "name", "target")),
             dict(state.memory),
             iteration,
             bound,
             self.target,
             self.tolerances,
-            self._corners(light),
+            self._corners(light, rays, field_),
+            self.notes,
         )
 
-    def _corners(self, light: DeviceArray) -> CornerDoses | None:
+    def _by_voxels(self, judge: OptimizerState, light: DeviceArray, window: float) -> tuple[DeviceArray, float]:
+        """Light in units of the dose on the target's voxels, and its window by rays there.
+
+        It lasts no longer than it may: the threshold is known now, and where it came out lower than thought, the
+        brightest pixels are dimmed. For want of memory the window stays that of the run.
+        """
+        finer = self.problem.finer
+        most = self.state.brightness * finer
+        if finer != 1.0:
+            light = combine(finer, light, 0.0, light, self.state.sinogram())
+        try:
+            for _ in range(DIMMED):
+                dose = judge.operator.T(light)
+                window = judge.window(dose)[0]
+                least, leak, _ = judge.extremes(dose)
+                limit = 0.5 * most * (least + max(leak, 0.0)) if most < inf else inf
+                self.within = extent(light)[1] <= limit
+                if self.within or not 0.0 < limit < inf:
+                    break
+                light = capped(copied(light), (1.0 - 1e-4) * limit)
+        except OutOfMemory:
+            self.within = most == inf
+            self.notes += (NOT_JUDGED,)
+        return light, window
+
+    def _judged(self, rays: Any, light: DeviceArray, iteration: int) -> tuple[DeviceArray, float, int] | None:
+        """Light, window and iteration by rays, the run's last light where that has the wider one; None for want of
+        memory."""
+        state = self.state
+        try:
+            found = [(light, state.window(rays.T(light))[0], iteration)]
+            last = state.memory.get("light")
+            if state.best.criterion == "window" and last is not None:
+                found.append((last, state.window(rays.T(last))[0], state.iteration))
+        except OutOfMemory:
+            return None
+        return max(found, key=lambda each: each[1])
+
+    def _corners(self, light: DeviceArray, scenarios: Any, target: DeviceArray) -> CornerDoses | None:
         """What the light gives at every corner; warns where it does not print at all of them."""
-        scenarios = self.state.operator
         if self.tolerances is None or not isinstance(scenarios, Scenarios):
             return None
-        told = doses_of(scenarios, self.tolerances, light, scenarios.taken(self.state.target, 0))
+        told = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
         if told.window <= 0.0:
             warnings.warn(
                 f"the light does not print at every corner of its tolerances: {told.statement()}; take smaller ones, "
-                "or more iterations where the bound leaves room",
+                "or more iterations",
                 ToleranceWarning,
                 stacklevel=5,
             )
@@ -318,41 +420,18 @@ def _posed_on_voxels(operator: Any, target: Any) -> Any:
     if not isinstance(operator, SpectralProjection):
         return operator
     grid = target.grid if isinstance(target, Target) else operator.grid.box
-    rings = operator.grid if are_enough(operator.grid, grid) else None
+    rings = operator.grid if covers(operator.grid, grid) else None
     scene = (operator.beam, operator.motion, operator.vessel, operator.device)
     return RingProjection(grid, *scene, rings=rings, tf32=operator.tf32)
 
 
-def chosen(method: str | Method | Loss) -> Method:
-    """The method meant by a name, an instance, or a loss to lower. Raises `BadInput`."""
-    if isinstance(method, Loss):
-        return Descent(method)
-    if isinstance(method, str):
-        if method not in METHODS:
-            raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance")
-        return METHODS[method]()
-    if isinstance(method, type) or not hasattr(method, "steps"):
-        raise BadInput(
-            f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
-        )
-    return method
-
-
-def _check_bodies(method: Method, limits: Limits) -> None:
-    """Refuse weights of bodies, and gray ones, for a method whose light does not depend on them."""
-    for trait, given, what in (
-        ("takes_weights", limits.weighted, "bodies of the target have weights, at which {} does not look; expected 1"),
-        (
-            "takes_gray",
-            limits.gray.any(),
-            "bodies of the target are gray, which {} holds from below alone; expected none",
-        ),
-    ):
-        if given and not getattr(method, trait, True):
-            able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, trait, True))
-            raise BadInput(
-                f"{what.format(type(method).__name__)}, or one of these methods: {able}, or a loss of your own"
-            )
+def by_rays(operator: Any) -> Any:
+    """The operator by rays through voxels of one that computes on rings, or of scenarios of some; any other itself."""
+    if isinstance(operator, Scenarios):
+        rays = [by_rays(each) for each in operator.operators]
+        alike = all(one is each for one, each in zip(rays, operator.operators, strict=True))
+        return operator if alike else Scenarios(rays, operator.mix)
+    return operator.direct if isinstance(operator, RingProjection) else operator
 
 
 def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:
@@ -366,87 +445,11 @@ def _limit(method: Method, iterations: int | None, evaluations: float | None) ->
 
 def _count(iterations: int) -> int:
     if isinstance(iterations, bool):
-        raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 1")
-    return counts("iterations", (iterations,), 1)[0]
+        raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 0")
+    return 0 if iterations == 0 else counts("iterations", (iterations,), 1)[0]
 
 
-def _name(target: Any) -> str:
-    return str(getattr(target, "name", "target"))
-
-
-def of_another(plan: Plan, operator: Projector, target: Any, tolerances: Tolerances | None) -> str:
-    """What of a task a plan was made for is not that of another; empty where all is.
-
-    Args:
-        plan: Of the one task.
-        operator, target, tolerances: Of the other.
-
-    Returns:
-        Both, in words.
-    """
-    operator = _posed_on_voxels(operator, target)  # as the plan's was
-    for name in ("grid", "beam", "motion", "vessel"):
-        before, now = (getattr(each, name, None) for each in (plan.operator, operator))
-        alike = repr(before) == repr(now) if name == "vessel" else before == now  # fields of a medium know no ==
-        if not alike:
-            return f"{before!r}, not of {now!r}"
-    if plan.tolerances != tolerances:
-        return f"{plan.tolerances!r}, not of {tolerances!r}"
-    if plan.target is not None and plan.target is not target:
-        before, now = (np.asarray(getattr(each, "numpy", lambda each=each: each)()) for each in (plan.target, target))
-        if before.shape != now.shape or not np.array_equal(before, now):
-            return "another target"
-    return ""
-
-
-def _memory(
-    operator: Projector, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
-) -> dict[str, Any]:  # fmt: skip
-    """A copy of what a plan remembers, so that the plan stays what it is."""
-    if resume is None:
-        return {}
-    if resume.operator.device is not operator.device or resume.sinogram.shape != operator.range.shape:
-        raise BadInput(
-            f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; expected "
-            f"{operator.range.shape} on {operator.device}: resume with the operator that made it"
-        )
-    if resume.operator.domain.shape != operator.domain.shape:
-        raise BadInput(f"the plan to resume has a dose of {resume.operator.domain.shape}, the operator one of "
-                       f"{operator.domain.shape}; resume with the operator that made it")  # fmt: skip
-    if resume.method != method:
-        raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
-    if other := of_another(resume, operator, target, tolerances):
-        raise BadInput(f"the plan to resume is of {other}; resume what it was made for, or give its light as start")
-    return copied(resume.state)
-
-
-def watched() -> bool:
-    """Whether somebody looks: a person at a terminal, or at a notebook.
-
-    Returns:
-        False where output goes to a file or a pipe.
-    """
-    shell = sys.modules.get("IPython")
-    if shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell":
-        return find_spec("ipywidgets") is not None  # what draws bars there
-    return bool(getattr(sys.stdout, "isatty", bool)())
-
-
-@contextmanager
-def _reporting(progress: bool | Progress | None, limit: int) -> Iterator[Progress]:
-    """Where steps are reported: nowhere, to a function, or to a bar on the terminal or in a notebook."""
-    if callable(progress):
-        yield progress
-    elif progress or (progress is None and watched()):
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bars
-
-        left = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
-        with Bars(TextColumn("{task.description}"), *left, transient=progress is None) as bars:
-            task = bars.add_task("optimizing", total=limit)
-            bars.refresh()  # a run may end before the bar's own clock ticks
-            yield lambda step: bars.update(
-                task, completed=step.iteration, description=f"loss {step.loss:.3g}, window {step.window:+.3f}"
-            )
-    else:
-        yield lambda step: None
+def _where(operator: Projector) -> str:
+    """The voxels and the motion of an operator, in words; empty where it has none of the usual kind."""
+    grid, motion = (getattr(operator, name, None) for name in ("grid", "motion"))
+    return f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""

@@ -27,7 +27,7 @@ from vamgpu.schema.read import read
 from vamgpu.storage.folder import Entry, Folder, Streamed, write_folder
 from vamgpu.storage.memory import afford
 from vamgpu.storage.turntable import described, turntable_from
-from vamgpu.targets.limits import Asked, Limits
+from vamgpu.targets.limits import BodyRequirement, Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 
@@ -45,7 +45,8 @@ class PlanRecord:
     """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
     corners, and the operator and device that ran.
 
-    pareto: windows of shorter exposures, where they were asked for.
+    pareto: windows of shorter exposures, where they were asked for.  notes: what was too coarse.  bound_on: voxels and
+    motion that the bound holds for.
     """
 
     method: str
@@ -57,18 +58,21 @@ class PlanRecord:
     corners: tuple[Mapping[str, Any], ...] = ()
     ran: str = ""
     pareto: tuple[Mapping[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
+    bound_on: str = ""
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
         """The record of a `Plan`, or of another with a window of its own."""
         history = tuple(asdict(step) for step in plan.history)
         window = float(plan.window if window is None else window)
-        bound = getattr(getattr(plan, "bound", None), "value", None)
+        bound = getattr(plan, "bound", None)
         told = getattr(plan, "corners", None)
         corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
         return cls(
-            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window, bound, corners,
-            str(getattr(plan, "ran", "")),
+            repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window,
+            getattr(bound, "value", None), corners, str(getattr(plan, "ran", "")),
+            notes=tuple(getattr(plan, "notes", ())), bound_on=getattr(bound, "on", ""),
         )  # fmt: skip
 
     @classmethod
@@ -78,22 +82,14 @@ class PlanRecord:
             return cls(
                 str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
                 data.get("bound"), tuple(data.get("corners") or ()), str(data.get("ran", "")),
+                notes=tuple(map(str, data.get("notes") or ())), bound_on=str(data.get("bound_on", "")),
             )  # fmt: skip
         except (KeyError, TypeError) as error:
-            raise StorageError(f"the manifest garbles its plan: {error}; write the job again") from error
+            raise StorageError(f"the manifest has a malformed plan: {error}; write the job again") from error
 
 
 def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
-    """An operator in plain values, for a manifest.
-
-    Args:
-        A: the operator.
-        arrays: where its arrays are put, such as an index on a grid, under the names that the description has for them;
-            a job folder keeps them as `entries_of` says. None refuses operators that have any.
-
-    Raises:
-        BadInput: what only Python can describe.
-    """
+    """An operator in plain values, for a manifest."""
     if isinstance(A, Defocused) and A.direct is not A:
         return {**write(A.direct, arrays=arrays), "rings": True}
     if not isinstance(A, Projection | RingProjection):
@@ -120,16 +116,13 @@ def projection_from(
 
     arrays: those kept beside it, by name: `Folder.array` of its job folder, which proves them by their hashes.
     solved: the one that light was found by, perhaps on rings; else the one that it is judged by.
-
-    Warns:
-        OpticsWarning: the description is older than the beam's optics, and means light without any.
     """
     try:
         table = dict(description)
         _weigh(table)
         if "kind" in table:
             on_rings = table.pop("rings", False)
-            found = read("operator", table, units=False, device=device, arrays=arrays)
+            found = read("operator", _at_rest(table), units=False, device=device, arrays=arrays)
             if solved and on_rings:
                 return Defocused(RingProjection.of(found.operator), found.defocus, found.tolerance)
             return found
@@ -142,8 +135,17 @@ def projection_from(
     except StorageError:
         raise
     except (KeyError, TypeError, ValueError, BadInput) as error:
-        raise StorageError(f"the manifest garbles its geometry: {error}; write the job again") from error
+        raise StorageError(f"the manifest has a malformed geometry: {error}; write the job again") from error
     return Projection(grid, light, motion, around, device, footprint=footprint)
+
+
+def _at_rest(table: Any) -> Any:
+    """A description whose motions without a lit share, which were written before there was one, have a share of 0."""
+    if not isinstance(table, dict):
+        return table
+    found = {name: _at_rest(value) for name, value in table.items()}
+    motion = found.get("motion")
+    return found | {"motion": {"lit_share": 0.0} | motion} if isinstance(motion, dict) and "angles" in motion else found
 
 
 def _weigh(description: Any) -> None:
@@ -191,14 +193,7 @@ def sinogram_from(folder: Folder, device: Device) -> DeviceArray:
 
 
 def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
-    """What a folder keeps of a plan beside its light, so that it can be proven: inputs of its manifest, and arrays.
-
-    Args:
-        plan: A `Plan`, or anything with an ``operator`` and perhaps a ``target``.
-
-    Raises:
-        BadInput: Nothing but Python can describe the operator.
-    """
+    """What a folder keeps of a plan beside its light, so that it can be proven: inputs of its manifest, and arrays."""
     kept: dict[str, np.ndarray] = {}
     inputs: dict[str, Any] = {"job": {}, "geometry": describe(plan.operator, kept), "print": None}
     entries = entries_of(kept)
@@ -238,8 +233,8 @@ def target_of(plan: Any) -> Target | None:
     return Target.from_array(values, grid.pitch, getattr(plan, "target_name", "target"))
 
 
-def target_from(folder: Folder, grid: Grid, device: Device | None = None, *, solid: bool = True) -> Target | None:
-    """The target that a job folder keeps, on a device or the host, with its mesh or without; None where it keeps none.
+def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
+    """The target that a job folder keeps, on a device or the host, and its mesh; None where it keeps none.
 
     Raises `StorageError`.
     """
@@ -248,15 +243,16 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None, *, sol
     try:
         said = folder.manifest.inputs["target"]
         name, (radius, volume, height) = str(said["name"]), (float(said[key]) for key in FACTS[1:])
-        mesh = said.get("solid") if solid else None
-        surface = None
+        mesh, surface = said.get("solid"), None
         if tuple(grid.shape) != folder.record("target").shape:
             raise ValueError(f"a grid of {grid.shape} for a target of {folder.record('target').shape}")
         if mesh is not None:
             mended = tuple(map(str, mesh["mended"]))
             surface = Solid(folder.array("vertices")[0], folder.array("faces")[0], str(mesh["name"]), mended)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StorageError(f"{str(folder.path)!r} lacks or garbles its target: {error}; write it again") from error
+        raise StorageError(
+            f"{str(folder.path)!r} lacks its target, or has a malformed one: {error}; write it again"
+        ) from error
     limits = limits_from(said.get("limits"), folder.array, tuple(grid.shape))
     kept = folder.array("target") if device is None else device.gather(grid.shape, folder.parts("target"))
     return Target(grid, name, kept, radius, volume, height, surface, limits=limits)
@@ -276,7 +272,7 @@ def limits_described(target: Target) -> dict[str, Any] | None:
     """The bodies of a target, for a manifest."""
     if target.limits is None:
         return None
-    return {"void": target.limits.void, "bodies": [body.described() for body in target.limits.bodies]}
+    return {"void": target.limits.void, "bodies": [asdict(body) for body in target.limits.bodies]}
 
 
 def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple[int, ...]) -> Limits | None:
@@ -284,7 +280,7 @@ def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple
     if described is None:
         return None
     try:
-        bodies = tuple(Asked(**body) for body in described["bodies"])
+        bodies = tuple(BodyRequirement(**body) for body in described["bodies"])
         fields = {name: array(f"target_{name}") for name in LIMITS}
         found = Limits(**fields, bodies=bodies, void=float(described["void"]))
         if found.dose.shape != shape:
@@ -293,7 +289,7 @@ def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple
     except StorageError:
         raise
     except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(f"the manifest garbles its bodies: {error}; write the job again") from error
+        raise StorageError(f"the manifest has malformed bodies: {error}; write the job again") from error
 
 
 def operator_from(folder: Folder, device: Device, *, solved: bool = False) -> Any:
@@ -317,13 +313,9 @@ def save_plan(
     """Write a plan, see `Plan.save`; ``inputs`` are further ones of its manifest."""
     own, entries = inputs_of(plan)
     kept: dict[str, Entry] = {}
-    arrays: dict[str, np.ndarray] = {}
     motion = getattr(plan.operator, "motion", None)
-    try:
-        noun: dict[str, Any] | None = {**write(plan.method, arrays=arrays)}
-        kept |= {f"method_{name}": entry for name, entry in entries_of(arrays).items()}
-    except BadInput:
-        noun = None  # of one's own: only Python can make it again
+    noun, arrays = method_described(plan.method)
+    kept |= arrays
     details = {
         "saved": "plan",
         "frames": {} if motion is None else {"turntable": described(motion)},
@@ -349,20 +341,18 @@ def save_plan(
     return Path(path)
 
 
+def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entry]]:
+    """A method for the details of a manifest, and its arrays; None for one of one's own, which only Python can make."""
+    arrays: dict[str, np.ndarray] = {}
+    try:
+        noun = {**write(method, arrays=arrays)}
+    except BadInput:
+        return None, {}
+    return noun, {f"method_{name}": entry for name, entry in entries_of(arrays).items()}
+
+
 def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
-    """The plan that `Plan.save`, or ``vam solve``, wrote to a folder.
-
-    Args:
-        path: The folder.
-        device: Where to put it; the best device here by default.
-
-    Returns:
-        The plan, with its operator and target. One that was saved without its state, or whose method only Python can
-        make, holds light to start from, and cannot be resumed.
-
-    Raises:
-        StorageError: The folder is missing, damaged or holds no plan.
-    """
+    """The plan that `Plan.save`, or ``vam solve``, wrote to a folder."""
     from vamgpu.methods.plan import Plan, Step
 
     folder, place = Folder.open(path), open_device(device)
@@ -389,11 +379,12 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
             target=target,
             tolerances=tolerances_from(folder),
             corners=CornerDoses(tuple(CornerDose(**dict(one)) for one in record.corners)) if record.corners else None,
+            notes=record.notes,
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         if isinstance(error, StorageError):
             raise
-        raise StorageError(f"{str(path)!r} lacks or garbles its plan: {error}; write it again") from error
+        raise StorageError(f"{str(path)!r} lacks its plan, or has a malformed one: {error}; write it again") from error
 
 
 def tolerances_from(folder: Folder) -> Tolerances | None:
@@ -404,7 +395,7 @@ def tolerances_from(folder: Folder) -> Tolerances | None:
     try:
         return read("tolerances", dict(said), units=False)
     except (TypeError, ValueError) as error:
-        raise StorageError(f"{str(folder.path)!r} garbles its tolerances: {error}; write it again") from error
+        raise StorageError(f"{str(folder.path)!r} has malformed tolerances: {error}; write it again") from error
 
 
 IMPORTED: dict[str, Any] = {
@@ -419,11 +410,7 @@ IMPORTED: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class RecordedMethod:
-    """A method that only its text is known of: it cannot go on.
-
-    Args:
-        text: What it was.
-    """
+    """A method that only its text is known of: it cannot go on."""
 
     text: str
     papers: ClassVar[tuple[str, ...]] = ()
@@ -431,15 +418,13 @@ class RecordedMethod:
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
 
+    @property
+    def name(self) -> str:
+        """Of the class that it was."""
+        return self.text.partition("(")[0]
+
     def steps(self, state: Any) -> Steps:
-        """Refuse to go on.
-
-        Args:
-            state: Of the run.
-
-        Raises:
-            BadInput: Always.
-        """
+        """Refuse to go on."""
         raise BadInput(f"the plan is by {self.text}, of which its folder keeps the name alone; give a method, and the "
                        "plan's light as its start")  # fmt: skip
 

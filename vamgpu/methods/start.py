@@ -2,40 +2,54 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, NoLight
+from vamgpu.methods.fbp import filtered_light
 from vamgpu.methods.method import Method
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.reductions import extent
+from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 
 SAME = 2.0
 """Factor within which light counts as meant in units of the part's dose."""
 
 
-def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None) -> None:
-    """Put light into the memory of a run as ``light``; half an evaluation.
+def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
+    """Light [angle, r, z] of any library on the device of an operator; it may share memory. Raises `BadInput`,
+    `ShapeMismatch`."""
+    light = getattr(light, "sinogram", light)
+    require(operator.range, light, name)
+    field = operator.device.field(light)
+    if not isfinite(total(field)):
+        raise BadInput(f"{name} holds NaN or infinity; expected finite light ≥ 0: look where it was made")
+    least, greatest = extent(field)
+    if not least >= 0.0:
+        raise BadInput(f"{name} reaches from {least:g} to {greatest:g}; expected none below 0: clip it")
+    return field
 
-    Raises:
-        BadInput: the method begins with the target, a plan is resumed, or light is negative or of another shape.
-        NoLight: the light misses the part.
+
+def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None, scale: float = 1.0) -> None:
+    """Put light, times ``scale``, into the memory of a run as ``light``; half an evaluation.
+
+    That of None is filtered back projection, one evaluation.
     """
     if resume is not None:
         raise BadInput("got both resume and start; a resumed run goes on from its own light: leave one out")
     if not getattr(method, "takes_start", False):
         raise BadInput(
-            f"{type(method).__name__} begins with the target, not with light; expected no start, or a method such as "
-            '"default", "lbfgs", "bclp", "penalty", "cal" or "widest"'
+            f"{type(method).__name__} begins with the target, not with light; expected no start and iterations ≥ 1, or "
+            'a method such as "default", "lbfgs", "bclp", "penalty" or "cal"'
         )
-    given = start.sinogram if isinstance(start, Plan) else start
-    require(state.operator.range, given, "the light to start from")
-    source, light, dose = state.device.field(given), state.sinogram(), state.volume()
-    least, greatest = extent(source)
-    if not least >= 0.0:
-        raise BadInput(f"the light to start from reaches from {least:g} to {greatest:g}; clip what is below 0")
-    state.scale(1.0, source, light)
+    if start is None:
+        filtered_light(state, state.volume())
+        return
+    source = own_light(state.operator, start, "the light to start from")
+    light, dose = state.sinogram(), state.volume()
+    state.scale(scale, source, light)
     state.expose(light, dose)
     level = state.part_mean(dose)
     if not level > 1e-30:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,22 +30,21 @@ from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
 
+if TYPE_CHECKING:
+    from vamgpu.methods.surface import Beside
+
+UNLIMITED = 3e38
+"""Stands for no limit in float32."""
+
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """What light is sought under that is a piece of a longer print.
+class PartialProblem:
+    """What light of one segment of a longer print is sought under."""
 
-    Attributes:
-        rest: Dose that other light brings, a field [x, y, z].
-        target: The target where voxels count, −1 elsewhere, a field [x, y, z].
-        free: 1 for poses whose light is sought, 0 for those that are decided, a table (poses,).
-        levels: Least dose of the part and greatest dose outside that are wide enough apart; None for as wide as can be.
-    """
-
-    rest: DeviceArray
-    target: DeviceArray
-    free: DeviceArray
-    levels: tuple[float, float] | None = None
+    rest: DeviceArray  # dose that other light brings [x, y, z]
+    target: DeviceArray  # the target where voxels count, −1 elsewhere [x, y, z]
+    free: DeviceArray  # 1 for poses whose light is sought, else 0, a table (poses,)
+    levels: tuple[float, float] | None = None  # a and b that are wide enough apart; None for as wide as can be
 
 
 class OptimizerState:
@@ -63,9 +62,11 @@ class OptimizerState:
         self.best: Best = Best(memory, criterion)
         self.iteration = 0  # iterations done so far, of this run and those it resumes
         self.most_evaluations = inf
-        self.piece: Piece | None = None
+        self.partial: PartialProblem | None = None
         self.brightness = inf  # greatest light of a pixel over the dose midway between part and void
-        self.budget = inf  # evaluations that the run will make in all, where it is not stopped before
+        self.margin: float = 0.0  # of a target that ramps, what does not count on either side of one half
+        self.most: float = float(memory.get("most", inf))  # light of a pixel, where a method bounds it
+        self.lit: DeviceArray | None = None  # 1 for pixels that may be lit, else 0, where a method keeps some dark
         self.device: Device = operator.device
         self.reach: float = reach_of(operator.grid)
         self.evaluations: float = float(memory.get("evaluations", 0.0))
@@ -74,7 +75,7 @@ class OptimizerState:
         self.weight: DeviceArray | None = self.field(limits.weight) if limits is not None and weighted else None
 
     @cached_property
-    def _sent(self) -> tuple[DeviceArray, DeviceArray] | None:
+    def _squares(self) -> tuple[DeviceArray, DeviceArray] | None:
         """Squares of the limits, by one of which the operator divides, and room for what they multiply."""
         if self.limits is None:
             return None
@@ -97,10 +98,10 @@ class OptimizerState:
         del fields
         return True
 
-    def near(self) -> np.ndarray:
+    def evaluation_mask(self) -> np.ndarray:
         """1 for voxels that count, else 0, float32."""
-        if self.piece is not None:
-            return (self.piece.target.numpy() >= 0.0).astype(np.float32)
+        if self.partial is not None:
+            return (self.partial.target.numpy() >= 0.0).astype(np.float32)
         shape = self.target.shape
         near = disc(shape[0], shape[1], self.reach)[:, :, None]
         return np.broadcast_to(near, shape).astype(np.float32)
@@ -127,23 +128,23 @@ class OptimizerState:
         return float(self.memory.get(name, default))
 
     # ---- projecting, counted ---------------------------------------------------------------------------------
-    def project(self, volume: DeviceArray, out: DeviceArray) -> None:
-        """out = A volume; half an evaluation."""
-        self._count(lambda: self.operator(volume, out=out))
+    def project(self, volume: DeviceArray, out: DeviceArray, beside: Beside | None = None) -> None:
+        """out = A volume, and what cells beside it send; half an evaluation."""
+        self._count(lambda: self.operator(volume, out=out) if beside is None else beside.project(volume, out))
 
-    def send(self, model: DeviceArray, out: DeviceArray) -> None:
-        """`project` a model whose voxels are sent so much of their own limits; half an evaluation."""
-        if self._sent is not None:
-            squares, scaled = self._sent
+    def project_scaled(self, model: DeviceArray, out: DeviceArray) -> None:
+        """`project` a model, each voxel times its own limit; half an evaluation."""
+        if self._squares is not None:
+            squares, scaled = self._squares
             self.device.launch(multiply, x=squares, y=model, out=scaled)
             model = scaled
         self.project(model, out)
 
-    def expose(self, light: DeviceArray, out: DeviceArray) -> None:
-        """out = Aᵀ light, the dose; half an evaluation. With that of other light in a piece of a print."""
-        self._count(lambda: self.operator.T(light, out=out))
-        if self.piece is not None:
-            self.combine(1.0, out, 1.0, self.piece.rest, out)
+    def expose(self, light: DeviceArray, out: DeviceArray, beside: Beside | None = None) -> None:
+        """out = Aᵀ light, the dose; half an evaluation. With that of other light in a partial problem."""
+        self._count(lambda: self.operator.T(light, out=out) if beside is None else beside.expose(light, out))
+        if self.partial is not None:
+            self.combine(1.0, out, 1.0, self.partial.rest, out)
 
     def _count(self, half: Callable[[], Any]) -> None:
         """Do half an evaluation; of several scenarios it is what their operator really made."""
@@ -158,13 +159,7 @@ class OptimizerState:
         return self.evaluations + evaluations * getattr(self.operator, "cost", 1.0) <= self.most_evaluations
 
     def offer(self, loss: float, window: float, made: int) -> bool:
-        """Keep ``light`` in memory if it is the best so far.
-
-        Args:
-            loss: The method's own.
-            window: Strict window of the light's dose.
-            made: 1 where the iteration in progress made this light, 0 where an earlier one did.
-        """
+        """Keep ``light`` in memory if it is the best so far."""
         return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
     # ---- numbers ---------------------------------------------------------------------------------------------
@@ -172,8 +167,8 @@ class OptimizerState:
         """Strict process window of a dose, and the greatest dose.
 
         Where the part leaves no void nothing can leak, and the window is the least dose over the greatest. A dose that
-        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is. That of a piece is no
-        wider than its levels.
+        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is. That of a partial
+        problem is no wider than its levels.
         """
         least, leak, greatest = self.extremes(dose)
         if not (isfinite(least) and leak < inf and 0.0 < greatest < inf):
@@ -182,14 +177,14 @@ class OptimizerState:
 
     def extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
         """Least dose inside the part, greatest dose outside, and the greatest, of voxels that count."""
-        piece = self.piece
-        if piece is None:
-            return window(dose, self.target, self.reach)
-        least, high = extent(dose, piece.target, 0.5, inf)
-        _, leak = extent(dose, piece.target, -0.5, 0.5)
-        if piece.levels is not None:
-            least, leak = min(least, piece.levels[0]), max(leak, piece.levels[1])
-        return min(least, 1.0), leak, max(high, leak, 1.0 if piece.levels is not None else 0.0)
+        partial = self.partial
+        if partial is None:
+            return window(dose, self.target, self.reach, self.margin)
+        least, high = extent(dose, partial.target, 0.5, inf)
+        _, leak = extent(dose, partial.target, -0.5, 0.5)
+        if partial.levels is not None:
+            least, leak = min(least, partial.levels[0]), max(leak, partial.levels[1])
+        return min(least, 1.0), leak, max(high, leak, 1.0 if partial.levels is not None else 0.0)
 
     @cached_property
     def _target_square(self) -> float:
@@ -233,9 +228,12 @@ class OptimizerState:
     def apply_penalty(
         self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
     ) -> float:
-        """Add a penalty weight·Σ light^power to a gradient, then hold dark light if asked; returns the penalty."""
+        """Add a penalty weight·Σ light^power to a gradient, then hold dark and brightest light if asked.
+
+        Returns the penalty.
+        """
         parts = parts_for(apply_penalty, gradient)
-        how = {"weight": weight, "power": power, "hold": int(hold)}
+        how = {"weight": weight, "power": power, "hold": int(hold), "most": min(self.most, UNLIMITED)}
         self.device.launch(apply_penalty, light=light, **how, gradient=gradient, parts=parts)
         return folded(parts) if weight else 0.0
 

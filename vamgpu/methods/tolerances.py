@@ -19,7 +19,7 @@ from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
-from vamgpu.operators.ring_projection import RingProjection, against_rings
+from vamgpu.operators.ring_projection import RingProjection, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Misaligned
@@ -139,8 +139,9 @@ class CornerDoses:
 class Tolerances:
     """How far a machine and its resin may be off: light is sought that prints wherever they are, with one threshold.
 
-    Every tolerance goes to both of its ends, in all combinations; these corners and the nominal print are scenarios.
-    Each has an operator of its own, made anew with the beam, vessel or axis that it says; only a wobble moves images by
+    Every tolerance goes to both of its ends, in all combinations; these corners, the middles of the faces between them
+    and the nominal print are scenarios: light for corners alone has a narrower window at other points of the box. Each
+    has an operator of its own, made anew with the beam, vessel or axis that it says; only a wobble moves images by
     linear interpolation, and an axis where the light is not that of a `Projection` about a round vessel or in air.
 
     Args:
@@ -223,7 +224,10 @@ class Tolerances:
         return sum(map(bool, given))
 
     def corners(self) -> tuple[Corner, ...]:
-        """The nominal print, and every combination of ends.
+        """The nominal print, every combination of ends, and the middles of the faces between them.
+
+        A middle has one tolerance of the optics at an end, the others halfway, and is left out where no other is given.
+        Doses grow in proportion, so theirs is always at an end.
 
         Returns:
             Corners, the nominal one first.
@@ -235,11 +239,19 @@ class Tolerances:
         turns = [0.5 * np.pi * quarter for quarter in range(QUARTERS)]
         off = [(round(np.cos(t)) * self.wobble, round(np.sin(t)) * self.wobble) for t in turns]
         spreads: tuple[float | None, ...] = (None,) if self.spread is None else tuple(dict.fromkeys(self.spread))
-        every = product(
+        optics = (
             ends(self.axis), spreads, ends(self.absorption), ends(self.index), off if self.wobble else [(0.0, 0.0)],
-            ends(self.dose),
         )  # fmt: skip
-        return tuple(dict.fromkeys((Corner(), *(Corner(*one) for one in every))))
+        middle = (0.0, None if self.spread is None else 0.5 * sum(self.spread), 0.0, 0.0, (0.0, 0.0))
+        faces = [
+            (*middle[:number], end, *middle[number + 1 :])
+            for number, several in enumerate(optics)
+            if len(several) > 1
+            for end in several
+        ]
+        every = [*product(*optics), *(faces if sum(len(several) > 1 for several in optics) > 1 else ())]
+        found = (Corner(*one, dose=dose) for one in every for dose in ends(self.dose))
+        return tuple(dict.fromkeys((Corner(), *found)))
 
     def scenarios(self, operator: Any, *, judged: Judged | None = None) -> Scenarios:
         """The operator at every corner, as one.
@@ -353,7 +365,7 @@ def _rebuilt(operator: Any, corner: Corner) -> Any:
         return _projected(operator, corner)
     if isinstance(operator, RingProjection):
         changed = _projected(operator.direct, corner)
-        return changed if against_rings(changed) else RingProjection.of(changed)
+        return changed if unsupported_reason(changed) else RingProjection.of(changed)
     if isinstance(operator, Composed):
         return Composed(_rebuilt(operator.outer, corner), operator.inner)
     if isinstance(operator, Wobbled):

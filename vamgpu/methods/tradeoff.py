@@ -14,6 +14,9 @@ from vamgpu.geometry import positive
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.run import optimize
+from vamgpu.methods.surface import across
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_projection import RingProjection
 
 SHARES = (0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
 """Of the time that the plan takes which the others are measured by."""
@@ -25,7 +28,7 @@ class ParetoPoint:
 
     Attributes:
         seconds: The exposure lasts, until the dose midway between part and void is the critical one.
-        window: Strict process window, a share of the greatest dose.
+        window: Process window a pixel and more from the surface, a share of the greatest dose.
         outside: Mean dose outside the part over the mean in it.
     """
 
@@ -43,7 +46,7 @@ def pareto(
     Each begins with the light before it. It ends where no light prints any more.
 
     Args:
-        plan: By the default or "widest", without tolerances; its operator and target are those of all.
+        plan: By the default, without tolerances; its operator and target are those of all.
         irradiance: Of a full-on pixel in air [mW/mm²], or text with its unit.
         critical_dose: From which resin is solid [mJ/mm³], or text with its unit.
         absorption: Of the resin [1/mm], where the operator absorbs no light.
@@ -77,14 +80,15 @@ def pareto(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", OpticsWarning)
                 light = optimize(
-                    plan.operator, plan.target, "widest", evaluations=evaluations or max(plan.evaluations, 100.0),
+                    plan.operator, plan.target, evaluations=evaluations or max(plan.evaluations, 100.0),
                     start=light, progress=False, exposure_limit=share * points[0].seconds, **lamp,
                 )  # fmt: skip
         except BadInput:  # full-on pixels everywhere take longer
             break
-        if not light.window > 0.0:
+        point = _point(light, limit)
+        if not point.window > 0.0:
             break
-        points.append(_point(light, limit))
+        points.append(point)
     progress(1.0)
     return tuple(points)
 
@@ -96,6 +100,16 @@ def _point(plan: Plan, limit: ExposureLimit) -> ParetoPoint:
     target = plan.target.numpy() if hasattr(plan.target, "numpy") else np.asarray(plan.target)
     dose = operator.T(plan.sinogram).numpy()
     part, void = dose[near & (target >= 0.5)], dose[near & (target < 0.5)]
-    least, leak = float(part.min()), max(0.0, float(void.max(initial=0.0)))
     outside = float(void.mean() / part.mean()) if void.size else 0.0
-    return ParetoPoint(limit.seconds_of(operator, plan.sinogram, 0.5 * (least + leak)), plan.window, outside)
+    seconds = limit.seconds_of(operator, plan.sinogram, 0.5 * sum(_ends(part, void)))
+    if isinstance(operator, Projection | RingProjection):  # light cannot make the dose jump at the surface
+        ramp = across(plan.target, operator.grid, operator, 1.0).numpy()
+        deep, void = dose[near & (ramp >= 1.0)], dose[near & (ramp <= 0.0)]
+        part = deep if deep.size else part
+    least, leak = _ends(part, void)
+    return ParetoPoint(seconds, (least - leak) / float(dose[near].max()), outside)
+
+
+def _ends(part: np.ndarray, void: np.ndarray) -> tuple[float, float]:
+    """The least dose of a part, and the greatest outside it or 0."""
+    return float(part.min()), max(0.0, float(void.max(initial=0.0)))

@@ -16,12 +16,7 @@ SWING = 0.05
 
 @dataclass(frozen=True)
 class LossTrajectory:
-    """Losses of one meaning, one an iteration.
-
-    Attributes:
-        losses: In the order of the iterations; at least one.
-        start: Iterations before the first of them.
-    """
+    """Losses of one meaning, one an iteration."""
 
     losses: Sequence[float]
     start: int = 0

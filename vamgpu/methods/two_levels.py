@@ -1,68 +1,148 @@
-"""Light of two levels with a wide window: splitting steps whose light is driven to its ends.
+"""Light of two levels with a wide window, by ADMM whose light is driven to its ends.
 
-Light is held between its levels at a price that is concave, which pushes it away from their middle; R. Takapoui, N.
-Moehle, S. Boyd, A. Bemporad, Int. J. Control 93 (2020) 2, take the nearer level itself in every step. What a pixel
-loses by the push all others make up for in the same step, and the push grows as long as they can.
+    maximize a − b   over g, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside,   0 ≤ g ≤ white
+
+With copies z of the dose and w of the light, and scaled duals u and v (J. Eckstein, D. P. Bertsekas, Math. Program. 55
+(1992) 293), a step is
+
+    z = clip(Aᵀg + u),  w = clip(g + v + push·(g + v − white/2)),
+    g ← argmin |Aᵀg − z + u|² + |g − w + v|²,  u ← u + Aᵀg − z,  v ← v + g − w,
+
+each with over-relaxation. The push is a concave penalty; R. Takapoui, N. Moehle, S. Boyd, A. Bemporad, Int. J. Control
+93 (2020) 2, take the nearer level itself in every step. The argmin is the inverse of the blur of exposing and
+projecting (`GramInverse`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
+from contextlib import suppress
+from math import inf, sqrt
+from typing import Any
+
+import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.kernels.split import split_two_levels
+from vamgpu.errors import OutOfMemory
+from vamgpu.kernels.admm import clip_dose, clip_light, find_levels
 from vamgpu.methods.projector import Projector
-from vamgpu.methods.split import split_steps
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
-from vamgpu.operators.reductions import extent
+from vamgpu.operators.gram import RIM, GramInverse
+from vamgpu.operators.reductions import extent, folded, parts_for
+from vamgpu.operators.scenarios import Scenarios
 
 PUSH = (0.005, 0.3)
 """Of the first step and of the last, over the distance from the middle."""
 STEPS, OFTEN = 120, 5
 """Steps in all, and from one light that is worth a look to the next."""
+BACKGROUND = 0.6
+"""Greatest dose outside that levels are looked for from, over that of the part."""
+LACK = 0.04
+"""Dose that all voxels of the part may lack together where limits are looked for, over their number; of scenarios,
+whose voxels stand for each other, over its root."""
+RELAX = 1.6
+"""How far a step goes, over where limits are met; below 2."""
+CLOSE, PASSES = 1e-3, 12
+"""Share of that lack which levels may be off by, and times that they are looked for at most."""
 
 
 class TwoLevels:
-    """Seeks light of two levels that leaves a wide window, from light of any.
-
-    Args:
-        operator: Makes dose of light.
-        target: Fractions [x, y, z].
-        light: To begin with [angle, r, z].
-    """
+    """Seeks light of two levels that leaves a wide window, from light of any."""
 
     possible: bool
 
     def __init__(self, operator: Projector, target: DeviceArray, light: DeviceArray) -> None:
         self._light, self._state = light, OptimizerState(operator, target, {})
-        self._run = split_steps(self._state)
-        self.possible = self._run is not None
+        self._inverse: GramInverse | None = None
+        if not GramInverse.unsupported_reason(operator):
+            with suppress(OutOfMemory):
+                self._inverse = GramInverse(operator, self._state.reach, RIM)
+        self.possible = self._inverse is not None
 
     def seek(self, white: DeviceArray) -> Iterator[DeviceArray]:
-        """Drive light to its ends.
-
-        Args:
-            white: Light of every pixel that is on [angle, r, z]; one that is off counts as dark.
-
-        Yields:
-            Light to be rounded to the nearer level, for the window of that; it is the next one's room. Nothing where
-            light cannot be split (`possible`).
-
-        Raises:
-            OutOfMemory: The device is too small.
-        """
-        state, run = self._state, self._run
-        if run is None:
+        """Drive light to its ends."""
+        if self._inverse is None:
             return
-        state.memory["light"] = self._light
-        run.begin()
-        free, shown, levels = state.buffer("free"), state.sinogram(), state.sinogram()
-        unit = extent(self._light)[1] / extent(free)[1]
-        state.scale(1.0 / unit, white, levels)
+        state, run = self._state, ADMM(self._state, self._inverse, self._light)
+        shown, levels = state.sinogram(), state.sinogram()
+        state.scale(1.0 / run.unit, white, levels)
         for step in range(1, STEPS + 1):
-            push = PUSH[0] * (PUSH[1] / PUSH[0]) ** (step / STEPS)
-            run.step(partial(state.device.launch, split_two_levels, white=levels, push=push))
+            run.step(levels, PUSH[0] * (PUSH[1] / PUSH[0]) ** (step / STEPS))
             if step % OFTEN == 0:
-                yield combine(unit, free, 0.0, free, shown, floor=0.0)
+                yield combine(run.unit, run.light, 0.0, run.light, shown, floor=0.0)
+
+
+class ADMM:
+    """One run: light, its dose, and the scaled duals of both, in units of the greatest dose."""
+
+    state: OptimizerState
+    inverse: GramInverse
+    unit: float
+    light: DeviceArray
+    light_dual: DeviceArray
+    dose: DeviceArray
+    dose_dual: DeviceArray
+    least: float
+    leak: float
+    lack: float
+    pull: DeviceArray
+    way: DeviceArray
+
+    def __init__(self, state: OptimizerState, inverse: GramInverse, light: DeviceArray) -> None:
+        self.state, self.inverse = state, inverse
+        self.light, self.dose = state.sinogram(), state.volume()
+        state.expose(light, self.dose)
+        self.unit = max(extent(self.dose)[1], 1e-30)
+        state.scale(1.0 / self.unit, light, self.light)
+        state.scale(1.0 / self.unit, self.dose, self.dose)
+        self.dose_dual = combine(-1.0, self.dose, 0.0, self.dose, state.volume())
+        self.light_dual = combine(-1.0, self.light, 0.0, self.light, state.sinogram())
+        self.least, self.leak = 1.0, BACKGROUND
+        self.pull, self.way = state.volume(), state.sinogram()
+        count = len(state.operator) if isinstance(state.operator, Scenarios) else 1
+        self.lack = LACK * float(np.count_nonzero(state.evaluation_mask() * state.target.numpy() >= 0.5)) / sqrt(count)
+
+    def step(self, white: DeviceArray, push: float) -> None:
+        """Hold dose and light to their limits, then find the light that misses both the least."""
+        state, launch = self.state, self.state.device.launch
+        self._find_levels()
+        launch(clip_dose, **self._point(), relax=RELAX, pull=self.pull)
+        state.project(self.pull, self.way)
+        launch(
+            clip_light, light=self.light, white=white, push=push, base=self.inverse.base, relax=RELAX,
+            scaled_dual=self.light_dual, pull=self.way,
+        )  # fmt: skip
+        self.inverse(self.way, self.way)
+        state.combine(1.0, self.light, self.inverse.pace, self.way, self.light)
+        state.expose(self.light, self.dose)
+
+    def _point(self) -> dict[str, Any]:
+        """Where limits are looked for, and at which levels."""
+        return {
+            "held": self.dose, "scaled_dual": self.dose_dual, "target": self.state.target, "least": self.least,
+            "leak": self.leak, "reach": self.state.reach, "rim": RIM,
+        }  # fmt: skip
+
+    def _find_levels(self) -> None:
+        """a and b at which the part lacks, and voids leak, as much as they may: Newton's steps from the last ones."""
+        target = self.state.target
+        for _ in range(PASSES):
+            parts = {name: parts_for(find_levels, self.dose) for name in ("below", "shorts", "above", "over")}
+            self.state.device.launch(find_levels, **self._point(), **parts)
+            found = {name: folded(each) for name, each in parts.items()}
+            low, high = self.lack - found["shorts"], found["over"] - self.lack
+            if found["below"]:
+                self.least = min(self.least + low / found["below"], 1.0)
+            else:
+                self.least = min(extent(self._sought(), target, 0.5, inf)[0] + self.lack, 1.0)
+            if found["above"]:
+                self.leak += high / found["above"]
+            else:
+                most = extent(self._sought(), target, -inf, 0.5)[1]
+                self.leak = most - self.lack if most > -inf else 0.0
+            if max(abs(low), abs(high)) <= CLOSE * self.lack:
+                return
+
+    def _sought(self) -> DeviceArray:
+        return combine(2.0, self.dose, 1.0, self.dose_dual, self.pull)

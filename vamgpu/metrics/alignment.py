@@ -36,7 +36,7 @@ class Alignment:
 
     @property
     def angle(self) -> float:
-        """How far it turns [rad]."""
+        """Angle of the turn [rad]."""
         return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
 
 
@@ -44,14 +44,12 @@ def align(
     points: npt.ArrayLike, target: Nearest, *, start: Alignment | None = None, steps: int = 200, samples: int = 2000,
     keep: float = 1.0,
 ) -> Alignment:  # fmt: skip
-    """Lay points (n, 3) [mm] on a surface by iterated closest points.
-
-    Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. First steps match points with their nearest ones; the
-    others, by the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992) 145), let them
-    slide. It finds the nearest of several fits: up to 10° and a tenth of the part away is a good start.  start: where
-    to begin.  samples: points used, drawn with a fixed seed.  keep: share of the points, those with the smallest
-    distances, that each step looks at: below 1 for damaged prints.  Raises `BadInput`, also where it does not settle.
-    """
+    """Lay points (n, 3) [mm] on a surface by iterated closest points."""
+    # Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. First steps match points with their nearest ones;
+    # the others, by the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992) 145), let
+    # them slide. It finds the nearest of several fits: up to 10° and a tenth of the part away is a good start. start:
+    # where to begin. samples: points used, drawn with a fixed seed. keep: share of the points, those with the smallest
+    # distances, that each step looks at: below 1 for damaged prints.
     cloud = as_points(points)
     if len(cloud) < 3:
         raise BadInput(f"got {len(cloud)} points to align; expected at least 3, better thousands")

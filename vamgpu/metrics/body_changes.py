@@ -11,39 +11,29 @@ from vamgpu.metrics.topology import Labels, Topology
 
 _LOST = 0.5
 """A body or a cavity of which less than this share is left is lost."""
+_SPECK, _TINY = 8, 1e-4
+"""Voxels, and share of the largest body, below which a body is what sampling breaks off a sharp edge of a mesh."""
 
 
 @dataclass(frozen=True)
 class BodyChanges:
-    """Bodies, holes and cavities of a part and of its print, counted on one grid.
-
-    Attributes:
-        bodies: of the part.
-        bodies_lost: less than half of them is printed.
-        bodies_merged: bodies joined to another one: two balls printed as one are one merged.
-        bodies_broken: printed in more than one piece.
-        bodies_extra: bodies of the print that share no voxel with the part.
-        extra_volume: of all of those [mm³].
-        holes: through holes of the part.
-        holes_closed, holes_opened: through holes missing from, or added to, what is printed of each body. They are
-            counted, not matched: where a body loses one and gains another, neither shows.
-        cavities: closed voids of the part.
-        cavities_filled: less than half of them is empty.
-        cavities_extra: closed voids of the print that share no voxel with one of the part, such as a pore, or the
-            inside of a hole whose mouths are closed.
-    """
+    """Bodies, holes and cavities of a part and of its print, counted on one grid."""
 
     bodies: int
-    bodies_lost: int
-    bodies_merged: int
-    bodies_broken: int
-    bodies_extra: int
-    extra_volume: float
-    holes: int
+    bodies_lost: int  # less than half of them is printed
+    bodies_merged: int  # bodies joined to another one: two balls printed as one are one merged
+    bodies_broken: int  # printed in more than one piece
+    bodies_extra: int  # bodies of the print that share no voxel with the part
+    extra_volume: float  # of all of those [mm³]
+    holes: int  # through holes of the part
+    # holes_closed, holes_opened: through holes missing from, or added to, what is printed of each body. They are
+    # counted, not matched: where a body loses one and gains another, neither shows
     holes_closed: int
     holes_opened: int
-    cavities: int
-    cavities_filled: int
+    cavities: int  # closed voids of the part
+    cavities_filled: int  # less than half of them is empty
+    # closed voids of the print that share no voxel with one of the part, such as a pore, or the inside of a hole whose
+    # mouths are closed
     cavities_extra: int
 
     @property
@@ -55,17 +45,13 @@ class BodyChanges:
 
 
 def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> BodyChanges:
-    """Compare a part and its print, labeled on one grid.
-
-    Args:
-        part: of the part's voxels.
-        printed: of the print's voxels.
-        voxel_volume: of one voxel of that grid [mm³].
-    """
+    """Compare a part and its print, labeled on one grid."""
+    # voxel_volume [mm³]
     table = _shared(part.body, printed.body)
     one, other, shared = table
     printed_share = np.bincount(one, shared, part.bodies + 1)[1:] / np.maximum(part.size, 1)
-    lost = printed_share < _LOST
+    speck = part.size < min(_SPECK, _TINY * part.size.max(initial=0))
+    lost = (printed_share < _LOST) & ~speck
     touched = np.zeros(printed.bodies + 1, bool)
     touched[other] = True
     main = _main(table, part.bodies)[~lost]
@@ -73,7 +59,7 @@ def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> Body
     closed, opened = _holes(part, printed, table, lost)
     filled, extra = _cavities(part, printed)
     return BodyChanges(
-        bodies=part.bodies,
+        bodies=int((~speck).sum()),
         bodies_lost=int(lost.sum()),
         bodies_merged=int((~lost).sum() - len(np.unique(main))),
         bodies_broken=int((pieces[~lost] > 1).sum()),

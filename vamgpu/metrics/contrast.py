@@ -21,13 +21,11 @@ def contrast(
     target: DeviceArray | npt.ArrayLike,
     response: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> float:
-    """ξ = ∫ over Q of M(f) / ∫ over V of M(f), with Q where the target is above 0: 1 is best (eq. S12).
-
-    dose f, target: arrays of one shape, of cells of one volume (a web [l, rho, z] or a vial's [x, y, z], corners
-    counted), or fields of one device.  response: M, of NumPy arrays; M(f) = f by default, and on devices, where a
-    field may hold M(f) already.  Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing,
-    section S10.  Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
-    """
+    """ξ = ∫ over Q of M(f) / ∫ over V of M(f), with Q where the target is above 0: 1 is best (eq. S12)."""
+    # dose f, target: arrays of one shape, of cells of one volume (a web [l, rho, z] or a vial's [x, y, z], corners
+    # counted), or fields of one device. response: M, of NumPy arrays; M(f) = f by default, and on devices, where a
+    # field may hold M(f) already. Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing,
+    # section S10.
     if isinstance(dose, DeviceArray) and isinstance(target, DeviceArray) and response is None:
         total = extremes(Parts(dose, target, SMALLEST, EVERYWHERE)).total[0]
         return _share(float(total[IN]), float(total[IN] + total[OUT]))

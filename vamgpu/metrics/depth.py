@@ -1,4 +1,4 @@
-"""How deep a voxel's center lies in a part, or how far outside it, from the fractions of the voxels alone.
+"""Signed depth of voxels' centers below the surface of a part, from the fractions of the voxels alone.
 
 A voxel that is partly filled says where the surface cuts it: at the plane, square to the local gradient, that fills as
 much of a cube (as volume-of-fluid codes do: D. L. Youngs, Numerical Methods for Fluid Dynamics (1982) 273). Every
@@ -37,20 +37,22 @@ _NONE = np.uint32(1 << 30)
 """Above every packed number, with room for what the passes add."""
 
 
+def surrounded(fraction: Array, by: int, flat: bool = False) -> Array:
+    """Fractions with so many voxels around; above and below a flat part as it ends there, else of nothing."""
+    beside = np.pad(fraction, ((by, by), (by, by), (0, 0)))
+    return np.pad(beside, ((0, 0), (0, 0), (by, by)), mode="edge" if flat else "constant")
+
+
+def padded_depth(fraction: Array, reach: float, flat: bool) -> tuple[Array, int]:
+    """Depths [voxels] that are right up to ``reach``, with as many voxels around a part as they take; and how many."""
+    pad = ceil(reach) + 2
+    return signed_depth(surrounded(fraction, pad, flat), reach + 0.5), pad
+
+
 def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
-    """Distance of every voxel's center from the surface of a part, positive in the part.
-
-    Args:
-        fraction: filled part of every voxel [x, y, z]. What lies beyond the array is unknown: pad it with zeros where
-            nothing is there, and give a slab ``reach`` + 2 more voxels on either side.
-        reach: distance [voxels] from which all distances are alike; at most 12.
-
-    Returns:
-        Distances [voxels] [x, y, z], float32, from -reach to reach. The sign is that of fraction >= 0.5.
-
-    Raises:
-        BadInput: fractions without three axes, or a reach that is out of its range.
-    """
+    """Distance of every voxel's center from the surface of a part, positive in the part."""
+    # fraction [x, y, z], unknown beyond the array: pad it with zeros, and give a slab reach + 2 more voxels on either
+    # side; reach [voxels], at most 12; returns [voxels] [x, y, z]
     values = np.asarray(fraction, np.float32)
     if values.ndim != 3 or not values.size:
         raise BadInput(f"the fractions have shape {values.shape}; expected [x, y, z] with at least one voxel")
@@ -116,7 +118,7 @@ def _cut(padded: Array) -> npt.NDArray[np.bool_]:
 
 
 def _planes(padded: Array, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[Array, Array]:
-    """Of each voxel: the inward normal (n, 3) of the surface, and how deep [voxels] its center lies behind it (n,)."""
+    """Inward normals (n, 3) of the surface in voxels, and depths [voxels] of their centers behind it (n,)."""
     gradient = np.zeros((at[0].size, 3), np.float32)
     for offset in product((-1, 0, 1), repeat=3):
         if offset == (0, 0, 0):
@@ -136,7 +138,7 @@ def _planes(padded: Array, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[Array,
 
 
 def _place(normal: Floats, filled: Floats) -> Floats:
-    """How deep the center of a unit cube lies behind the plane that leaves ``filled`` of it; (n,)."""
+    """Depths of the centers of unit cubes behind the planes that leave ``filled`` of them; (n,)."""
     sides = np.maximum(normal, _THIN)
     half = 0.5 * sides.sum(axis=1)
     # Up to half a cube the filled share is a convex function of the cut: Newton's steps from there stop short of none.
@@ -149,15 +151,8 @@ def _place(normal: Floats, filled: Floats) -> Floats:
 
 
 def box_fraction(normal: npt.ArrayLike, place: npt.ArrayLike) -> Floats:
-    """Share of a unit cube on the inner side of a plane.
-
-    Args:
-        normal: components of the plane's unit normal, all >= 0, (n, 3).
-        place: depth of the cube's center behind the plane, (n,).
-
-    Returns:
-        Shares from 0 to 1, (n,).
-    """
+    """Share of a unit cube on the inner side of a plane."""
+    # normal (n, 3); place (n,); returns (n,)
     sides = np.maximum(np.asarray(normal, np.float64), _THIN)
     return np.clip(_corner(sides, np.asarray(place, np.float64) + 0.5 * sides.sum(axis=1))[0], 0.0, 1.0)
 
@@ -177,11 +172,9 @@ def _corner(sides: Floats, cut: Floats) -> tuple[Floats, Floats]:
 
 # ---- the nearest seed -----------------------------------------------------------------------------------------------
 def _nearest(shape: tuple[int, ...], seeds: npt.NDArray[np.intp], span: int) -> npt.NDArray[np.uint32]:
-    """Of each voxel the squared distance to the nearest seed and the steps from it, packed; from `_NONE` on no seed.
-
-    Exact for seeds at most ``span`` voxels away along every axis: the smallest of the packed numbers is that of the
-    smallest distance, whatever steps stand in its lower bits.
-    """
+    """Squared distances of voxels to the nearest seed and the steps from it, packed; from `_NONE` on no seed."""
+    # Exact for seeds at most ``span`` voxels away along every axis: the smallest of the packed numbers is that of the
+    # smallest distance, whatever steps stand in its lower bits.
     keys = np.full(shape, _NONE, np.uint32)
     keys.ravel()[seeds] = sum(span << (_BITS * axis) for axis in range(3))
     for axis in range(3):

@@ -32,11 +32,8 @@ class Gaussian:
 
 
 def fit_gaussian(values: npt.ArrayLike, bins: int = 100, limits: tuple[float, float] | None = None) -> Gaussian:
-    """Least squares fit of a Gaussian to the histogram of values.
-
-    limits: of the histogram; by default four standard deviations about the mean, but not beyond the values.  Raises
-    `BadInput` for fewer than 10 values in the limits, values that are all equal, and a fit that fails.
-    """
+    """Least squares fit of a Gaussian to the histogram of values."""
+    # limits: of the histogram; by default four standard deviations about the mean, but not beyond the values.
     from scipy.optimize import curve_fit
 
     data = np.asarray(values, np.float64).ravel()

@@ -28,13 +28,10 @@ class Extremes:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Voxels of each class per bin of dose.
+    """Voxels of each class per bin of dose."""
 
-    edges: (bins + 1,) in units of the dose.  counts: int64 [slice, class, bin], class 0 out of and class 1 in the part.
-    """
-
-    edges: np.ndarray
-    counts: np.ndarray
+    edges: np.ndarray  # (bins + 1,) in units of the dose
+    counts: np.ndarray  # int64 [slice, class, bin], class 0 out of and class 1 in the part
 
 
 def extremes(parts: Parts, *, per_slice: bool = False) -> Extremes:
@@ -64,10 +61,8 @@ def above(parts: Parts, threshold: float, *, per_slice: bool = False) -> np.ndar
 
 
 def order_statistic(parts: Parts, rank: np.ndarray, *, per_slice: bool = False) -> np.ndarray:
-    """Dose of the voxel of each class with ``rank`` smaller ones: [slice, class], to float32; NaN in empty classes.
-
-    rank: [slice, class], from 0.
-    """
+    """Dose of the voxel of each class with ``rank`` smaller ones: [slice, class], to float32; NaN in empty classes."""
+    # rank: [slice, class], from 0.
     ends = extremes(parts, per_slice=per_slice)
     full = np.isfinite(ends.least)
     low, high = np.where(full, ends.least, 0.0), np.where(full, ends.greatest, 0.0)

@@ -9,20 +9,9 @@ from vamgpu.targets.solid import Solid
 
 
 def joined(solid: Solid) -> Solid:
-    """The outer surface of a mesh, and the surfaces of its cavities.
-
-    Programs export assemblies as bodies that overlap. What lies inside another body is not a surface of the part.
-
-    Args:
-        solid: a mesh [mm], repaired where it does not close.
-
-    Returns:
-        The union of its bodies in the same place; the same object where no two of them can overlap, or where the mesh
-        is no manifold and cannot be joined.
-
-    Raises:
-        NotWatertight, MeshError: as `repaired` does.
-    """
+    """The outer surface of a mesh, and the surfaces of its cavities."""
+    # Programs export assemblies as bodies that overlap. What lies inside another body is not a surface of the part.
+    # solid [mm]
     from manifold3d import Error
 
     from vamgpu.targets.shapes.csg import from_triangles, union

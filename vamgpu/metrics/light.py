@@ -1,4 +1,4 @@
-"""How well light is used: how bright the frames are, and how much of the dose lands outside the part."""
+"""Use of light: brightness of the frames, and share of the dose outside the part."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def light_sent(light: DeviceArray) -> float:
     return float(extremes(Parts.whole(light)).total[0, IN])
 
 
-def light_efficiency(light: DeviceArray, full: float | None = None) -> float:
+def mean_brightness(light: DeviceArray, full: float | None = None) -> float:
     """Divide the mean light of all pixels and angles by that of a full-on pixel.
 
     As in B. Nicolet et al., ACM Trans. Graph. 43 (2024), "Inverse rendering for tomographic volumetric additive
@@ -35,20 +35,10 @@ def light_efficiency(light: DeviceArray, full: float | None = None) -> float:
 def outside_over_inside(
     dose: DeviceArray, target: DeviceArray, *, level: float = 0.5, reach: float | None = None
 ) -> float:
-    """Mean dose of the judged voxels outside the part over the mean of those in it.
-
-    0 where all light goes to the part, 1 where the void gets as much per volume. A method that lights everything is
-    bright and yet no better for it.
-
-    Args:
-        dose: field [x, y, z].
-        target: fractions [x, y, z] on the same device.
-        level: fraction from which a voxel is in the part.
-        reach: radius [voxels] of the judged cylinder; the inscribed one by default.
-
-    Returns:
-        The ratio; 0 where no voxel is outside, NaN where the part has no dose.
-    """
+    """Mean dose of the judged voxels outside the part over the mean of those in it."""
+    # 0 where all light goes to the part, 1 where the void gets as much per volume. A method that lights everything is
+    # bright and yet no better for it.
+    # dose [x, y, z]; target [x, y, z]; reach [voxels]
     parts = Parts(dose, target, level, reach)
     total = extremes(parts).total[0]
     count = above(parts, 0.0)[0].sum(axis=1)

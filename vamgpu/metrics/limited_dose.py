@@ -19,10 +19,8 @@ STEEPNESS, MIDDLE = 10.0, 0.5
 
 
 def random_plane(n: int, seed: int = 1, filled: float = 0.45) -> Array:
-    """A disk (n, n) of random structure of many sizes and all directions, 0 or 1: filtered noise above a quantile.
-
-    filled: share of 1 in it.  Raises `BadInput`.
-    """
+    """A disk (n, n) of random structure of many sizes and all directions, 0 or 1: filtered noise above a quantile."""
+    # filled: share of 1 in it.
     size = counts("n", (n,), 1)[0]
     if not 0.0 < filled < 1.0 or size < 16:
         raise BadInput(f"got n = {n} and filled = {filled!r}; expected at least 16 voxels and a share between 0 and 1")
@@ -39,12 +37,10 @@ def limited_dose(
     target: npt.ArrayLike, pitch: float, ratio: float, *, angles: int = 240, iterations: int = 60,
     device: str | Device | None = None,
 ) -> Array:  # fmt: skip
-    """Dose [l, rho] of light ≥ 0 from within arcsin m of the film's normal ρ, made to fit a target [l, rho] of 0 and 1.
-
-    Straight rays without absorption, so that only the range of angles differs. Squares of what leaves the bands about
-    1 and 0 are brought down by accelerated projected gradients from the clipped projections.  pitch: voxel edge [mm].
-    ratio: m = n_medium/n_resin.  angles: how many over a full turn.  Raises `BadInput`, `DeviceError`.
-    """
+    """Dose [l, rho] of light ≥ 0 from within arcsin m of the film's normal ρ, fit to a target [l, rho] of 0 and 1."""
+    # Straight rays without absorption, so that only the range of angles differs. Squares of what leaves the bands about
+    # 1 and 0 are brought down by accelerated projected gradients from the clipped projections. pitch: voxel edge [mm].
+    # ratio: m = n_medium/n_resin. angles: how many over a full turn.
     part = np.asarray(target, np.float64)
     if part.ndim != 2 or part.shape[0] != part.shape[1] or not np.isin(part, (0.0, 1.0)).all() or not part.any():
         raise BadInput(f"the target has shape {part.shape}; expected a square [l, rho] of 0 and 1, not all 0")
@@ -74,7 +70,8 @@ class _LimitedAngles:
 
     def __init__(self, n: int, pitch: float, limit: float, angles: int, device: str | Device | None) -> None:
         self._n = n
-        self._operator = Projection(Grid((n, n, 1), pitch), Beam((n, 1), pitch), Turntable(angles), device=device)
+        motion = Turntable(angles, lit_share=0)
+        self._operator = Projection(Grid((n, n, 1), pitch), Beam((n, 1), pitch), motion, device=device)
         off = np.abs((self._operator.motion.poses + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
         self._lit = (off <= limit * (1.0 + 1e-12)).astype(np.float64)[:, None, None]
 

@@ -1,4 +1,4 @@
-"""What holds together in a print of the calibration disk, and its figure of merit.
+"""Figure of merit of a print of the calibration disk, from the parts that hold together.
 
 Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 2 and eq. 2.
 """

@@ -14,17 +14,8 @@ _BATCH = 1 << 20
 
 
 def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[int, int, int]) -> npt.NDArray[np.bool_]:
-    """Whether each point of a grid lies inside a closed mesh, by its winding number; overlapping bodies count once.
-
-    Args:
-        solid: a closed mesh, wound outward.
-        origin: point [0, 0, 0] of the grid [mm].
-        pitch: spacing of the points [mm].
-        shape: points along x, y, z.
-
-    Returns:
-        Boolean [x, y, z].
-    """
+    """Whether each point of a grid lies inside a closed mesh, by its winding number; overlapping bodies count once."""
+    # origin [0, 0, 0] [mm]; pitch [mm]; returns [x, y, z]
     corners = (solid.vertices[solid.faces] - np.asarray(origin, np.float64)) / pitch
     corners[..., :2] -= _NUDGE
     turns = np.zeros((shape[0], shape[1], shape[2] + 1), np.int16)
@@ -60,10 +51,8 @@ def _cross(
 
 
 def _turn(p: np.ndarray, q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Twice the area of the triangle of two corners and a column, seen from above; > 0 counter-clockwise.
-
-    Computed from the same end whichever way the edge is run through, so that neighbors never disagree.
-    """
+    """Twice the area of the triangle of two corners and a column, seen from above; > 0 counter-clockwise."""
+    # Computed from the same end whichever way the edge is run through, so that neighbors never disagree.
     swap = (p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1]))
     one, other = np.where(swap[:, None], q, p), np.where(swap[:, None], p, q)
     area = (one[:, 0] - x) * (other[:, 1] - y) - (one[:, 1] - y) * (other[:, 0] - x)

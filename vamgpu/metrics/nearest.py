@@ -19,30 +19,22 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class NearestPoints:
-    """The nearest points of a surface. point: (n, 3) [mm].  normal: (n, 3), outward, of the face.
-
-    distance: (n,) [mm], > 0 outside, < 0 inside.
-    """
+    """The nearest points of a surface. point: (n, 3) [mm]. normal: (n, 3), outward, of the face."""
 
     point: Array
     normal: Array
-    distance: Array
+    distance: Array  # (n,) [mm], > 0 outside, < 0 inside
 
 
 class Nearest:
-    """Search over a closed surface; build once, ask often.
+    """Search over a closed surface; build once, ask often."""
 
-    Sides follow angle-weighted normals at corners and edges, which are right for every closed surface (J. A. Bærentzen
-    and H. Aanæs, Signed distance computation using the angle weighted pseudonormal, IEEE TVCG 11 (2005) 243).
-    longest: see `TriangleSearch`.  Raises `NotWatertight` and what repairing a mesh raises.
+    # Sides follow angle-weighted normals at corners and edges, which are right for every closed surface (J. A.
+    # Bærentzen and H. Aanæs, Signed distance computation using the angle weighted pseudonormal, IEEE TVCG 11 (2005)
+    # 243). longest: see `TriangleSearch`.
+    # search: its triangles that have an area.
 
-    Attributes:
-        solid: the surface, repaired.
-        search: its triangles that have an area.
-        normals: outward unit normal of each of those.
-    """
-
-    normals: Array
+    normals: Array  # outward unit normal of each of those
 
     def __init__(self, solid: Solid, longest: float = 0.0) -> None:
         self.solid: Solid = repaired(solid)
@@ -51,11 +43,9 @@ class Nearest:
         self.normals, self._edge_normal, self._vertex_normal = _normals(self._faces, self._corners)
 
     def __call__(self, points: npt.ArrayLike, *, exact: bool = True, most: int | None = None) -> NearestPoints:
-        """Nearest points of the surface for points (n, 3) [mm]. Raises `BadInput`.
-
-        exact: False looks at a few triangles of each point's neighborhood only, which is faster and almost right.
-        most: pieces of triangles looked at for one point, at most; see `TriangleSearch`.
-        """
+        """Nearest points of the surface for points (n, 3) [mm]. Raises `BadInput`."""
+        # exact: False looks at a few triangles of each point's neighborhood only, which is faster and almost right.
+        # most: pieces of triangles looked at for one point, at most; see `TriangleSearch`.
         asked = as_points(points)
         best, weight, face = self.search(asked, exact=exact, most=most)
         point = np.einsum("nk,nki->ni", weight, self._corners[face])

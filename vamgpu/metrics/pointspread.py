@@ -1,4 +1,4 @@
-"""What a limited range of angles does to a point: its dose, how wide that is, and which frequencies reach the film.
+"""Point spread of a limited range of angles: dose, width, and the frequencies that reach the film.
 
 Light meets a film on a roller from a medium of index m times the resin's; refraction leaves only directions within
 arcsin m of the film's normal (eq. S11). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive
@@ -22,10 +22,7 @@ ANGLES = 1801
 
 
 def steepest(ratio: float) -> float:
-    """Greatest angle [rad] between light in the film and its normal: arcsin m, with m = n_medium/n_resin in 0..1.
-
-    Raises `BadInput`.
-    """
+    """Greatest angle [rad] between light in the film and its normal: arcsin m, with m = n_medium/n_resin in 0..1."""
     if positive("index ratio m = n_medium/n_resin", ratio) > 1.0:
         raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; expected at most 1: beyond, no angle is lost")
     return asin(ratio)
@@ -37,11 +34,9 @@ def coverage(ratio: float) -> float:
 
 
 def point_dose(along: Array, depth: Array, fwhm: float, ratio: float, angles: int = ANGLES) -> Array:
-    """Cumulative dose at (l, ρ) [mm] from a point, 1 at the point: one Gaussian beam through it per direction.
-
-    fwhm: of the beam [mm].  ratio: m.  Directions are spread evenly over the range in the film, ±arcsin m; beams are
-    taken as wide everywhere, which holds within the depth of focus. Arguments broadcast.  Raises `BadInput`.
-    """
+    """Cumulative dose at (l, ρ) [mm] from a point, 1 at the point: one Gaussian beam through it per direction."""
+    # fwhm: of the beam [mm]. ratio: m. Directions are spread evenly over the range in the film, ±arcsin m; beams are
+    # taken as wide everywhere, which holds within the depth of focus. Arguments broadcast.
     width, limit = positive("fwhm [mm]", fwhm), steepest(ratio)
     number = counts("angles", (angles,), 1)[0]
     along, depth = np.broadcast_arrays(np.asarray(along, np.float64), np.asarray(depth, np.float64))
@@ -52,10 +47,8 @@ def point_dose(along: Array, depth: Array, fwhm: float, ratio: float, angles: in
 
 
 def spread(fwhm: float, ratio: float, angles: int = ANGLES) -> tuple[float, float]:
-    """Full widths at half maximum [mm] of the cumulative point spread, along l and along ρ.
-
-    As m falls from 1, the one along l narrows and the one along ρ widens.  Raises `BadInput`.
-    """
+    """Full widths at half maximum [mm] of the cumulative point spread, along l and along ρ."""
+    # As m falls from 1, the one along l narrows and the one along ρ widens.
     return _width(fwhm, ratio, angles, 1.0, 0.0), _width(fwhm, ratio, angles, 0.0, 1.0)
 
 
@@ -74,11 +67,9 @@ def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -
 
 
 def wedge(shape: tuple[int, int], pitch: tuple[float, float] | float, ratio: float) -> npt.NDArray[np.bool_]:
-    """Which spatial frequencies of a plane [l, rho] some direction of light carries, in the order of ``numpy.fft``.
-
-    A direction carries those at right angles to it (the central slice theorem), so that frequencies closer than
-    90° − arcsin m to the ρ axis are missing, all but zero.  pitch: [mm] along l and rho.  Raises `BadInput`.
-    """
+    """Which spatial frequencies of a plane [l, rho] some direction of light carries, in the order of ``numpy.fft``."""
+    # A direction carries those at right angles to it (the central slice theorem), so that frequencies closer than 90° −
+    # arcsin m to the ρ axis are missing, all but zero. pitch: [mm] along l and rho.
     n_l, n_rho = counts("shape", shape, 2)
     edges = (pitch, pitch) if isinstance(pitch, (int, float)) else tuple(pitch)
     k_l, k_rho = (np.fft.fftfreq(n, positive("pitch [mm]", d)) for n, d in zip((n_l, n_rho), edges, strict=True))
@@ -94,10 +85,8 @@ def covered_share(ratio: float) -> float:
 
 
 def limited(plane: npt.ArrayLike, pitch: tuple[float, float] | float, ratio: float) -> Array:
-    """A plane [l, rho], or each of a film [l, rho, z], without the frequencies that no light carries.
-
-    It wraps around at the edges: pad where that matters.  Raises `BadInput`.
-    """
+    """A plane [l, rho], or each of a film [l, rho, z], without the frequencies that no light carries."""
+    # It wraps around at the edges: pad where that matters.
     values = np.asarray(plane, np.float64)
     if values.ndim not in (2, 3):
         raise BadInput(f"the plane has shape {values.shape}; expected [l, rho] or [l, rho, z]")

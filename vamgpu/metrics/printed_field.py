@@ -19,19 +19,12 @@ _AROUND = 2
 
 @dataclass(frozen=True, eq=False)
 class PrintedField:
-    """The part of a dose that matters for a print.
+    """The part of a dose that matters for a print."""
 
-    Attributes:
-        values: dose, float32 [x, y, z].
-        origin: center of voxel [0, 0, 0] [mm], (3,).
-        pitch: voxel edge [mm].
-        threshold: printed from this dose on.
-    """
-
-    values: npt.NDArray[np.float32]
-    origin: Array
-    pitch: float
-    threshold: float
+    values: npt.NDArray[np.float32]  # dose, float32 [x, y, z]
+    origin: Array  # center of voxel [0, 0, 0] [mm], (3,)
+    pitch: float  # voxel edge [mm]
+    threshold: float  # printed from this dose on
 
     @property
     def mask(self) -> npt.NDArray[np.bool_]:
@@ -61,20 +54,9 @@ class PrintedField:
 def printed_field(
     dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, bounds: npt.ArrayLike
 ) -> PrintedField:
-    """Cut a dose to the box around a part and its print.
-
-    The grid's outer faces close a print that reaches them, half a voxel beyond the last centers.
-
-    Args:
-        dose: [x, y, z], in any unit, on cubic voxels.
-        origin: center of voxel [0, 0, 0] [mm], (3,).
-        pitch: voxel edge [mm].
-        threshold: printed from this dose on, in the unit of the dose.
-        bounds: lowest and highest corner of the part [mm], (2, 3).
-
-    Raises:
-        BadInput: a shape or a number is none of these.
-    """
+    """Cut a dose to the box around a part and its print."""
+    # The grid's outer faces close a print that reaches them, half a voxel beyond the last centers.
+    # dose [x, y, z]; origin [0, 0, 0] [mm] (3,); pitch [mm]; bounds [mm] (2, 3)
     values, start = np.asarray(dose), np.asarray(origin, np.float64)
     if values.ndim != 3 or not values.size:
         raise BadInput(f"the dose has shape {values.shape}; expected [x, y, z] with at least one voxel")

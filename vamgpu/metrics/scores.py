@@ -18,7 +18,7 @@ PASSES = 8
 
 @dataclass(frozen=True)
 class Scores:
-    """What one dose and one threshold make of a target.
+    """Scores of a dose against a target, at one threshold.
 
     Args:
         windows: Process windows over ``peak``.
@@ -120,11 +120,9 @@ def _voxels(parts: Parts) -> tuple[int, int]:
 
 
 def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> float:
-    """The dose from which a voxel should count as printed for the greatest intersection over union with the part.
-
-    Midway between part and rest where they are apart. Elsewhere the doses both have are searched: each pass looks
-    closer at the bins inside which the intersection over union could still rise. A float32 number.
-    """
+    """The dose from which a voxel should count as printed for the greatest intersection over union with the part."""
+    # Midway between part and rest where they are apart. Elsewhere the doses both have are searched: each pass looks
+    # closer at the bins inside which the intersection over union could still rise. A float32 number.
     least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, OUT])
     if least > greatest:
         return _between(max(greatest, 0.0), least)

@@ -15,17 +15,15 @@ from vamgpu.geometry import counts, positive
 
 @dataclass(frozen=True, eq=False)
 class SegmentWindows:
-    """Process windows of every segment, arrays (segments,), all over ONE ``peak``.
+    """Process windows of every segment, arrays (segments,), all over ONE ``peak``."""
 
-    start, stop: first voxel along l and the one after the last.  strict: least dose in the part − greatest out of it.
-    trimmed: 1 % quantile in − 99 % quantile out.  least_in, greatest_out: in units of the dose.  NaN where a segment
-    holds nothing of the part.  in_voxels, out_voxels: how many were judged.
-    """
+    # start, stop: first voxel along l and the one after the last. least_in, greatest_out: in units of the dose. NaN
+    # where a segment holds nothing of the part. in_voxels, out_voxels: how many were judged.
 
     start: np.ndarray
     stop: np.ndarray
-    strict: np.ndarray
-    trimmed: np.ndarray
+    strict: np.ndarray  # least dose in the part − greatest out of it
+    trimmed: np.ndarray  # 1 % quantile in − 99 % quantile out
     least_in: np.ndarray
     greatest_out: np.ndarray
     in_voxels: np.ndarray
@@ -43,12 +41,9 @@ def segment_windows(
     dose: DeviceArray | npt.ArrayLike, target: DeviceArray | npt.ArrayLike, segment: int, *, level: float = 0.5,
     peak: float | None = None,
 ) -> SegmentWindows:  # fmt: skip
-    """Judge a dose [l, rho, z] by a target's fractions [l, rho, z], ``segment`` voxels along l at a time.
-
-    The whole section counts. level: fraction from which a voxel is in the part.  peak: what windows are shares of; the
-    greatest dose by default. Give that of the web where tiles of a stream are judged one by one.  Raises
-    `ShapeMismatch`, `BadInput`.
-    """
+    """Judge a dose [l, rho, z] by a target's fractions [l, rho, z], ``segment`` voxels along l at a time."""
+    # The whole section counts. level: fraction from which a voxel is in the part. peak: what windows are shares of; the
+    # greatest dose by default. Give that of the web where tiles of a stream are judged one by one.
     values, part = (np.asarray(a.numpy() if isinstance(a, DeviceArray) else a) for a in (dose, target))
     if values.shape != part.shape or values.ndim != 3 or not values.size:
         raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; expected one [l, rho, z]")

@@ -1,4 +1,4 @@
-"""How far the surface of a print lies from its target, where it is too thick and where too thin.
+"""Distances of the surface of a print from its target, > 0 where it is too thick.
 
 Sources: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table 1; A. Orth et al.,
 Automatic exposure volumetric additive manufacturing, Fig. 4.
@@ -26,14 +26,11 @@ POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDistance:
-    """Signed distances of points of a print from the target's surface: > 0 outside of it, where the print is too thick.
+    """Signed distances of points of a print from the target's surface, > 0 where the print is too thick."""
 
-    points: (n, 3) [mm], where the alignment put them.  distance: (n,) [mm].  alignment: None where none was wanted.
-    """
-
-    points: Array
-    distance: Array
-    alignment: Alignment | None
+    points: Array  # (n, 3) [mm], where the alignment put them
+    distance: Array  # (n,) [mm]
+    alignment: Alignment | None  # None where none was wanted
 
     @property
     def mean(self) -> float:
@@ -54,13 +51,11 @@ def surface_distance(
     printed: Solid | npt.ArrayLike, target: Solid | Nearest, *, aligned: bool = True, start: Alignment | None = None,
     samples: int = POINTS, keep: float = 1.0,
 ) -> SurfaceDistance:  # fmt: skip
-    """Distances of a print from its target.
-
-    printed: a mesh, e.g. `iso_solid` of a simulated print or `load_mesh` of a CT scan, on which ``samples`` points are
-    drawn evenly with a fixed seed; or points (n, 3) [mm], taken as they are.  target: a closed surface; `Nearest` of it
-    where several prints are compared.  aligned: whether to lay the print on the target first; start, keep: see `align`.
-    Raises `BadInput`, `NotWatertight`, `EmptyMesh`.
-    """
+    """Distances of a print from its target."""
+    # printed: a mesh, e.g. `iso_solid` of a simulated print or `load_mesh` of a CT scan, on which ``samples`` points
+    # are drawn evenly with a fixed seed; or points (n, 3) [mm], taken as they are. target: a closed surface; `Nearest`
+    # of it where several prints are compared. aligned: whether to lay the print on the target first; start, keep: see
+    # `align`.
     surface = target if isinstance(target, Nearest) else Nearest(target)
     cloud = drawn(printed, samples) if isinstance(printed, Solid) else as_points(printed)
     motion = align(cloud, surface, start=start, keep=keep) if aligned else start
@@ -69,10 +64,8 @@ def surface_distance(
 
 
 def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: int = POINTS) -> npt.NDArray[np.float64]:
-    """RMS distance [mm] between each pair of prints, (n, n), symmetric: how well a machine repeats itself.
-
-    Both directions count alike. The inter-print RMS is the mean over pairs.  Raises as `surface_distance` does.
-    """
+    """RMS distance [mm] between each pair of prints, (n, n), symmetric: how well a machine repeats itself."""
+    # Both directions count alike. The inter-print RMS is the mean over pairs.
     if len(prints) < 2:
         raise BadInput(f"got {len(prints)} prints; expected at least two to compare")
     surfaces = [Nearest(solid) for solid in prints]
@@ -94,15 +87,8 @@ def drawn(solid: Solid, samples: int = POINTS) -> Array:
 
 
 def drawn_on(corners: Array, samples: int) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Points on triangles, as many on every mm², with a fixed seed.
-
-    Args:
-        corners: (m, 3, 3) [mm]; some of them have an area.
-        samples: how many points.
-
-    Returns:
-        The points (samples, 3) [mm] and the triangle (samples,) that each lies on.
-    """
+    """Points on triangles, as many on every mm², with a fixed seed."""
+    # corners (m, 3, 3) [mm]; returns (samples, 3) [mm] (samples,)
     area = double_areas(corners).cumsum()
     random = np.random.default_rng(0)
     # One point in each equal share of the area: no patch is left out.
@@ -122,11 +108,8 @@ def iso_solid(
     field: DeviceArray | npt.ArrayLike, pitch: tuple[float, float, float] | float, level: float = 0.5,
     name: str = "print",
 ) -> Solid:  # fmt: skip
-    """Where a field [x, y, z] or [l, rho, z] crosses a level, closed at the edges of its grid.
-
-    pitch: voxel edges [mm].  Coordinates [mm] count from the middle of the grid.  Raises `BadInput`, and `EmptyMesh`
-    where the field does not cross the level.
-    """
+    """Where a field [x, y, z] or [l, rho, z] crosses a level, closed at the edges of its grid."""
+    # pitch: voxel edges [mm]. Coordinates [mm] count from the middle of the grid.
     from skimage.measure import marching_cubes
 
     values = np.asarray(field.numpy() if isinstance(field, DeviceArray) else field, np.float64)

@@ -13,7 +13,7 @@ from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.joined import joined
-from vamgpu.metrics.line import Line
+from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.mesh_mask import mesh_mask
 from vamgpu.metrics.nearest import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
@@ -38,46 +38,31 @@ _WIDEST = 4.0
 
 @dataclass(frozen=True)
 class WallChanges:
-    """Walls of a part that its print has and has not, by thickness [mm]; NaN where there are none of a kind.
+    """Walls of a part that its print has and has not, by thickness [mm]; NaN where there are none of a kind."""
 
-    A wall is thinner than four of the part's voxels. It is lost where the dose in its middle stays below the
-    threshold. A sharp edge is a wall too, and ends thin.
+    # A wall is thinner than four of the part's voxels. It is lost where the dose in its middle stays below the
+    # threshold. A sharp edge is a wall too, and ends thin.
 
-    Attributes:
-        share_lost: of the area of all walls, 0..1.
-        thinnest_lost, thickest_lost: of those that are lost.
-        thinnest_printed: of those that are printed.
-    """
-
-    share_lost: float
+    share_lost: float  # of the area of all walls, 0..1
     thinnest_lost: float
-    thickest_lost: float
-    thinnest_printed: float
+    thickest_lost: float  # of those that are lost
+    thinnest_printed: float  # of those that are printed
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceJudgement:
-    """How a print differs from its part in space.
+    """Differences of a print from its part in space."""
 
-    Distances are signed, > 0 where the print is too thick. Those of the print's surface from the part and those of the
-    part's surface from the print count alike: without the second a fin that is missing would not show. All are NaN
-    where nothing prints.
+    # Distances are signed, > 0 where the print is too thick. Those of the print's surface from the part and those of
+    # the part's surface from the print count alike: without the second a fin that is missing would not show. All are
+    # NaN where nothing prints.
 
-    Attributes:
-        distances: of points of the print's surface, then of as many of the part's, (2 n,) [mm].
-        greatest_excess: farthest that the print is too thick [mm], ≥ 0.
-        greatest_lack: farthest that it is too thin, or that a part of it is missing [mm], ≥ 0.
-        walls: which walls of the part were lost.
-        changes: which bodies, holes and cavities were lost, joined or gained.
-        unjudged: what was too thin for the part's voxels.
-    """
-
-    distances: Array = field(repr=False)
-    greatest_excess: float
-    greatest_lack: float
-    walls: WallChanges
-    changes: BodyChanges
-    unjudged: Unjudged
+    distances: Array = field(repr=False)  # of points of the print's surface, then of as many of the part's, (2 n,) [mm]
+    greatest_excess: float  # farthest that the print is too thick [mm], ≥ 0
+    greatest_lack: float  # farthest that it is too thin, or that a part of it is missing [mm], ≥ 0
+    walls: WallChanges  # which walls of the part were lost
+    changes: BodyChanges  # which bodies, holes and cavities were lost, joined or gained
+    unjudged: Unjudged  # what was too thin for the part's voxels
 
     @property
     def mean(self) -> float:
@@ -102,20 +87,28 @@ class SurfaceJudgement:
     def lines(self) -> tuple[Line, ...]:
         """Every number with its meaning."""
         w, c = self.walls, self.changes
-        greatest = "nothing prints" if isnan(self.mean) else f"+{_um(self.greatest_excess)} −{_um(self.greatest_lack)}"
-        lost = f"{_um(w.thinnest_lost)}–{_um(w.thickest_lost)}, {100 * w.share_lost:.2g} %" if w.share_lost else "none"
+        greatest = (
+            "nothing prints" if isnan(self.mean) else f"+{length(self.greatest_excess)} −{length(self.greatest_lack)}"
+        )
+        lost = (
+            f"{length(w.thinnest_lost)}–{length(w.thickest_lost)}, {100 * w.share_lost:.2g} %"
+            if w.share_lost
+            else "none"
+        )
         bodies = f"{c.bodies_lost} + {c.bodies_merged} + {c.bodies_broken} + {c.bodies_extra} of {c.bodies}"
         thin = "none"
         if self.unjudged:
-            thick = "" if self.unjudged.thickness is None else f", up to {_um(self.unjudged.thickness)} thick"
+            thick = "" if self.unjudged.thickness is None else f", up to {length(self.unjudged.thickness)} thick"
             thin = f"{len(self.unjudged.regions)}, {self.unjudged.volume:.3g} mm³{thick}"
         return (
-            Line("surface distance, mean", _um(self.mean, "+"), "of print and part, > 0 where the print is too thick"),
-            Line("surface distance, RMS", _um(self.rms), "both ways: print to part, and part to print"),
-            Line("surface distance, 95 %", _um(self.p95), "95 % of both surfaces lie closer"),
+            Line(
+                "surface distance, mean", length(self.mean, "+"), "of print and part, > 0 where the print is too thick"
+            ),
+            Line("surface distance, RMS", length(self.rms), "both ways: print to part, and part to print"),
+            Line("surface distance, 95 %", length(self.p95), "95 % of both surfaces lie closer"),
             Line("surface distance, greatest", greatest, "farthest too thick, farthest too thin or missing"),
             Line("walls lost", lost, "thinnest and thickest whose middle did not print, share of all walls' area"),
-            Line("thinnest wall printed", _um(w.thinnest_printed), "along the normal of its surface"),
+            Line("thinnest wall printed", length(w.thinnest_printed), "along the normal of its surface"),
             Line("bodies changed", bodies, "lost + merged + broken + extra, of the bodies of the part"),
             Line("holes changed", f"{c.holes_closed} + {c.holes_opened} of {c.holes}", "through holes closed + opened"),
             Line("cavities changed", f"{c.cavities_filled} + {c.cavities_extra} of {c.cavities}", "filled + extra"),
@@ -127,28 +120,11 @@ def judge_surface(
     dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: npt.ArrayLike, grid: Grid,
     solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
-    """Compare the surface at which a dose reaches the threshold with a part.
-
-    Distances are those between the triangles of both surfaces, no sample of them. Bodies, holes and cavities are those
-    of voxels of the dose's grid: what is thinner than these is not compared, and `unjudged` tells of what is thinner
-    than the part's.
-
-    Args:
-        dose: [x, y, z], in any unit, best on voxels finer than the part's.
-        origin: center of its first voxel [mm], (3,).
-        pitch: its voxel edge [mm].
-        threshold: printed from this dose on, in the unit of the dose.
-        fraction: filled share [x, y, z] of the part's own voxels, 0..1.
-        grid: where those lie.
-        solid: the mesh, in the same place. Without it the part is the surface at which its fractions reach a half.
-        thin: what `unjudged` found, where it is known already; ``solid`` is then taken as `joined`.
-        samples: points on each surface for the mean, RMS, 95 % and walls.
-
-    Raises:
-        BadInput, ShapeMismatch: a value is none of these.
-        EmptyMesh: no fraction exceeds a half, and there is no mesh.
-        NotWatertight, MeshError: the mesh does not close.
-    """
+    """Compare the surface at which a dose reaches the threshold with a part."""
+    # Distances are those between the triangles of both surfaces, no sample of them. Bodies, holes and cavities are
+    # those of voxels of the dose's grid: what is thinner than these is not compared, and `unjudged` tells of what is
+    # thinner than the part's.
+    # dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
@@ -225,7 +201,3 @@ def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) ->
             side = side[high[side] >= low[side].max()]
             chosen.append(side[np.argsort(-high[side], kind="stable")[:_CANDIDATES]])
     return points[np.concatenate(chosen)]
-
-
-def _um(length: float, sign: str = "") -> str:
-    return "none" if isnan(length) else f"{1e3 * length:{sign}.3g} µm"

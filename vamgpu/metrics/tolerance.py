@@ -17,7 +17,8 @@ import numpy.typing as npt
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts, positive
-from vamgpu.metrics.depth import signed_depth
+from vamgpu.metrics.depth import signed_depth, surrounded
+from vamgpu.metrics.interpolation import interpolated
 
 Array = npt.NDArray[np.floating]
 Depth = Callable[[Array, Array, Array], Array]
@@ -28,7 +29,7 @@ WIDEST = 2.0
 BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
 SLICES = 32
-"""Of a slab that are judged at once: what is at work beside the dose itself stays small."""
+"""Slices that are judged at once: memory beside the dose itself stays small."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""
 
@@ -56,23 +57,13 @@ class Part(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ToleranceWindow:
-    """The process window over the tolerance.
+    """The process window over the tolerance."""
 
-    Args:
-        voxel: edge of the part's own voxels [mm].
-        distance: the tolerances [mm], from 0 to two voxels, even steps.
-        least_in: least dose at least that deep in the part; infinite where no voxel is.
-        greatest_out: greatest dose at least that far outside; 0 where no voxel is.
-        judged: share of the part's volume that is at least that deep, 0..1.
-        peak: greatest dose of all.
-    """
-
-    voxel: float
-    distance: Array
-    least_in: Array
-    greatest_out: Array
-    judged: Array
-    peak: float
+    distance: Array  # the tolerances [mm], from 0 to two voxels or farther, even steps
+    least_in: Array  # least dose at least that deep in the part; infinite where no voxel is
+    greatest_out: Array  # greatest dose at least that far outside; 0 where no voxel is
+    judged: Array  # share of the part's volume that is at least that deep, 0..1
+    peak: float  # greatest dose of all
 
     @property
     def window(self) -> Array:
@@ -80,42 +71,40 @@ class ToleranceWindow:
         least = np.where(np.isfinite(self.least_in), self.least_in, np.nan)
         return (least - self.greatest_out) / (self.peak or 1.0)
 
-    @property
-    def half_voxel(self) -> float:
-        """W at half a voxel; NaN where the part is nowhere as thick as one voxel."""
-        return self.at(0.5 * self.voxel)
-
     def at(self, distance: float) -> float:
-        """W at a tolerance [mm], at the next smaller step of the curve. Raises `BadInput` beyond two voxels."""
+        """W at a tolerance [mm], at the next smaller step of the curve. Raises `BadInput` beyond the last."""
         return float(self.window[self._step(distance)])
 
+    def limits(self, distance: float) -> tuple[float, float]:
+        """Least dose in the part and greatest outside at a tolerance [mm]. Raises `BadInput` beyond the last."""
+        # Of a part that is nowhere so deep, the least dose is that of its deepest voxels.
+        step, deepest = self._step(distance), int(np.flatnonzero(self.judged)[-1])
+        return float(self.least_in[min(step, deepest)]), float(self.greatest_out[step])
+
     def judged_at(self, distance: float) -> float:
-        """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond two voxels."""
+        """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond the last."""
         return float(self.judged[self._step(distance)])
 
     def _step(self, distance: float) -> int:
         last = float(self.distance[-1])
         if not 0.0 <= distance <= last * (1.0 + 1e-9):
-            raise BadInput(f"the tolerance is {distance!r} mm; expected 0..{last:g} mm, {WIDEST:g} voxels")
+            raise BadInput(f"the tolerance is {distance!r} mm; expected 0..{last:g} mm")
         return int(distance / last * (len(self.distance) - 1) + 1e-6)
 
 
 def tolerance_window(
-    slabs: Iterable[Slab], depth: Depth, voxel: float, *, radius: float | None = None, bins: int = BINS
+    slabs: Iterable[Slab],
+    depth: Depth,
+    voxel: float,
+    *,
+    radius: float | None = None,
+    bins: int = BINS,
+    reach: float | None = None,
 ) -> ToleranceWindow:
-    """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices.
-
-    Args:
-        slabs: the dose, every voxel once.
-        depth: of a point in the part, e.g. `depth_of_fractions` or `depth_of_target`.
-        voxel: edge of the part's own voxels [mm], which tolerances are counted in.
-        radius: of the judged cylinder about the axis [mm]; everything by default.
-        bins: steps of the curve.
-
-    Raises:
-        BadInput: no voxel of the part is among the slabs, a dose is not finite, or a value is out of its range.
-    """
-    tally = _Tally(positive("voxel [mm]", voxel), counts("bins", (bins,), 1)[0])
+    """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices."""
+    # voxel [mm]; radius [mm]; reach [mm]
+    reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
+    tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
@@ -130,8 +119,8 @@ def tolerance_window(
 class _Tally:
     """Least and greatest doses by distance from the surface, over all slabs so far."""
 
-    def __init__(self, voxel: float, bins: int) -> None:
-        self.voxel, self.width, self.bins = voxel, WIDEST * voxel / bins, bins
+    def __init__(self, voxel: float, reach: float, bins: int) -> None:
+        self.voxel, self.width, self.bins = voxel, reach / bins, bins
         self.least = np.full(bins + 1, np.inf)
         self.greatest = np.full(bins + 1, -np.inf)
         self.count = np.zeros(bins + 1, np.int64)
@@ -164,7 +153,6 @@ class _Tally:
             raise BadInput("no voxel of the part is among the slabs; expected a dose of the resin that holds the part")
         deeper = np.cumsum(self.count[::-1])[::-1]
         return ToleranceWindow(
-            voxel=self.voxel,
             distance=np.arange(self.bins + 1) * self.width,
             least_in=np.minimum.accumulate(self.least[::-1])[::-1],
             greatest_out=np.maximum(np.maximum.accumulate(self.greatest[::-1])[::-1], 0.0),
@@ -174,15 +162,10 @@ class _Tally:
 
 
 # ---- where the surface is -------------------------------------------------------------------------------------------
-def depth_of_target(target: Part, pitch: float, voxel: float) -> Depth:
-    """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked.
-
-    Args:
-        target: the part; one that keeps its solid is voxelized again, so that what a voxel hides is seen.
-        pitch: distance of the positions that will be asked for [mm], the same along all axes.
-        voxel: edge of the part's own voxels [mm]; depths are exact up to two of them.
-    """
-    reach = WIDEST * voxel / pitch + 0.5
+def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | None = None) -> Depth:
+    """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked."""
+    # pitch [mm]; voxel [mm]; reach [mm]
+    reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
     halo = ceil(reach) + 2
 
     def depth(x: Array, y: Array, z: Array) -> Array:
@@ -198,38 +181,17 @@ def _middle(axis: Array) -> float:
     return 0.5 * (float(axis[0]) + float(axis[-1]))
 
 
-def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False) -> Depth:
-    """Depths from the fractions of the part's own voxels, interpolated linearly between their centers.
-
-    Midway between two surfaces that is up to half a voxel less than the true depth.
-
-    Args:
-        fraction: filled part of every voxel of ``grid`` [x, y, z].
-        grid: the part's own voxels; outside of them there is nothing of the part.
-        flat: whether the part goes on above and below the grid as it ends there, without a surface.
-    """
-    reach = WIDEST + 1.0
+def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False, reach: float | None = None) -> Depth:
+    """Depths from the fractions of the part's own voxels, interpolated linearly between their centers."""
+    # Midway between two surfaces that is up to half a voxel less than the true depth.
+    # fraction [x, y, z]; reach [mm]
+    reach = (WIDEST if reach is None else reach / grid.pitch) + 1.0
     margin = ceil(reach) + 1
-    beside = np.pad(np.asarray(fraction, np.float32), ((margin, margin), (margin, margin), (0, 0)))
-    around = np.pad(beside, ((0, 0), (0, 0), (margin, margin)), mode="edge" if flat else "constant")
+    around = surrounded(np.asarray(fraction, np.float32), margin, flat)
     known = signed_depth(around, reach) * np.float32(grid.pitch)
     first = [axis[0] - margin * grid.pitch for axis in grid.axes()]
 
     def depth(x: Array, y: Array, z: Array) -> Array:
-        found = known
-        for axis, points in ((2, z), (1, y), (0, x)):
-            found = _along(found, (np.asarray(points) - first[axis]) / grid.pitch, axis)
-        return found
+        return interpolated(known, [(axis - start) / grid.pitch for axis, start in zip((x, y, z), first, strict=True)])
 
     return depth
-
-
-def _along(values: Array, at: Array, axis: int) -> Array:
-    """Values between samples along an axis, linearly; those at the ends beyond them."""
-    at = np.clip(at, 0.0, values.shape[axis] - 1.0)
-    low = np.minimum(at.astype(np.int64), max(values.shape[axis] - 2, 0))
-    high = np.minimum(low + 1, values.shape[axis] - 1)
-    shape = [1, 1, 1]
-    shape[axis] = len(at)
-    part = (at - low).astype(np.float32).reshape(shape)
-    return values.take(low, axis) * (1 - part) + values.take(high, axis) * part

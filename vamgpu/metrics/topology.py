@@ -18,23 +18,15 @@ _SLAB = 32
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """What a volume of voxels is made of.
+    """Bodies, holes and cavities of a volume of voxels."""
 
-    Voxels of one body share faces; voxels of one cavity share a face, an edge or a corner.
+    # Voxels of one body share faces; voxels of one cavity share a face, an edge or a corner.
 
-    Attributes:
-        body: number of each voxel's body, int32 [x, y, z], 1, 2, …; 0 in the void.
-        cavity: number of each voxel's cavity, int32 [x, y, z], 1, 2, …; 0 in bodies and in the void around them.
-        size: voxels of each body, int64 (bodies,).
-        holes: through holes of each body (its first Betti number), int64 (bodies,): a ring has one.
-        cavity_size: voxels of each cavity, int64 (cavities,).
-    """
-
-    body: Labels
-    cavity: Labels
-    size: npt.NDArray[np.int64]
-    holes: npt.NDArray[np.int64]
-    cavity_size: npt.NDArray[np.int64]
+    body: Labels  # number of each voxel's body, int32 [x, y, z], 1, 2, …; 0 in the void
+    cavity: Labels  # number of each voxel's cavity, int32 [x, y, z], 1, 2, …; 0 in bodies and in the void around them
+    size: npt.NDArray[np.int64]  # voxels of each body, int64 (bodies,)
+    holes: npt.NDArray[np.int64]  # through holes of each body (its first Betti number), int64 (bodies,): a ring has one
+    cavity_size: npt.NDArray[np.int64]  # voxels of each cavity, int64 (cavities,)
 
     @property
     def bodies(self) -> int:
@@ -48,12 +40,10 @@ class Topology:
 
 
 def topology(mask: Mask) -> Topology:
-    """Label a volume [x, y, z] and count its holes.
-
-    Holes follow from the Euler characteristic of each body: holes = 1 + cavities − (corners − edges + faces − cubes)
-    of the complex whose corners are the voxels (T. Y. Kong and A. Rosenfeld, Digital topology, Comput. Vis. Graph.
-    Image Process. 48 (1989) 357).
-    """
+    """Label a volume [x, y, z] and count its holes."""
+    # Holes follow from the Euler characteristic of each body: holes = 1 + cavities − (corners − edges + faces − cubes)
+    # of the complex whose corners are the voxels (T. Y. Kong and A. Rosenfeld, Digital topology, Comput. Vis. Graph.
+    # Image Process. 48 (1989) 357).
     from scipy.ndimage import label
 
     found: Any = label(mask)

@@ -18,6 +18,8 @@ _ROUGH = 0.01
 """Share of a distance that a quick search may be wrong by: at a ball's center all pieces are about equally near, and
 an exact one would visit each."""
 _LEAF = 32
+_PARTS = 16
+"""Into which a segment is cut, at most."""
 _BATCH = 1 << 18
 """Pairs of a point and a piece held in memory at once."""
 _PIECES = 100_000
@@ -25,17 +27,13 @@ _PIECES = 100_000
 
 
 class TriangleSearch:
-    """Search over triangles that need not close; build once, ask often.
+    """Search over triangles that need not close; build once, ask often."""
 
-    Args:
-        corners: (m, 3, 3) [mm]; triangles without area are left out.
-        longest: triangles with shorter edges [mm] need not be cut; small parts would be cut into dust otherwise.
-
-    Attributes:
-        kept: which of the triangles have an area, boolean (m,).
-        corners: of those, (k, 3, 3) [mm].
-        reach: a piece of a triangle reaches no farther from its middle [mm].
-    """
+    # corners: (m, 3, 3) [mm]; triangles without area are left out.
+    # longest: triangles with shorter edges [mm] need not be cut; small parts would be cut into dust otherwise.
+    # kept: which of the triangles have an area, boolean (m,).
+    # corners: of those, (k, 3, 3) [mm].
+    # reach: a piece of a triangle reaches no farther from its middle [mm].
 
     def __init__(self, corners: Array, longest: float = 0.0) -> None:
         from scipy.spatial import KDTree
@@ -50,17 +48,8 @@ class TriangleSearch:
         self._tree = KDTree(self._middles, leafsize=_LEAF)
 
     def __call__(self, points: Array, *, exact: bool = True, most: int | None = None) -> tuple[Array, Array, Indices]:
-        """Nearest points of the triangles.
-
-        Args:
-            points: (n, 3) [mm].
-            exact: False looks at a few pieces of each point's neighborhood only, which is faster and almost right.
-            most: pieces looked at for one point, at most; all by default. Points about as far from all of a surface,
-                such as the center of a ball, would otherwise ask for all of it.
-
-        Returns:
-            Distance [mm] (n,), barycentric weights (n, 3) of the nearest point, and its triangle (n,) in `corners`.
-        """
+        """Nearest points of the triangles."""
+        # points (n, 3) [mm]; returns [mm] (n,) (n, 3)
         best, weight = np.full(len(points), np.inf), np.zeros((len(points), 3))
         face = np.zeros(len(points), np.int64)
         open_points, count = np.arange(len(points)), _FIRST
@@ -89,11 +78,16 @@ class TriangleSearch:
 
     def near_segments(self, starts: Array, ends: Array) -> tuple[Indices, Indices]:
         """Triangles that may meet straight segments between points (n, 3) [mm]: pairs of a segment and a triangle."""
-        middle = 0.5 * (starts + ends)
-        around = 0.5 * _length(ends - starts) + self.reach
-        found: Any = self._tree.query_ball_point(middle, around)
+        # A pair may come several times: balls about short parts of a segment hold fewer triangles than one about it
+        # all.
+        length = _length(ends - starts)
+        parts = int(np.clip(length.max(initial=0.0) / (4.0 * self.reach), 1, _PARTS))
+        share = (np.arange(parts) + 0.5) / parts
+        middle = (starts[:, None] + share[:, None] * (ends - starts)[:, None]).reshape(-1, 3)
+        around = np.repeat(0.5 * length / parts + self.reach, parts)
+        found: Any = self._tree.query_ball_point(middle, around, workers=-1)
         number = np.array([len(some) for some in found])
-        segment = np.repeat(np.arange(len(starts)), number)
+        segment = np.repeat(np.repeat(np.arange(len(starts)), parts), number)
         piece = np.concatenate([np.asarray(some, np.int64) for some in found])
         if not piece.size:
             return segment, piece
@@ -128,10 +122,8 @@ class TriangleSearch:
 
 
 def barycentric(points: Array, corners: Array) -> Array:
-    """Weights (n, 3) of the corners (n, 3, 3) of each triangle that make its point nearest to each point (n, 3).
-
-    On an edge one weight, at a corner two are exactly 0.
-    """
+    """Weights (n, 3) of the corners (n, 3, 3) of each triangle that make its point nearest to each point (n, 3)."""
+    # On an edge one weight, at a corner two are exactly 0.
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     area = np.einsum("ni,ni->n", normal, normal)

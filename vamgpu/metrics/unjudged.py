@@ -28,18 +28,12 @@ _SMALLEST = 0.5
 
 @dataclass(frozen=True)
 class ThinRegion:
-    """A connected part of the target that its voxels do not show.
-
-    Attributes:
-        low, high: corners of the box around it [mm].
-        volume: what fills its voxels [mm³].
-        thickness: its greatest wall thickness [mm]; None where voxels alone, no mesh, tell of it.
-    """
+    """A connected part of the target that its voxels do not show."""
 
     low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    volume: float
-    thickness: float | None
+    high: tuple[float, float, float]  # corners of the box around it [mm]
+    volume: float  # what fills its voxels [mm³]
+    thickness: float | None  # its greatest wall thickness [mm]; None where voxels alone, no mesh, tell of it
 
     @property
     def center(self) -> tuple[float, float, float]:
@@ -50,22 +44,17 @@ class ThinRegion:
 
 @dataclass(frozen=True)
 class Unjudged:
-    """All that is too thin to be judged on a grid, the largest region first; false where there is none.
-
-    Attributes:
-        regions: what was found.
-        pitch: of the grid [mm].
-    """
+    """All that is too thin to be judged on a grid, the largest region first; false where there is none."""
 
     regions: tuple[ThinRegion, ...]
-    pitch: float
+    pitch: float  # of the grid [mm]
 
     def __bool__(self) -> bool:
         return bool(self.regions)
 
     @property
     def volume(self) -> float:
-        """Of all regions [mm³]."""
+        """Volume of all regions [mm³]."""
         return sum(region.volume for region in self.regions)
 
     @property
@@ -75,6 +64,10 @@ class Unjudged:
 
     def reason(self) -> str:
         """One sentence: what was not judged, where, and what to do; empty where everything was."""
+        return f"{self.found()} and could not be judged; use smaller voxels or thicker walls" if self.regions else ""
+
+    def found(self) -> str:
+        """Features that were not judged, and where; empty where there are none."""
         if not self.regions:
             return ""
         first = self.regions[0]
@@ -83,26 +76,17 @@ class Unjudged:
         number = f"{len(self.regions)} part{'s' if len(self.regions) > 1 else ''} of the target"
         return (
             f"{number} ({self.volume:.3g} mm³{thick}; the largest about ({where}) mm) filled no voxel of "
-            f"{1e3 * self.pitch:.0f} µm to a half and could not be judged; use smaller voxels or thicker walls"
+            f"{1e3 * self.pitch:.0f} µm to a half"
         )
 
 
 def unjudged(fraction: npt.ArrayLike, grid: Grid, solid: Solid | None = None) -> Unjudged:
-    """Find what the voxels of a target do not show.
-
-    With a mesh: walls whose middle has no voxel of the part around it, because walls thinner than about a voxel fill
-    none to a half. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no neighbor in
-    the part, which thin walls leave behind in the fractions. A thin wall less than a voxel beside a thick one is found
-    by neither.
-
-    Args:
-        fraction: filled share [x, y, z] of the voxels, 0..1.
-        grid: where they lie.
-        solid: the mesh that they were made of, in the same place; best without overlapping bodies (`joined`).
-
-    Raises:
-        ShapeMismatch: the fractions are not on the grid.
-    """
+    """Find what the voxels of a target do not show."""
+    # With a mesh: walls whose middle has no voxel of the part around it, because walls thinner than about a voxel fill
+    # none to a half. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no neighbor
+    # in the part, which thin walls leave behind in the fractions. A thin wall less than a voxel beside a thick one is
+    # found by neither.
+    # fraction [x, y, z]
     part = np.asarray(fraction)
     if part.shape != grid.shape:
         raise ShapeMismatch(f"the fractions have shape {part.shape}, the grid {grid.shape}; expected the same")
@@ -175,11 +159,9 @@ def _in_voxels(part: np.ndarray, grid: Grid) -> list[ThinRegion]:
 
 
 def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDArray[np.bool_]:
-    """Whether the voxel that each point lies in counts as in the part; ``around``: or any of its 26 neighbors.
-
-    The middle of an oblique wall, thick enough, may lie in the corner of a voxel that the wall misses; and the rim of
-    every wall ends between voxels.
-    """
+    """Whether the voxel that each point lies in counts as in the part; ``around``: or any of its 26 neighbors."""
+    # The middle of an oblique wall, thick enough, may lie in the corner of a voxel that the wall misses; and the rim of
+    # every wall ends between voxels.
     at = points / grid.pitch + 0.5 * np.asarray(grid.shape)
     shown = np.zeros(len(points), bool)
     for step in product((-1, 0, 1), repeat=3) if around else [(0, 0, 0)]:

@@ -1,4 +1,4 @@
-"""How thick the walls of a part are, at points of its surface."""
+"""Thickness of a part's walls at points of its surface."""
 
 from __future__ import annotations
 
@@ -19,32 +19,19 @@ _RIM = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The wall below each of some points of a part's surface.
+    """The wall below each of some points of a part's surface."""
 
-    Attributes:
-        is_wall: (n,) whether the part ends below the point, within the thickness that was looked for, at a side that
-            faces it.
-        thickness: (n,) [mm] along the normal; infinite where there is no wall.
-        center: (n, 3) [mm] halfway through the wall; the point itself where there is none.
-    """
-
+    # (n,) whether the part ends below the point, within the thickness that was looked for, at a side that faces it
     is_wall: npt.NDArray[np.bool_]
-    thickness: Array
-    center: Array
+    thickness: Array  # (n,) [mm] along the normal; infinite where there is no wall
+    center: Array  # (n, 3) [mm] halfway through the wall; the point itself where there is none
 
 
 def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float) -> Walls:
-    """Thickness of a part along the inward normals of its surface.
-
-    It is the shape diameter of L. Shapira, A. Shamir and D. Cohen-Or, Vis. Comput. 24 (2008) 249, by one ray. A ball
-    in place of it would call a square pin a corner, for it touches neighboring sides first.
-
-    Args:
-        surface: the part's triangles, wound outward, nothing left inside it.
-        points: (n, 3) [mm] on the surface.
-        normals: (n, 3) outward unit normals there.
-        widest: thickness [mm] up to which walls are looked for.
-    """
+    """Thickness of a part along the inward normals of its surface."""
+    # It is the shape diameter of L. Shapira, A. Shamir and D. Cohen-Or, Vis. Comput. 24 (2008) 249, by one ray. A ball
+    # in place of it would call a square pin a corner, for it touches neighboring sides first.
+    # points (n, 3) [mm]; normals (n, 3); widest [mm]
     thickness, facing = np.full(len(points), np.inf), np.zeros(len(points))
     for first in range(0, len(points), _RAYS):
         some = slice(first, first + _RAYS)
@@ -61,10 +48,8 @@ def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float)
 
 
 def _exits(start: Array, along: Array, corners: Array) -> tuple[Array, Array]:
-    """Length at which each ray leaves through its triangle, infinite where it does not, and the cosine to its normal.
-
-    By T. Möller and B. Trumbore, J. Graphics Tools 2 (1997) 21.
-    """
+    """Length at which each ray leaves through its triangle, else infinite, and the cosine to its normal."""
+    # By T. Möller and B. Trumbore, J. Graphics Tools 2 (1997) 21.
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, other)
     depth = np.einsum("ij,ij->i", along, normal)

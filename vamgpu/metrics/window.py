@@ -39,11 +39,9 @@ def windows(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> Windows:
 
 
 def quantiles(parts: Parts, voxels: tuple[int, int], share: float) -> tuple[float, float]:
-    """The ``share`` quantile in the part and the 1 − ``share`` quantile out of it, in units of the dose.
-
-    Both are doses of voxels, and of the two that a quantile lies between the worse one (NumPy's methods "lower" and
-    "higher").
-    """
+    """The ``share`` quantile in the part and the 1 − ``share`` quantile out of it, in units of the dose."""
+    # Both are doses of voxels, and of the two that a quantile lies between the worse one (NumPy's methods "lower" and
+    # "higher").
     value = order_statistic(parts, ranks(np.array([voxels]), share))
     outside = value[0, OUT] if voxels[OUT] else 0.0
     return float(value[0, IN]), float(outside)

@@ -17,11 +17,10 @@ CHUNK = 4
 
 @dataclass(frozen=True)
 class Bands:
-    """Runs of weights by row of the target, as `shift_window` takes them.
+    """Runs of weights by row of the target, as `shift_window` takes them."""
 
-    rows: (rows + 1,) first band of each.  bands: (bands, 4) source minor, first major, first chunk, count.
-    weights: (chunks, 4).  step, phases: sample m·phases + c of the target begins at m·step of the source.
-    """
+    # rows: (rows + 1,) first band of each.  bands: (bands, 4) source minor, first major, first chunk, count. weights:
+    # (chunks, 4).  step, phases: sample m·phases + c of the target begins at m·step of the source.
 
     rows: np.ndarray
     bands: np.ndarray
@@ -34,7 +33,7 @@ class Bands:
         cls, count: int, row: np.ndarray, minor: np.ndarray, major: np.ndarray, weight: np.ndarray,
         step: int = 1, phases: int = 1,
     ) -> Bands:  # fmt: skip
-        """From entries in any order: the weight of source sample (major, minor) in one of ``count`` rows."""
+        """Sort entries: the weight of source sample (major, minor) in one of ``count`` rows."""
         order = np.lexsort((major, minor, row))
         row, minor, major, weight = row[order], minor[order], major[order], weight[order]
         begins = np.ones(row.size, bool)
@@ -52,13 +51,13 @@ class Bands:
 
     @classmethod
     def forward(cls, light: Propagation, start: int, step: int) -> Bands:
-        """What each column of light gathers from the web: pose p reads column p·step + start + l."""
+        """Bands that columns of light gather: pose p reads column p·step + start + l."""
         column = light.l.astype(np.int64) + start
         return cls.gathered(light.shape[0], light.r, light.rho, column, light.weight, step=step)
 
     @classmethod
     def transposed(cls, light: Propagation, start: int, step: int) -> Bands:
-        """What each layer of the web gathers from the light: column m·step + c reads pose m − ⌊(start + l) / step⌋."""
+        """Bands that layers of the web gather: column m·step + c reads pose m − ⌊(start + l) / step⌋."""
         pose, phase = np.divmod(light.l.astype(np.int64) + start, step)
         row = phase * light.shape[1] + light.rho
         return cls.gathered(step * light.shape[1], row, light.r, -pose, light.weight, phases=step)

@@ -40,11 +40,7 @@ class Blur(LinearOperator):
 
 
 def gaussian(fwhm: float, width: float = 1.0) -> np.ndarray:
-    """One side of Gaussian taps that add up to one and make one pixel ``fwhm`` pixels wide at half its maximum.
-
-    That is the width of what voxels, ``width`` ≥ 1 pixels wide, see of the pixel: how they interpolate widens it too,
-    and where that alone is as much, nothing is left to blur.
-    """
+    """One side of Gaussian taps of sum one; voxels ``width`` ≥ 1 pixels wide see a pixel as wide as ``fwhm``."""
     reach = np.arange(3 + int(2.6 * fwhm))
     low, high = log(1e-3), log(0.2 * fwhm**2 + 0.5)
     if width_of(_taps(low, reach), width) >= fwhm:

@@ -14,7 +14,7 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import Space
 
 GEOMETRY = ("grid", "beam", "motion", "vessel")
-"""What else optimizers and reports ask of a projector."""
+"""Further attributes that optimizers and reports ask of a projector."""
 
 NO_FLOOR = -3e38
 

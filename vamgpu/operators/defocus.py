@@ -33,7 +33,7 @@ says; the gap grows with the square of the exponent."""
 
 @dataclass(frozen=True)
 class Defocus:
-    """How wide one pixel's light is at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
+    """The width of one pixel's light at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
 
     That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 wider than in focus. A
     projector's two numbers rarely agree with an ideal Gaussian; `quality` gives the difference.
@@ -120,7 +120,7 @@ class WeightedVessel(Vessel):
 
 
 def _depth(plane: Vessel, u: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """How far [mm] points lie downstream on their rays, counted from where a ray passes the axis."""
+    """Distance [mm] of points downstream on their rays, from where a ray passes the axis."""
     angle = plane.chords(u).angle
     return along * np.cos(angle) - across * np.sin(angle)
 

@@ -1,20 +1,18 @@
-"""What light has to be multiplied by to be energy."""
+"""The factor that makes light energy."""
 
 from __future__ import annotations
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.operators.projection import Projection
+from vamgpu.schema.quantities import Absorption, measured
 
 
-def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: float | None = None) -> float:
-    """pixel_area · dwell / voxel_volume: what Aᵀ(light) is to be multiplied by to be a dose in mJ/mm³.
-
-    dwell: exposure of an angle [s], the mean of all where they are lit for unequal times.  unit: irradiance in air
-    [mW/mm²] of one unit of light.  absorption: of the resin [1/mm], only where ``A`` absorbs no light: there Aᵀ(light)
-    is a fluence, of which thin resin absorbs that share per mm. Raises `BadInput` where nothing, or two things, say how
-    much is absorbed.
-    """
+def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: float | str | None = None) -> float:
+    """The factor pixel_area · dwell / voxel_volume that makes Aᵀ(light) a dose [mJ/mm³]. Raises `BadInput`."""
+    # dwell: mean exposure of an angle [s].  unit: irradiance in air [mW/mm²] of one unit of light.  absorption: of the
+    # resin [1/mm], only where A absorbs no light: Aᵀ(light) is a fluence then, of which thin resin absorbs that share
+    # per mm.
     factor = unit * A.beam.pixel_area * positive("dwell [s]", dwell) / A.grid.voxel_volume
     if absorbs(A):
         if absorption is not None:
@@ -25,7 +23,7 @@ def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: flo
             f"{A!r} absorbs no light, so nothing says how much energy the resin takes up; "
             "give absorption= [1/mm], or a vessel that absorbs"
         )
-    return factor * positive("absorption [1/mm]", absorption)
+    return factor * positive("absorption [1/mm]", measured("absorption", absorption, Absorption))
 
 
 def absorbs(A: Projection) -> bool:

@@ -10,17 +10,9 @@ from vamgpu.operators.web_motion import WebMotion
 
 
 class Dwell:
-    """Weights images [angle, r, z] by the time of their pose over the mean; does nothing where all are as long.
+    """Weights images [angle, r, z], of tile after tile, by the time of their pose over the mean."""
 
-    A projector A = D·P has rows P of light of every pose and D the times, so that light stays an irradiance, A.T(light)
-    adds up dose, and both are exact transposes: P's forward projection is followed by `weigh`, and its transpose takes
-    what `weighted` gives.
-
-    Args:
-        motion: the poses. An image for each, or as many for each as there are tiles, tile after tile. What is no
-            turntable, such as a web's `WebMotion`, lights all poses as long.
-        device: of the images.
-    """
+    # A = D·P: rows P of light of every pose, and the times D. `weigh` follows P, and Pᵀ takes what `weighted` gives.
 
     def __init__(self, motion: Turntable | WebMotion, device: Device) -> None:
         self._device = device

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
-from math import ceil, hypot, sqrt
+from math import ceil, hypot, inf, sqrt
 from typing import Any, final
 
 import numpy as np
@@ -20,48 +19,35 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
-from vamgpu.operators.ring_projection import RingProjection, against_rings, against_turns
+from vamgpu.operators.ring_projection import RingProjection, uneven_reason, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection, straight_passes
 
-AT_LEAST = 8
-"""Steps that are taken."""
 RIM = 0.1
-"""What voxels count that nobody judges."""
+"""Weight of the voxels outside the judged cylinder."""
 AT_ONCE = 32
 """Columns whose blur is computed at once."""
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """``base`` over the greatest that A Aᵀ makes of light, from the least on that is safe."""
-MOST, STEPS, SETTLED = 1.15, 40, 1e-3
-"""Times that light may become brighter, steps that the brightest is looked for at most, and growth of a step, a share,
-below which it counts as found."""
-EVEN = 1e-3
-"""Difference between rows up to which they count alike."""
-FAINT = 1e-8
-"""Share of what the most seen row shares, up to which a row lights nothing."""
+MOST, STEPS, SETTLED = 1.4, 40, 0.01
+"""Times that light may become brighter before ``base`` grows, steps that the brightest is looked for at most, and
+residual below which it counts as found."""
 DARK = 1e-6
 """Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
 
 
 @final
 class GramInverse:
-    """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned.
+    """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned."""
 
-    A Aᵀ exposes light and projects its dose, of which voxels beyond the judged cylinder count ``rim``. At even angles
-    it is, on rings, a matrix (columns × columns) for each angular frequency, of which this applies the inverses between
-    two Fourier transforms; it costs about as much as the products of one projection on rings. What rows of pixels share
-    along z counts by its greatest amount, and of several scenarios their sum does; where rows share less, `weigh_rows`
-    makes up for it. Voxels are no rings: what sharp or fine pixels tell apart is more than rings know of. So ``base``
-    grows until no light is made more than `MOST` times as bright as it was by what A Aᵀ + base and this make of it, as
-    far as power steps on two slices tell.
-
-    Args:
-        operator: For which `against_gram` has no reason.
-        reach: Radius of the judged cylinder, in voxels.
-        rim: What voxels beyond it count, a share.
-    """
+    # A Aᵀ counts voxels beyond ``reach`` [voxels] by ``rim``. At even angles it is a matrix (columns × columns) for
+    # each angular frequency, whose inverses stand between two Fourier transforms. Rows share light along z by the
+    # greatest amount. ``base`` grows until no light becomes more than
+    # `MOST` times as bright by (A Aᵀ + base) and its inverse, and steps go ``pace`` as far: Lanczos' bound from above,
+    # on two slices.
 
     base: float
+    pace: float
     device: Device
 
     def __init__(self, operator: Any, reach: float, rim: float = RIM) -> None:
@@ -72,32 +58,29 @@ class GramInverse:
         wide = -(-columns // ROWS) * ROWS
         self._there = straight_passes(self.device, angles, columns)
         self._back = straight_passes(self.device, angles, columns, wide)
-        self._weights = _row_weights(members)
         thin, greatest = _Thin(members, reach, rim), float(np.linalg.norm(blur[0], 2))
         self._take_room((angles, columns, 2), wide)
+        most = inf
         for share in SHARES:
             self.base = share * greatest
             self._entries = _table(self.device, _inverses(blur, self.base) / np.float32(angles), wide)
-            if thin.most(self) <= MOST:
+            most = thin.most(self)
+            if most <= MOST:
                 break
+        self.pace = 1.0 / max(most, 1.0)
         self._take_room((angles, columns, rows), wide)
-        self._shape = (angles, columns, rows)
 
-    def weigh_rows(self, light: DeviceArray) -> None:
-        """Multiply rows of projected dose by the greatest that rows share over what each does, in place.
-
-        Applied to that, the inverse is the one for a ``base`` divided by as much: rows that light the last slices, or
-        those by no more than a tail of the point spread, then move as far as others.
-
-        Args:
-            light: [angle, r, z].
-        """
-        if np.ptp(self._weights) > EVEN:
-            self.device.launch(multiply, x=light, y=self._rows, out=light)
-
-    @cached_property
-    def _rows(self) -> DeviceArray:
-        return self.device.upload(np.broadcast_to(self._weights, self._shape).astype(np.float32))
+    @staticmethod
+    def unsupported_reason(operator: Any) -> str:
+        """Why there is no inverse of a projector, or of scenarios of some; empty where there is one."""
+        for each in operator.operators if isinstance(operator, Scenarios) else (operator,):
+            if isinstance(each, RingProjection):
+                continue
+            if not isinstance(each, Projection) or each.footprint != "exact":
+                return unsupported_reason(each)
+            if why := uneven_reason(each.motion):
+                return why
+        return ""
 
     def _take_room(self, light: tuple[int, int, int], wide: int) -> None:
         """Fields to work in for light of a shape."""
@@ -108,12 +91,7 @@ class GramInverse:
         self._held, self._wide = empty(even), empty((angles, wide, deep))
 
     def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
-        """Apply it.
-
-        Args:
-            light: [angle, r, z]; an odd number of rows is filled up with a dark one.
-            out: Takes the result; may be ``light``.
-        """
+        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. An odd number of rows gets a dark one."""
         launch, even = self.device.launch, self._even
         source, sink = even or (light, out)
         if even is not None:
@@ -124,26 +102,6 @@ class GramInverse:
         self._back.run(1.0, self._wide, lambda number: (self._held, sink)[(number + last) % 2], last=sink)
         if even is not None:
             launch(copy_slices, source=sink, first=0, lanes=sink, field=out)
-
-
-def against_gram(operator: Any) -> str:
-    """Why there is no `GramInverse` of an operator.
-
-    Args:
-        operator: The projector, or scenarios of some.
-
-    Returns:
-        The reason; empty where there is one.
-    """
-    members = operator.operators if isinstance(operator, Scenarios) else (operator,)
-    for each in members:
-        if isinstance(each, RingProjection):
-            continue
-        if not isinstance(each, Projection) or each.footprint != "exact":
-            return against_rings(each)
-        if why := against_turns(each.motion):
-            return why
-    return ""
 
 
 def _members(operator: Any) -> list[tuple[float, Any]]:
@@ -166,7 +124,7 @@ def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np
     columns = beam.pixels[0]
     rings = _rings(grid, angles)
     shape = replace(beam, pixels=(columns, 2 * AT_ONCE))
-    pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch)
+    pose = SpectralProjection(rings, shape, operator.vessel, operator.device, square=grid.pitch, motion=operator.motion)
     device, entries = pose.device, pose._entries
     counted = device.upload(np.broadcast_to(_counted(rings, reach, rim)[:, None], rings.shape).astype(np.float32))
     spectrum = device.empty(rings.shape)
@@ -189,13 +147,6 @@ def _shared(operator: Projection | RingProjection) -> float:
     return float(np.linalg.norm(operator.row_weights, 2)) ** 2
 
 
-def _row_weights(members: list[tuple[float, Any]]) -> np.ndarray:
-    """The greatest that rows share over what each does, (rows,); 0 for rows that light nothing."""
-    shared = sum(weight * _shared(each) for weight, each in members)
-    own = np.sum([weight * (each.row_weights.T @ each.row_weights).sum(axis=1) for weight, each in members], axis=0)
-    return np.where(own > FAINT * own.max(), shared / np.maximum(own, FAINT * own.max()), 0.0)
-
-
 class _Thin:
     """A Aᵀ on two slices; what rows share along z is as of the whole."""
 
@@ -211,27 +162,36 @@ class _Thin:
         self._counted = first.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
-        """Times that what A Aᵀ + base and its inverse make of a light is as bright as that, at most."""
-        thin = self._members[0][1]
-        device = thin.device
-        light, dose, part, blurred = (
-            device.empty(space.shape) for space in (thin.range, thin.domain, thin.range, thin.range)
-        )
-        found = device.upload(np.random.default_rng(0).standard_normal(light.shape).astype(np.float32))
-        grown = 1.0
+        """Lanczos' bound, residual included, on how many times as bright (A Aᵀ + base) · inverse makes a light."""
+        thin, device = self._members[0][1], self._members[0][1].device
+        ahead, light, blurred, part = (device.empty(thin.range.shape) for _ in range(4))
+        before = device.upload(np.zeros(thin.range.shape, np.float32))
+        held = device.upload(np.random.default_rng(0).standard_normal(before.shape).astype(np.float32))
+        dose, own, beside, bound = device.empty(thin.domain.shape), [], [0.0], 0.0
         for step in range(STEPS):
-            combine(1.0 / sqrt(dot(found, found)), found, 0.0, found, light)
-            combine(inverse.base if step else 0.0, light, 0.0, light, blurred)  # what makes no dose is left behind
+            inverse(held, light)
+            beside[-1] = sqrt(max(dot(held, light), 1e-30))
+            combine(1.0 / beside[-1], light, 0.0, light, light)
+            combine(inverse.base, light, 0.0, light, blurred)
             for weight, each in self._members:
                 each.T(light, out=dose)
                 device.launch(multiply, x=dose, y=self._counted, out=dose)
                 each(dose, out=part)
                 combine(1.0, blurred, weight, part, blurred)
-            inverse(blurred, found)
-            before, grown = grown, sqrt(dot(found, found))
-            if grown > MOST or (step >= AT_LEAST and grown - before < SETTLED * grown):
+            combine(1.0 / beside[-1], held, 0.0, held, held)
+            own.append(dot(blurred, light))
+            combine(1.0, blurred, -own[-1], held, blurred)
+            combine(1.0, blurred, -beside[-1] * (step > 0), before, blurred)
+            before, held, blurred = held, blurred, before
+            inverse(held, ahead)
+            left = sqrt(max(dot(held, ahead), 0.0))
+            values, vectors = np.linalg.eigh(np.diag(own) + np.diag(beside[1:], 1) + np.diag(beside[1:], -1))
+            rest = left * abs(vectors[-1, -1])
+            bound = float(values[-1] + rest)
+            if values[-1] > MOST or rest < SETTLED:
                 break
-        return grown
+            beside.append(left)
+        return bound
 
 
 def _rings(grid: Grid, angles: int) -> PolarGrid:
@@ -241,8 +201,8 @@ def _rings(grid: Grid, angles: int) -> PolarGrid:
 
 
 def _counted(rings: PolarGrid, reach: float, rim: float) -> np.ndarray:
-    """What a cell counts: its area in voxels, times the samples of its ring, which its transforms leave out."""
-    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.belts])
+    """Weight of a cell: its area in voxels, times the samples of its ring, which its transforms leave out."""
+    samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.bands])
     return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, rim)
 
 

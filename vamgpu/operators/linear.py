@@ -1,11 +1,12 @@
-"""What every linear operator is: two spaces, a device, an action and its exact transpose."""
+"""Linear operators: two spaces, a device, an action and its exact transpose."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from inspect import signature
 from math import isfinite, prod
 from numbers import Real
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.operators.space import Space, require
+from vamgpu.schema.noun import GIVEN, given
+from vamgpu.schema.registry import name_of
 
 
 class LinearOperator(ABC):
@@ -30,6 +33,8 @@ class LinearOperator(ABC):
     range: Space
     device: Device
     _transpose: LinearOperator | None = None
+    _made: tuple[Any, ...] | None = None
+    """A function and arguments that make it of another operator; None for one of its own constructor."""
 
     @abstractmethod
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
@@ -80,6 +85,25 @@ class LinearOperator(ABC):
         if not isinstance(x, np.ndarray) or out is not None:
             return target
         return _halved(target.numpy()) if x.dtype == np.float16 else target.numpy()
+
+    # ---- copies ------------------------------------------------------------------------------------------------
+    def __copy__(self) -> Self:
+        """One that shares its tables, but no transpose."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), _transpose=None)
+        return other
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the constructor's arguments, where the registry or ``described`` tells them; else the state."""
+        if self._made is not None:
+            return self._made
+        cls = type(self)
+        if hasattr(self, "described") or name_of(cls) is not None:
+            return _built, (
+                cls,
+                given(self) | {name: self.device for name in GIVEN if name in signature(cls).parameters},
+            )
+        return object.__new__, (cls,), vars(self) | {"_transpose": None}
 
     # ---- as a matrix -------------------------------------------------------------------------------------------
     @property
@@ -228,11 +252,18 @@ class Transposed(LinearOperator):
         self._operator = self._transpose = operator
         self.domain, self.range, self.device = operator.range, operator.domain, operator.device
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return getattr, (self._operator, "T")
+
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         self._operator.transposed(x, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
         self._operator.forward(y, out)
+
+
+def _built(cls: type[Any], fields: dict[str, Any]) -> Any:
+    return cls(**fields)
 
 
 def _halved(values: np.ndarray) -> np.ndarray:

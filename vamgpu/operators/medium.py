@@ -1,4 +1,4 @@
-"""What turns with the resin: an index of refraction, an extinction, opaque inserts."""
+"""The medium that turns with the resin: an index of refraction, an extinction, opaque inserts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vamgpu.geometry import Grid, positive
 from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
 
 FILLED = 2.0 * DARK
-"""How many of `WHOLE` a voxel that is all insert counts where shares are given: its surface then lies where they pass
+"""Parts of `WHOLE` that a voxel full of insert counts, where shares are given: its surface then lies where they pass
 0.45, and walls one voxel thick still stop all light."""
 FINE = 2.0**17
 """Steps of extinction in inserts, which float32 holds beside the share."""
@@ -90,7 +90,7 @@ class CoRotatingMedium:
 
     @property
     def _stands(self) -> np.ndarray:
-        """How much of each voxel is insert, whole numbers to `WHOLE`."""
+        """Share of each voxel that is insert, whole numbers to `WHOLE`."""
         opaque = np.asarray(self.opaque)
         return opaque * WHOLE if opaque.dtype == bool else np.rint(opaque * FILLED)
 

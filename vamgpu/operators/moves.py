@@ -22,11 +22,10 @@ from vamgpu.schema.quantities import Count, Place
 
 
 class Shift:
-    """Moves images by parts of a pixel, there and back; between pixels it interpolates linearly.
+    """Moves images by parts of a pixel, there and back, by linear interpolation."""
 
-    moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
-    middle.  source, moved: shapes (columns, rows) of the images.
-    """
+    # moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
+    # middle.  source, moved: shapes (columns, rows) of the images.
 
     def __init__(self, device: Device, moves: np.ndarray, source: tuple[int, int], moved: tuple[int, int]) -> None:
         start = moves + 0.5 * (np.array(source) - 1) - 0.5 * (np.array(moved) - 1)
@@ -169,7 +168,7 @@ class Tiles(Derived):
         return f"Tiles({self.operator!r}, rows={self.range.beam.pixels[1]}, centers={self.centers.tolist()})"
 
     def described(self) -> dict[str, Any]:
-        """What the constructor would be given.
+        """Describe the constructor's arguments.
 
         Returns:
             Its arguments by name.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import groupby
 from math import ceil, pi
+from typing import Protocol
 
 import numpy as np
 
@@ -27,11 +28,10 @@ ALIKE = 1e-5
 
 
 @dataclass(frozen=True)
-class Belt:
-    """Neighboring rings of equally many cells.
+class RingBand:
+    """Neighboring rings of equally many cells."""
 
-    begin, stop: of the rings.  cell: first of its cells of a turn.  samples: of a ring between two angles.
-    """
+    # begin, stop: of the rings.  cell: first of its cells of a turn.  samples: of a ring between two angles.
 
     begin: int
     stop: int
@@ -43,7 +43,7 @@ class Belt:
         return self.stop - self.begin
 
     @property
-    def tiles(self) -> list[Belt]:
+    def tiles(self) -> list[RingBand]:
         """Every `ROWS` of its rings."""
         return [replace(self, begin=ring, stop=ring + ROWS) for ring in range(self.begin, self.stop, ROWS)]
 
@@ -54,7 +54,7 @@ class PolarGrid:
 
     Each ring has a whole number of cells between two angles of the turntable, so that turning it by one of them maps
     the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at
-    ``[t, belt.cell + q · belt.rings + j − belt.begin]``.
+    ``[t, band.cell + q · band.rings + j − band.begin]``.
 
     Args:
         rings: Rings, a multiple of eight.
@@ -86,20 +86,24 @@ class PolarGrid:
             raise BadInput(f"PolarGrid slices is {self.slices}; expected an even number: take {self.slices + 1}")
 
     @cached_property
-    def belts(self) -> tuple[Belt, ...]:
+    def bands(self) -> tuple[RingBand, ...]:
         """Rings of equally many cells, from the axis outward."""
-        found: list[Belt] = []
+        found: list[RingBand] = []
         firsts = range(0, self.rings, ROWS)
-        for samples, those in groupby(firsts, lambda first: ceil(2.0 * pi * (first + ROWS) / self.angles - 1e-9)):
+        for samples, those in groupby(firsts, self._samples):
             blocks = list(those)
             cell = found[-1].cell + found[-1].rings * found[-1].samples if found else 0
-            found.append(Belt(blocks[0], blocks[-1] + ROWS, cell, samples))
+            found.append(RingBand(blocks[0], blocks[-1] + ROWS, cell, samples))
         return tuple(found)
+
+    def _samples(self, first: int) -> int:
+        """Cells between two angles of the `ROWS` rings from one on."""
+        return ceil(2.0 * pi * (first + ROWS) / self.angles - 1e-9)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Angles, cells between two of them, slices."""
-        last = self.belts[-1]
+        last = self.bands[-1]
         return (self.angles, last.cell + last.rings * last.samples, self.slices)
 
     @cached_property
@@ -110,17 +114,17 @@ class PolarGrid:
             Distance from the axis (cells,) [mm] and angle φ (angles, cells) [rad].
         """
         radius, turn = [], []
-        for belt in self.belts:
-            rings = np.arange(belt.begin, belt.stop) + 0.5
-            radius.append(np.tile(rings * self.pitch, belt.samples))
-            turn.append(np.repeat(np.arange(belt.samples) / belt.samples, belt.rings))
+        for band in self.bands:
+            rings = np.arange(band.begin, band.stop) + 0.5
+            radius.append(np.tile(rings * self.pitch, band.samples))
+            turn.append(np.repeat(np.arange(band.samples) / band.samples, band.rings))
         start = np.arange(self.angles)[:, None]
         return np.concatenate(radius), FULL_TURN / self.angles * (start + np.concatenate(turn))
 
     @cached_property
     def areas(self) -> np.ndarray:
         """Area of each cell over that of a square of the pitch, (cells,)."""
-        samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.belts])
+        samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.bands])
         return 2.0 * pi * self.places[0] / self.pitch / samples
 
     @property
@@ -160,32 +164,36 @@ class PolarGrid:
 def pose_on_rings(
     grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None
 ) -> Iterator[np.ndarray]:  # fmt: skip
-    """What the columns of the pose at θ = 0 leave in each cell, belt by belt.
-
-    A cell is cut into parts that light sees as trapezoids, as it sees the voxels of a box; the dose is their mean.
-
-    Args:
-        grid: The cells.
-        beam: The columns.
-        vessel: Around them.
-        square: Side [mm] of squares about the middles of the cells that take their place; they face the axis.
-
-    Yields:
-        Mean over the cell of a column's light × pitch² / pixel pitch [mm], (rings, cells of a ring, columns); the side
-        of the squares is the pitch where there are some.
-    """
-    for belt in grid.belts:
-        found = np.zeros((belt.rings, grid.angles * belt.samples, beam.pixels[0]))
-        _footprints(grid, belt, beam, vessel, square).add(found, beam)
+    """Yield the light of each column in the cells of each band at θ = 0 [mm], (rings, cells of a ring, columns)."""
+    # Means over a cell × pitch² / pixel pitch; a cell is cut into parts that light sees as trapezoids. square: side
+    # [mm] of squares about the middles of the cells, facing the axis, that take the place of cells and pitch.
+    for band in grid.bands:
+        found = np.zeros((band.rings, grid.angles * band.samples, beam.pixels[0]))
+        _footprints(grid, band, beam, vessel, square).add(found, beam)
         yield found
+
+
+class PoseTile(Protocol):
+    """The light of one pose in `ROWS` rings."""
+
+    def is_mirrored(self, columns: int) -> bool:
+        """Whether cells on either side see columns on either side."""
+        ...
+
+    def last(self, beam: Beam) -> int:
+        """The last column that may light a cell; −1 where none does."""
+        ...
+
+    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
+        """Add shares of the columns from one on to cells, (rings, cells of a ring, columns)."""
+        ...
 
 
 @dataclass(frozen=True)
 class _Footprints:
-    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring).
+    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring)."""
 
-    column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].
-    """
+    # column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].
 
     column: np.ndarray
     strength: np.ndarray
@@ -232,13 +240,13 @@ class _Footprints:
 
 
 def _footprints(
-    grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, square: float | None, splines: bool = False
+    grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, square: float | None, splines: bool = False
 ) -> _Footprints:
-    """Of the parts of a belt's cells, or of squares in their place."""
+    """Trapezoids of the parts of a band's cells, or of squares in their place."""
     if square is not None:
-        return _in_squares(grid, belt, beam, vessel, square, splines)
-    count = PARTS * grid.angles * belt.samples
-    rho = (np.arange(PARTS * belt.rings) + 0.5)[:, None] / PARTS + belt.begin
+        return _in_squares(grid, band, beam, vessel, square, splines)
+    count = PARTS * grid.angles * band.samples
+    rho = (np.arange(PARTS * band.rings) + 0.5)[:, None] / PARTS + band.begin
     psi = FULL_TURN / count * (np.arange(count) - 0.5 * (PARTS - 1))
     across, along = rho * grid.pitch * np.sin(psi), -rho * grid.pitch * np.cos(psi)
     u, weight = vessel.illuminate(across, along)
@@ -250,13 +258,11 @@ def _footprints(
     return _Footprints(column, strength, a, b, PARTS)
 
 
-def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: float, splines: bool) -> _Footprints:
-    """Of squares about the middles of a belt's cells.
-
-    splines: whether rings beyond lit resin are to go on as the last one in it: splines overshoot where light ends.
-    """
-    count = grid.angles * belt.samples
-    rho = (np.arange(belt.begin, belt.stop) + 0.5)[:, None] * grid.pitch
+def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, side: float, splines: bool) -> _Footprints:
+    """Squares about the middles of a band's cells."""
+    # splines overshoot where light ends: with them, unlit outer rings repeat the last lit one.
+    count = grid.angles * band.samples
+    rho = (np.arange(band.begin, band.stop) + 0.5)[:, None] * grid.pitch
     lit = rho <= vessel.lit_radius
     if splines and 0.5 * grid.pitch <= vessel.lit_radius:
         rho = np.minimum(rho, (np.floor(vessel.lit_radius / grid.pitch - 0.5) + 0.5) * grid.pitch)
@@ -279,10 +285,7 @@ def _in_squares(grid: PolarGrid, belt: Belt, beam: Beam, vessel: Vessel, side: f
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries, tiles and what lights these, of `vamgpu.kernels.spectrum`.
-
-    greatest: than which no entry is.  mirrored: whether columns mirror each other.
-    """
+    """Entries, tiles and what lights these, as in `vamgpu.kernels.spectrum`; no entry exceeds ``greatest``."""
 
     entries: np.ndarray
     greatest: float
@@ -294,22 +297,24 @@ class RingTable:
 def ring_table(
     grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None, faint: float = 0.0,
     room: Callable[[tuple[int, ...]], np.ndarray] = partial(np.empty, dtype=np.float32), splines: bool = False,
+    arc: float = 0.0,
+    tiles_of_pose: Sequence[PoseTile] | None = None,
 ) -> RingTable:  # fmt: skip
-    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`.
-
-    faint: share of the greatest entry up to which those of a tile's outermost columns count as none.
-    splines: whether they are to give coefficients of `vamgpu.operators.ring_splines` in place of doses.
-    room: makes the array of the entries, which may be most of what memory holds.
-    """
+    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`."""
+    # faint: share of the greatest entry up to which those of a tile's outermost columns count as none.  splines:
+    # whether entries give coefficients of `ring_splines`, not doses.  room: allocates the entries.  arc: of the turn
+    # [rad] during which an angle is lit.  tiles_of_pose: what the pose leaves in every `ROWS` rings, where the vessel
+    # does not say it.
     with ThreadPoolExecutor(threads()) as pool:
         # squares of a ring do not depend on those of another: as many pieces as tiles
-        pieces = [tile for belt in grid.belts for tile in belt.tiles] if square is not None else list(grid.belts)
-        footprints = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square, splines), pieces))
-        if square is None:
-            whole = zip(grid.belts, footprints, strict=True)
-            footprints = [
-                each.rings(begin, begin + ROWS) for belt, each in whole for begin in range(0, belt.rings, ROWS)
-            ]
+        pieces = [tile for band in grid.bands for tile in band.tiles] if square is not None else list(grid.bands)
+        footprints: Sequence[PoseTile] = tiles_of_pose or []
+        if not footprints:
+            found = list(pool.map(lambda piece: _footprints(grid, piece, beam, vessel, square, splines), pieces))
+            footprints = found if square is not None else [
+                each.rings(begin, begin + ROWS)
+                for band, each in zip(grid.bands, found, strict=True) for begin in range(0, band.rings, ROWS)
+            ]  # fmt: skip
         columns, mirrored = beam.pixels[0], all(each.is_mirrored(beam.pixels[0]) for each in footprints)
         half = columns // 2 if mirrored else 0
         all_pairs = _in_rows(columns - half)
@@ -319,18 +324,18 @@ def ring_table(
         wide = [min(_in_rows(each + 1 - half), all_pairs) for each in last]
         tiles, own = [], [[] for _ in footprints]
         start = number = 0
-        for belt in grid.belts:
-            for j in range(belt.samples):
-                for ring in range(len(belt.tiles)):
+        for band in grid.bands:
+            for j in range(band.samples):
+                for ring in range(len(band.tiles)):
                     own[number + ring].append(len(tiles))
-                    mate = (belt.cell + (belt.samples - 1 - j) * belt.rings) // ROWS + ring
+                    mate = (band.cell + (band.samples - 1 - j) * band.rings) // ROWS + ring
                     tiles.append((start, wide[number + ring], mate))
                     start += 2 * ROWS * wide[number + ring]
-            number += len(belt.tiles)
+            number += len(band.tiles)
         entries = room((grid.angles // 2 + 1, start))
 
-        def fill(footprint: _Footprints, width: int, numbers: list[int]) -> None:
-            found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width)
+        def fill(footprint: PoseTile, width: int, numbers: list[int]) -> None:
+            found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width, arc)
             for number, values in zip(numbers, found, strict=True):
                 tile = of_tile(entries, tiles[number])
                 tile[...] = values
@@ -354,7 +359,7 @@ def _greatest(entries: np.ndarray) -> np.ndarray:
 
 
 def _lit(seen: np.ndarray) -> np.ndarray:
-    """How many pairs, whole `ROWS` of them, there are up to the last one seen, of (frequency, pair)."""
+    """The number of pairs, in whole `ROWS`, up to the last one seen, of (frequency, pair)."""
     ends = np.where(seen, np.arange(1, seen.shape[1] + 1), 0).max(axis=1, initial=0)
     return -(-ends // ROWS) * ROWS
 
@@ -365,12 +370,10 @@ def _in_rows(count: int) -> int:
 
 
 def _spectrum(
-    footprints: _Footprints, beam: Beam, turns: int, samples: int, first_column: int, width: int
+    footprints: PoseTile, beam: Beam, turns: int, samples: int, first_column: int, width: int, arc: float
 ) -> list[np.ndarray]:
-    """Of `ROWS` rings and each j < samples, frequencies k + j·turns for k up to half of the turns.
-
-    Entries (k, ``width`` columns from the first on, 2, `ROWS`), real and imaginary.
-    """
+    """Entries (k, ``width`` columns, 2, `ROWS`) of `ROWS` rings for each j < samples, at frequencies k + j·turns."""
+    # Turning by an arc while lit leaves the share sin(x) / x of a wave, x = frequency · arc / 2.
     from scipy.fft import rfft
 
     columns = min(width, beam.pixels[0] - first_column)
@@ -382,7 +385,9 @@ def _spectrum(
         kappa, n = np.arange(turns // 2 + 1) + j * turns, turns * samples
         back = 2 * kappa > n
         entries = np.zeros((len(kappa), width, 2, ROWS), np.float32)
-        own = spectrum[..., np.where(back, n - kappa, kappa)].transpose(2, 1, 0)
+        wave = np.where(back, n - kappa, kappa)
+        left = np.sinc(wave * (arc / FULL_TURN)).astype(np.float32)
+        own = (spectrum[..., wave] * left).transpose(2, 1, 0)
         entries[:, :columns, 0] = np.real(own)
         entries[:, :columns, 1] = np.where(back, np.float32(-1.0), np.float32(1.0))[:, None, None] * np.imag(own)
         found.append(entries)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
+from math import hypot
 from typing import Literal, final
 
 import numpy as np
@@ -18,9 +19,10 @@ from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.ray_table import OpenAir, tabulate
+from vamgpu.operators.ray_table import OpenAir, column_in_resin, tabulate
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
+from vamgpu.operators.turning import mean, places, straight_parts
 
 FOOTPRINTS = ("exact", "joseph")
 
@@ -32,7 +34,8 @@ class Projection(LinearOperator):
     ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the mean, over the
     box of voxel j, of the light that the box of pixel i sends, blurred by the beam's point spread: the length [mm] of
     the ray in the voxel, times transmittance and the absorbed fraction per mm where a vessel absorbs. Inside a vessel
-    the light has one ray through each point within the printable radius; voxels outside it count as unlit.
+    the light has one ray through each point within the printable radius; voxels outside it count as unlit. Light of a
+    container that turns while a frame is lit is the mean along its way, to 0.001 of the greatest dose.
 
     Args:
         grid: Voxels of the volume.
@@ -41,7 +44,8 @@ class Projection(LinearOperator):
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
         footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
-            fill factor, no point spread, columns as wide as voxels (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
+            fill factor, no point spread, columns as wide as voxels, and a container at rest while a frame is lit
+            (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
 
     Raises:
         BadInput: An argument is of another kind, or Joseph's rays do not fit the geometry.
@@ -65,24 +69,21 @@ class Projection(LinearOperator):
         *,
         footprint: Literal["exact", "joseph"] = "exact",
     ) -> None:
-        for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; Projection(grid, beam, motion, …)")
+        require_kinds("Projection(grid, beam, motion, …)", (grid, Grid), (beam, Beam), (motion, Turntable))
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
-        self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
+        self.grid, self.beam, self.vessel = grid, beam, vessel
+        self.motion = motion = motion.stepped if footprint == "joseph" else motion
         self.footprint: Literal["exact", "joseph"] = footprint
         self._check_footprint()
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
-        self._dwell, poses = Dwell(motion, self.device), motion.poses
-        self._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
         if footprint == "joseph":
             self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, self.device)
         else:
             self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
             self._light, self._gather = self._tables()
+        self._turn(motion)
 
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
@@ -103,14 +104,27 @@ class Projection(LinearOperator):
             raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays know no fill factor and no point "
                            "spread: give neither, or take footprint='exact'")  # fmt: skip
 
+    def _turn(self, motion: Turntable) -> None:
+        """Be a projection at these angles."""
+        self.motion, self._dwell = motion, Dwell(motion, self.device)
+        self.range = SinogramSpace(self.beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        arc = [] if self.footprint == "joseph" else [motion.arcs / self._parts]
+        self._directions = [
+            self.device.table(np.stack([np.cos(poses), np.sin(poses), *arc], axis=1))
+            for poses in places(motion, self._parts)
+        ]
+
     @cached_property
-    def _slices(self) -> tuple[int, int, int]:
-        """Shape of a sinogram with one row a slice."""
-        return (self.motion.angles, self.beam.pixels[0], self.grid.shape[2])
+    def _parts(self) -> int:
+        """Parts of a frame's arc, each of which is straight to a voxel."""
+        vessel, grid = self.vessel or OpenAir(), self.grid
+        reach = min(vessel.lit_radius, 0.5 * grid.pitch * hypot(*grid.shape[:2]))
+        return straight_parts(self.motion, reach / column_in_resin(self.beam, vessel))
 
     def _tables(self) -> tuple[dict[str, object], dict[str, object]]:
-        """What both directions take, and what the forward one takes to gather along rays."""
-        light = tabulate(self.grid, self.beam, self.vessel or OpenAir())
+        """Arguments of both directions, and those of the forward one, which gathers along rays."""
+        arc = float(self.motion.arcs.max()) / self._parts
+        light = tabulate(self.grid, self.beam, self.vessel or OpenAir(), arc=arc)
         ratio, strength = self.grid.pitch / self.beam.pitch, self.grid.pitch**2 / self.beam.pitch
         bent, table = self.vessel is not None, self.device.table
         both = {
@@ -126,25 +140,25 @@ class Projection(LinearOperator):
         return both, {"edges": table(light.edges), "cells": light.cells}
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self._rows.same else self.device.empty(self._slices)
-        fields = {"volume": x, "directions": self._directions, "sinogram": rows}
+        with self._rows.filling(out) as rows:
+            mean(len(self._directions), lambda part, out: self._project(x, part, out), rows)
+        self._dwell.weigh(out)
+
+    def _project(self, x: DeviceArray, part: int, out: DeviceArray) -> None:
+        fields = {"volume": x, "directions": self._directions[part], "sinogram": out}
         if self.footprint == "joseph":
             self.device.launch(forward_joseph, **fields, pitch=self.grid.pitch)
         else:
             self.device.launch(forward_footprint, **fields, **self._light, **self._gather)
-        if rows is not out:
-            self._rows.from_slices(rows, out)
-        self._dwell.weigh(out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = weighted = self._dwell.weighted(y)
-        if not self._rows.same:
-            rows = self.device.empty(self._slices)
-            self._rows.to_slices(weighted, rows)
-        self._back(rows, out)
+        self._back(self._rows.in_slices(self._dwell.weighted(y)), out)
 
     def _back(self, rows: DeviceArray, out: DeviceArray) -> None:
-        fields = {"sinogram": rows, "directions": self._directions, "volume": out}
+        mean(len(self._directions), lambda part, out: self._expose(rows, part, out), out)
+
+    def _expose(self, rows: DeviceArray, part: int, out: DeviceArray) -> None:
+        fields = {"sinogram": rows, "directions": self._directions[part], "volume": out}
         if self.footprint == "joseph":
             self.device.launch(back_joseph, **fields, pitch=self.grid.pitch)
         else:
@@ -164,18 +178,25 @@ class Projection(LinearOperator):
         """
         if self.motion.dwell is not None:
             raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
-        some, poses = copy(self), self.motion.poses[list(chosen)]
-        for kept in ("_slices", "_transpose"):
-            vars(some).pop(kept, None)
-        some.motion = Turntable(poses)
-        some.range = SinogramSpace(self.beam, some.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
-        some._dwell = Dwell(some.motion, self.device)
-        some._directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
+        return self.turned(self.motion.chosen(chosen))
+
+    def turned(self, motion: Turntable) -> Projection:
+        """This projection at other angles of the same turn; all that does not depend on them is shared.
+
+        Args:
+            motion: The angles, of no longer arcs than its own.
+
+        Returns:
+            The projection.
+        """
+        some = copy(self)
+        some._turn(motion)
+        some._made = Projection.turned, (self, motion)
         return some
 
     @property
     def row_weights(self) -> np.ndarray:
-        """What each slice gets of the light of each row of pixels, (slices, rows)."""
+        """Share of the light of each row of pixels in each slice, (slices, rows)."""
         return self._rows.weights
 
     def dose_of_slices(self, light: np.ndarray | DeviceArray) -> np.ndarray:

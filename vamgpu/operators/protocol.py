@@ -1,4 +1,4 @@
-"""What methods and proofs ask of an operator, so that anybody's can be one."""
+"""The attributes of an operator that methods and proofs ask for."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from vamgpu.backend.device import Device
 
 ATTRIBUTES = ("domain", "range", "device", "grid", "beam", "motion", "T")
-"""What every operator that light is found for must have."""
+"""Attributes of every operator that light is optimized for."""
 
 
 class Operator(Protocol):

@@ -46,25 +46,25 @@ class OpenAir(Vessel):
 
 @dataclass(frozen=True)
 class RayTable:
-    """Tables of one pose; lengths in voxels, columns counted from 0.
+    """Tables of one pose; lengths in voxels, columns counted from 0."""
 
-    map: (n, n, 4) column, strength, and the columns a voxel across and along the light.
-    edges: (columns, 8), chords either side of a column's light, and slack.
-    radius: of the lit disc in voxels.  steepest: columns a voxel, at most.
-    fill, sigma: of a pixel's box and of its point spread in columns.
-    """
+    # map: (n, n, 4) column, strength, and the columns a voxel across and along the light.  edges: (columns, 8), chords
+    # either side of a column's light, and slack.  radius: of the lit disc.  steepest: columns a voxel, at most.
+    # moving: the same with the way of voxels while a pose is lit, the root of both squares' sum.  fill, sigma: of a
+    # pixel's box and point spread.
 
     map: np.ndarray
     edges: np.ndarray
     radius: float
     steepest: float
+    moving: float
     fill: float
     sigma: float
 
     @property
     def taps(self) -> int:
         """Columns that light one voxel, at most."""
-        return int(2.0 * float(half_support(*_widest(self.steepest, self.sigma), self.fill, self.sigma))) + 1
+        return int(2.0 * float(half_support(*_widest(self.moving, self.sigma), self.fill, self.sigma))) + 1
 
     @property
     def cells(self) -> int:
@@ -76,19 +76,18 @@ class RayTable:
         return min(int(np.max(np.sqrt(2.0) * across) + 2.0 * self.edges[:, 3].max()) + 2, len(self.map))
 
 
-def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) -> RayTable:
-    """The tables of ``vessel`` for a grid and a beam.
-
-    half: columns from a voxel's middle to the farthest that lights it, for a device that follows columns one by one;
-        what footprints and point spread ask by default, for one that follows `TOGETHER`.
-    """
+def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None, arc: float = 0.0) -> RayTable:
+    """The tables of ``vessel`` for a grid and a beam."""
+    # half: columns from a voxel's middle to the farthest that lights it, for kernels that follow columns one by one;
+    # None: as footprints and point spread ask, for those that follow `TOGETHER`.  arc: of the turn [rad] while a pose
+    # is lit, at most.
     columns = beam.pixels[0]
     corner = hypot(*(0.5 * (n - 1) for n in grid.shape[:2]))
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
     position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
     across, along = np.meshgrid(position, position, indexing="ij")
-    whole, shares = _bared(vessel)
+    whole, shares = unwrap(vessel)
     u, weight = _continued(whole, radius * grid.pitch, across, along)
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
@@ -97,12 +96,13 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None) 
     for share in shares:
         strength = strength * share(u, across, along)
     fill, sigma = sqrt(beam.fill), beam.sigma
-    reaches = _reaches(column, columns, radius, fill, sigma) if half is None else np.full(columns, half)
+    reaches = _reaches(column, columns, radius, fill, sigma, arc) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
     table = np.stack([column, strength, *gradient], axis=-1)
     together = TOGETHER if half is None else 1
     edges = rays.edges(_slack(column, radius, rays), min(radius, corner), together)
-    return RayTable(table, edges, radius, _steepest(column, radius), fill, sigma)
+    steepest, moving = _steepest(column, radius), _steepest(column, radius, arc)
+    return RayTable(table, edges, radius, steepest, moving, fill, sigma)
 
 
 def column_in_resin(beam: Beam, vessel: Vessel) -> float:
@@ -117,10 +117,12 @@ def _widest(gradient: float | np.ndarray, sigma: float) -> tuple[np.ndarray, np.
     return sides(side, side, sigma)
 
 
-def _gradient(column: np.ndarray) -> np.ndarray:
-    """Columns a voxel between samples of the map, no less than anywhere in the cell; one fewer than samples."""
+def _gradient(column: np.ndarray, arc: float = 0.0) -> np.ndarray:
+    """Columns a voxel, at most, in each cell of the map; ``arc`` [rad] adds the way of a voxel while a pose is lit."""
     across, along = np.abs(np.diff(column, axis=0)), np.abs(np.diff(column, axis=1))
-    return np.hypot(np.maximum(across[:, 1:], across[:, :-1]), np.maximum(along[1:], along[:-1]))
+    across, along = np.maximum(across[:, 1:], across[:, :-1]), np.maximum(along[1:], along[:-1])
+    far = np.abs(np.arange(len(across)) - 0.5 * (len(across) - 1)) + 0.5
+    return np.hypot(np.hypot(across, along), arc * (across * far + along * far[:, None]))
 
 
 def _near(shape: tuple[int, ...], radius: float) -> np.ndarray:
@@ -129,13 +131,15 @@ def _near(shape: tuple[int, ...], radius: float) -> np.ndarray:
     return np.hypot(position[:, None], position[None, :]) <= radius + 1.0
 
 
-def _steepest(column: np.ndarray, radius: float) -> float:
-    return float(_gradient(column)[_near(column.shape, radius)].max())
+def _steepest(column: np.ndarray, radius: float, arc: float = 0.0) -> float:
+    return float(_gradient(column, arc)[_near(column.shape, radius)].max())
 
 
-def _reaches(column: np.ndarray, columns: int, radius: float, fill: float, sigma: float) -> np.ndarray:
-    """How far to either side of each column's middle its light may fall [columns]."""
-    near, gradient = _near(column.shape, radius), _gradient(column)
+def _reaches(
+    column: np.ndarray, columns: int, radius: float, fill: float, sigma: float, arc: float
+) -> np.ndarray:  # fmt: skip
+    """Reach [columns] of each column's light to either side of its middle."""
+    near, gradient = _near(column.shape, radius), _gradient(column, arc)
     place = np.clip(0.5 * (column[:-1, :-1] + column[1:, 1:])[near], 0, columns - 1).astype(int)
     steep = np.zeros(columns)
     np.maximum.at(steep, place, gradient[near])
@@ -146,12 +150,9 @@ def _reaches(column: np.ndarray, columns: int, radius: float, fill: float, sigma
     return half_support(*_widest(steep, sigma), fill, sigma)
 
 
-def _bared(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
-    """The vessel itself, and what share of its light each thing around it leaves.
-
-    Shares may jump at the edge of a shadow, and those of a light sorted by its focus must go on summing to one: they
-    are taken as they are at each sample, whatever is done to the light.
-    """
+def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
+    """The vessel itself, and the share of its light that each wrapper passes."""
+    # Shares may jump at the edge of a shadow and those sorted by focus must sum to one: they are taken as they are.
     shares = []
     while hasattr(vessel, "bare"):
         shares.append(vessel.share)
@@ -160,11 +161,7 @@ def _bared(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
 
 
 def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The light at each point, continued in a straight line beyond ``radius`` [mm] where it ends there.
-
-    Voxels at the rim interpolate between samples on both sides of it: a map that broke off would halve their light
-    and send them to a wrong column.
-    """
+    """The light at each point, continued in a straight line beyond ``radius`` [mm]: voxels at the rim interpolate."""
     u, weight = (np.array(value) for value in vessel.illuminate(across, along))
     distance = np.hypot(across, along)
     beyond = (distance > radius) & (distance < 2.0 * radius)
@@ -180,12 +177,10 @@ def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndar
 
 
 def _over_voxels(column: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples between which lines give, to second order, the mean column and strength of a voxel, not its middle's.
-
-    A voxel's mean is its middle's + ∇²/24 however the square is turned; lines between samples are ∇²/12 above it on
-    average. Where strength changes across a voxel, the brighter side counts more in the mean of its column: by a sixth
-    of the column's own change where one edge is dark.
-    """
+    """Samples between which lines give, to second order, the mean column and strength of a voxel."""
+    # A voxel's mean is its middle's + ∇²/24; lines between samples are ∇²/12 above it on average. Where strength
+    # changes, the brighter side counts more in the mean of the column: by a sixth of the column's own change where one
+    # edge is dark.
     steep, brighter = np.gradient(column), np.gradient(strength)
     most = np.hypot(*steep) / 6.0
     leaning = (steep[0] * brighter[0] + steep[1] * brighter[1]) / 12.0
@@ -219,12 +214,9 @@ class _Rays:
         return np.interp(column, self._fine, self._p), np.interp(column, self._fine, self._angle)
 
     def edges(self, slack: np.ndarray, radius: float, together: int) -> np.ndarray:
-        """(columns, 8): p, cos d, sin d, slack of the chords on either side of the light of each column.
-
-        A device gathers what lies between the first chord of ``together`` columns and the last. Where rays turn so fast
-        that others of these leave the space between the two, slack grows by what they leave it; where no chord is near
-        them all, the two are made one and slack spans the grid.
-        """
+        """(columns, 8): p, cos d, sin d, slack of the chords on either side of the light of each column."""
+        # A device gathers between the first chord of ``together`` columns and the last; slack covers chords that leave
+        # that space. Where no chord is near them all, both edges are one chord and slack spans the grid.
         columns = np.arange(self.columns)
         (low_p, low), (high_p, high) = self.at(columns - self.reaches), self.at(columns + self.reaches)
         slack = slack.copy()
@@ -235,13 +227,13 @@ class _Rays:
                 high_p[final], high[final] = low_p[first], low[first]
                 slack[first] = sqrt(2.0) * (abs(low_p[first]) + 2.0 * radius)
             else:
-                slack[first] += _bulge(p, angle, radius)
+                slack[first] += max_chord_deviation(p, angle, radius)
         parts = (low_p, np.cos(low), np.sin(low), slack, high_p, np.cos(high), np.sin(high), slack)
         return np.stack(parts, axis=-1)
 
 
-def _bulge(p: np.ndarray, angle: np.ndarray, radius: float) -> float:
-    """How far [voxels], along a row of voxels, chords leave the space between the first and the last of them."""
+def max_chord_deviation(p: np.ndarray, angle: np.ndarray, radius: float) -> float:
+    """Distance [voxels], along a row of voxels, by which chords leave the space between the first and the last."""
     reach = np.sqrt(np.maximum(radius**2 - p**2, 0.0))
     along = np.linspace(-1.0, 1.0, 33)[:, None] * reach
     x, y = -p * np.sin(angle) - along * np.cos(angle), p * np.cos(angle) - along * np.sin(angle)
@@ -253,11 +245,7 @@ def _bulge(p: np.ndarray, angle: np.ndarray, radius: float) -> float:
 
 
 def _slack(column: np.ndarray, radius: float, rays: _Rays) -> np.ndarray:
-    """How far [voxels] the interpolated map strays from each column's true chords; (columns,).
-
-    A device that gathers along a chord must look this much further to find every voxel that the map sends to it.
-    The map bends most midway between its samples, so that is where it is asked.
-    """
+    """Error [voxels] of the map midway between its samples, from each column's true chords; (columns,)."""
     position = np.arange(column.shape[0]) - 0.5 * (column.shape[0] - 1)
     slack = np.zeros(rays.columns + 2)
     for a, b in ((0.5, 0.0), (0.0, 0.5), (0.5, 0.5)):

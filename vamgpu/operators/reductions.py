@@ -54,21 +54,19 @@ def extent(
     upper: float = EVERYWHERE,
     reach: float = EVERYWHERE,
 ) -> tuple[float, float]:
-    """Minimum and maximum of ``a`` where lower ≤ mask < upper within ``reach`` samples of the axis along z.
-
-    Without a mask ``a`` itself is compared. (inf, −inf) where nothing is chosen.
-    """
+    """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper; (inf, −inf) of none."""
     lows, highs = parts_for(partial_extent, a), parts_for(partial_extent, a)
     chosen = {"mask": a if mask is None else mask, "lower": lower, "upper": upper, "reach": reach}
     a.device.launch(partial_extent, a=a, **chosen, lows=lows, highs=highs)
     return folded(lows, LOW), folded(highs, HIGH)
 
 
-def window(dose: DeviceArray, target: DeviceArray, reach: float) -> tuple[float, float, float]:
+def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float = 0.0) -> tuple[float, float, float]:
     """Least dose inside the part, greatest dose outside it, greatest dose; inside is a fraction of at least one half.
 
-    reach: radius of the cylinder that counts, in voxels. A part that fills it all has −infinity outside.
+    reach: radius of the cylinder that counts, in voxels. A part that fills it all has −infinity outside.  margin: of
+    fractions on either side of one half that are neither.
     """
-    inside = extent(dose, target, 0.5, inf, reach)
-    outside = extent(dose, target, -inf, 0.5, reach)
-    return inside[0], outside[1], max(inside[1], outside[1])
+    inside = extent(dose, target, 0.5 + margin, inf, reach)
+    outside = extent(dose, target, -inf, 0.5 - margin, reach)
+    return inside[0], outside[1], max(inside[1], outside[1], extent(dose, reach=reach)[1] if margin else -inf)

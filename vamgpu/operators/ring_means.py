@@ -17,7 +17,7 @@ from vamgpu.kernels.gather import gather_rows
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import PolarSpace, VolumeSpace
+from vamgpu.operators.space import PolarSpace, VolumeSpace, require_kinds
 from vamgpu.operators.traced import WHOLE, SparseEntries
 
 if TYPE_CHECKING:
@@ -30,60 +30,49 @@ BLOCK = 1 << 24
 
 
 def shares_of_voxels(rings: PolarGrid, shape: tuple[int, int], pitch: float) -> csr_array:
-    """Share of every cell that lies in each column of voxels, by `POINTS` points of the cell.
-
-    Args:
-        rings: The cells.
-        shape: Columns of voxels along x and y, centered on the axis.
-        pitch: Their width [mm].
-
-    Returns:
-        A matrix (angles · cells, x · y), float32; the rows of cells within the columns sum to 1.
-    """
+    """Share of every cell in each column of voxels, (angles · cells, x · y) float32, by `POINTS` points."""
     from scipy.sparse import csr_array, vstack
 
-    blocks = [_of_belt(rings, number, shape, pitch) for number in range(len(rings.belts))]
+    blocks = [_of_band(rings, number, shape, pitch) for number in range(len(rings.bands))]
     whole = csr_array(vstack(blocks))
     cells, at, sizes = rings.shape[1], [], 0
-    for belt in rings.belts:  # rows come belt by belt; volumes hold the belts of an angle together
-        own = belt.rings * belt.samples
+    for band in rings.bands:  # rows come band by band; volumes hold the bands of an angle together
+        own = band.rings * band.samples
         at.append(sizes + np.arange(rings.angles * own).reshape(rings.angles, own))
         sizes += rings.angles * own
     order = np.concatenate(at, axis=1).reshape(rings.angles * cells)
     return csr_array(whole[order])
 
 
-def _of_belt(rings: PolarGrid, number: int, shape: tuple[int, int], pitch: float) -> csr_array:
-    """Rows of the cells of a belt, [angle, cell of the belt]."""
+def _of_band(rings: PolarGrid, number: int, shape: tuple[int, int], pitch: float) -> csr_array:
+    """Rows of the cells of a band, [angle, cell of the band]."""
     from scipy.sparse import csr_array
 
-    belt = rings.belts[number]
-    count = rings.angles * belt.samples
+    band = rings.bands[number]
+    count = rings.angles * band.samples
     u, v = (np.arange(POINTS) + 0.5) / POINTS, (np.arange(POINTS) * GENERATOR % POINTS + 0.5) / POINTS
-    inner = np.arange(belt.begin, belt.stop)[:, None]
+    inner = np.arange(band.begin, band.stop)[:, None]
     rho = np.sqrt(inner**2 + u * (2 * inner + 1)) * (rings.pitch / pitch)  # equal parts of the area
     turn = 2.0 * pi / count * (np.arange(count)[:, None] + v - 0.5)
     x, y = (np.floor(f(turn)[:, None, :] * rho + 0.5 * n).astype(np.int32)
             for f, n in ((np.cos, shape[0]), (np.sin, shape[1])))  # fmt: skip
     inside = (x >= 0) & (x < shape[0]) & (y >= 0) & (y < shape[1])
     places = x * shape[1] + y
-    row = np.broadcast_to(np.arange(count * belt.rings).reshape(count, belt.rings, 1), places.shape)
+    row = np.broadcast_to(np.arange(count * band.rings).reshape(count, band.rings, 1), places.shape)
     weight = np.full(int(inside.sum()), 1.0 / POINTS, np.float32)
-    found = csr_array((weight, (row[inside], places[inside])), shape=(count * belt.rings, shape[0] * shape[1]))
+    found = csr_array((weight, (row[inside], places[inside])), shape=(count * band.rings, shape[0] * shape[1]))
     found.sum_duplicates()
     return found
 
 
 class _Means(LinearOperator):
-    """What both ways share: one matrix for all slices, by rows and by columns, and a resampling along z."""
+    """Base of both ways: one matrix for all slices, by rows and by columns, and a resampling along z."""
 
     grid: Grid
     rings: PolarGrid
 
     def __init__(self, grid: Grid, rings: PolarGrid, device: str | Device | None) -> None:
-        for value, kind in ((grid, Grid), (rings, PolarGrid)):
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; {type(self).__name__} takes both")
+        require_kinds(f"{type(self).__name__} takes both", (grid, Grid), (rings, PolarGrid))
         most = max(grid.shape[0] * grid.shape[1], rings.shape[0] * rings.shape[1])
         if most > WHOLE:
             raise BadInput(f"a slice has {most} voxels or cells; expected {WHOLE} at most: use a coarser geometry")
@@ -95,7 +84,7 @@ class _Means(LinearOperator):
         return f"{type(self).__name__}({self.grid!r}, {self.rings!r}, device={self.device.name!r})"
 
     def _shares(self) -> SparseEntries:
-        """Of voxels (columns) in cells (rows)."""
+        """Shares of voxels (columns) in cells (rows)."""
         found = shares_of_voxels(self.rings, self.grid.shape[:2], self.grid.pitch).tocoo()
         return SparseEntries(found.row.astype(np.int32), found.col.astype(np.int32), found.data.astype(np.float64))
 
@@ -104,6 +93,21 @@ class _Means(LinearOperator):
         entries = replace(entries, weight=entries.weight.astype(np.float32))
         self._rows = entries.table(self.device, to, BLOCK)
         self._columns = entries.transposed().table(self.device, of, BLOCK)
+
+    def _to_cells(self, volume: DeviceArray, table: dict[str, DeviceArray], out: DeviceArray) -> None:
+        """Gather cells, then slices of the rings."""
+        part = out if self._slices.same else self.device.empty((*out.shape[:2], self.grid.shape[2]))
+        self.device.launch(gather_rows, source=volume, **table, out=part)
+        if part is not out:
+            self._slices.to_slices(part, out)
+
+    def _to_box(self, cells: DeviceArray, table: dict[str, DeviceArray], out: DeviceArray) -> None:
+        """Gather slices of the grid, then voxels: the transpose of `_to_cells` with the other table."""
+        part = cells
+        if not self._slices.same:
+            part = self.device.empty((*cells.shape[:2], self.grid.shape[2]))
+            self._slices.from_slices(cells, part)
+        self.device.launch(gather_rows, source=part, **table, out=out)
 
 
 @final
@@ -134,17 +138,10 @@ class ToRings(_Means):
         self._tables(shares, rings.shape[:2], grid.shape[:2])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        part = out if self._slices.same else self.device.empty((*self.range.shape[:2], self.grid.shape[2]))
-        self.device.launch(gather_rows, source=x, **self._rows, out=part)
-        if part is not out:
-            self._slices.to_slices(part, out)
+        self._to_cells(x, self._rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        part = y
-        if not self._slices.same:
-            part = self.device.empty((*self.range.shape[:2], self.grid.shape[2]))
-            self._slices.from_slices(y, part)
-        self.device.launch(gather_rows, source=part, **self._columns, out=out)
+        self._to_box(y, self._columns, out)
 
 
 @final
@@ -173,14 +170,7 @@ class ToVoxels(_Means):
         self._tables(means, grid.shape[:2], rings.shape[:2])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        part = x
-        if not self._slices.same:
-            part = self.device.empty((*self.domain.shape[:2], self.grid.shape[2]))
-            self._slices.from_slices(x, part)
-        self.device.launch(gather_rows, source=part, **self._rows, out=out)
+        self._to_box(x, self._rows, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        part = out if self._slices.same else self.device.empty((*self.domain.shape[:2], self.grid.shape[2]))
-        self.device.launch(gather_rows, source=y, **self._columns, out=part)
-        if part is not out:
-            self._slices.to_slices(part, out)
+        self._to_cells(y, self._columns, out)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from math import ceil
+from math import ceil, sqrt
 from typing import Any, final, overload
 
 import numpy as np
@@ -18,20 +19,23 @@ from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, positive
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.spectrum import ONE_SUM, ROWS
+from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.ray_table import column_in_resin
 from vamgpu.operators.ring_means import BLOCK
 from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.spectral import SpectralProjection, passes
 from vamgpu.operators.traced import WHOLE, SparseEntries
 from vamgpu.schema.quantities import finite
 
-WIDTH = 0.75
-"""Width of a ring over that of a voxel. Windows of prints that end within 0.003 at 0.75 after 400 evaluations are lower
-by 0.006 at 0.85. Light finer than voxels, and perfectly sharp light, asks for narrower ones."""
+WIDTH, FINE = 0.75, 0.6
+"""Width of a ring over that of a voxel, and over that of a column of light in the resin: the lesser one. Windows of
+light found by rays in a vial, of columns of 0.33 to 1.33 voxels in the resin, are the same on such rings within 0.001;
+at 0.75 voxels they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67 and 1 voxel."""
 NARROWEST, WIDEST = 0.1, 2.0
 """Widths that are taken: narrower rings are many, wider ones miss a tenth of the dose."""
 BEYOND = 2
@@ -40,6 +44,7 @@ FAINT = 3e-4
 """Share of the greatest entry of the table that counts as none: up to a quarter of the products, 3e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Bytes of the fields it works in, on processors and on GPUs."""
+Others = Sequence[tuple[SpectralProjection, DeviceArray]]
 THICK = 64
 """Slices that a strip has a multiple of: those of the widest lanes, which share each entry of the table."""
 
@@ -50,8 +55,9 @@ class RingProjection(LinearOperator):
 
     Takes the place of a `Projection` wherever one is taken, in a vial too, and gives the same dose within 0.002 of the
     greatest (root mean square; 0.02 anywhere), of light with a point spread and but for two voxels along the rim of
-    resin that is lit: the mean over voxels about points of rings 0.75 voxels wide, by cubic
-    splines through them at the voxels within the cylinder that every angle lights. Voxels beyond it count as unlit. Its
+    resin that is lit: the mean over voxels, or over parts of them as wide as columns are in the resin, about points of
+    rings 0.75 voxels or 0.6 columns wide, by cubic splines through them at the voxels within the cylinder that every
+    angle lights. Voxels beyond it count as unlit. Its
     transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it works in are
     kept: three on rings, each 1.4 times a volume and more, and three of light; of as many slices at once as keep them
     below a gigabyte on processors, eight on GPUs.
@@ -62,7 +68,7 @@ class RingProjection(LinearOperator):
         motion: Angles of the turntable, even over a full turn.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best one here by default.
-        rings: Those to compute on, of the voxels' height; by default 0.75 times as wide as voxels.
+        rings: Those to compute on, of the voxels' height; by default as wide as said above.
         tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
 
     Raises:
@@ -77,6 +83,7 @@ class RingProjection(LinearOperator):
     motion: Turntable
     vessel: Vessel | None
     rings: PolarGrid
+    tf32: bool
 
     def __init__(
         self,
@@ -89,21 +96,28 @@ class RingProjection(LinearOperator):
         rings: PolarGrid | None = None,
         tf32: bool = False,
     ) -> None:
-        for value, kind in ((grid, Grid), (beam, Beam), (motion, Turntable)):
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; RingProjection(grid, beam, motion)")
-        why = _against(grid, motion)
+        require_kinds("RingProjection(grid, beam, motion)", (grid, Grid), (beam, Beam), (motion, Turntable))
+        why = _unsupported(grid, motion)
         if why:
             raise BadInput(f"rings do not take it: {why}; use Projection, which takes the same arguments")
-        self.grid, self.beam, self.motion, self.vessel = grid, beam, motion, vessel
-        self.rings = _rings(grid, motion.angles, WIDTH) if rings is None else _fitting(rings, grid, motion)
+        self.grid, self.beam, self.motion, self.vessel, self.tf32 = grid, beam, motion, vessel, tf32
+        width = _width(grid, beam, vessel)
+        self.rings = _rings(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._strips, slices = _strips(self.rings, beam, self.device)
         some = replace(self.rings, slices=slices)
         self._spectral = SpectralProjection(
-            some, beam, vessel, self.device, square=grid.pitch, faint=FAINT, tf32=tf32, splines=True
+            some,
+            beam,
+            vessel,
+            self.device,
+            square=grid.pitch / _parts(self.rings.pitch / grid.pitch),
+            faint=FAINT,
+            tf32=tf32,
+            splines=True,
+            motion=motion,
         )
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
         found = _interpolated(self.rings, grid, vessel.lit_radius if vessel else np.inf)
@@ -113,12 +127,13 @@ class RingProjection(LinearOperator):
             self._take_memory()
 
     @classmethod
-    def of(cls, A: Projection, width: float = WIDTH, *, tf32: bool = False) -> RingProjection:
-        """What gives the dose of a projection, on its device.
+    def of(cls, A: Projection, width: float | None = None, *, tf32: bool = False) -> RingProjection:
+        """Compute a projection on rings, on its device.
 
         Args:
             A: The projection.
-            width: Of rings over that of voxels; wider ones are faster, and less exact.
+            width: Of rings over that of voxels; wider ones are faster, and less exact. By default 0.75, or 0.6 of a
+                column of light in the resin where that is less.
             tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
 
         Returns:
@@ -127,9 +142,11 @@ class RingProjection(LinearOperator):
         Raises:
             BadInput: Rings do not take it.
         """
-        why = against_rings(A)
+        why = unsupported_reason(A)
         if why:
             raise BadInput(f"rings do not take {A!r}: {why}; use that operator itself")
+        if width is None:
+            width = _width(A.grid, A.beam, A.vessel)
         if not NARROWEST <= positive("width", width) <= WIDEST:
             raise BadInput(f"got width={width}; expected {NARROWEST} to {WIDEST} of a voxel, such as {WIDTH}")
         rings = _rings(A.grid, A.motion.angles, width)
@@ -148,7 +165,7 @@ class RingProjection(LinearOperator):
         """
         finite("height", height)
         other = copy(self)
-        other._transpose = None
+        other._made = RingProjection.raised, (self, height)
         other._rows = RowResampler.of(self.beam, self.grid.shape[2], self.grid.pitch, self.device, height)
         return other
 
@@ -157,29 +174,71 @@ class RingProjection(LinearOperator):
         """The same light by rays through each voxel."""
         return Projection(self.grid, self.beam, self.motion, self.vessel, self.device)
 
+    def described(self) -> dict[str, Any]:
+        """Describe the constructor's arguments.
+
+        Returns:
+            Its arguments by name.
+        """
+        return {name: getattr(self, name) for name in ("grid", "beam", "motion", "vessel", "rings", "tf32")}
+
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
         return f"RingProjection({self.grid!r}, {self.beam!r}, {self.motion!r}{vessel}, device={self.device.name!r})"
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self._rows.same else self._spectral._work("rows", self._slices)
-        for first in self._strips:
-            on_rings = self._spectral._work("samples", self._spectral.grid.shape)
-            self.device.launch(gather_rows, source=self._cut("voxels", x, first), **self._to_rings, out=on_rings)
-            light = self._strip("light", rows)
-            self._spectral._gather(on_rings, light)
-            self._put(light, first, rows)
-        if rows is not out:
-            self._rows.from_slices(rows, out)
+        self.forward_with(x, (), out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = y
-        if not self._rows.same:
-            rows = self._spectral._work("rows", self._slices)
-            self._rows.to_slices(y, rows)
+        self.transposed_with(y, out, ())
+
+    def takes_with(self, cells: PolarGrid) -> bool:
+        """Whether light that is transformed once serves cells of the same slices, too.
+
+        Args:
+            cells: The cells.
+
+        Returns:
+            True where all slices are worked on at once.
+        """
+        own = self._spectral.grid
+        same = (own.angles, own.slices) == (cells.angles, cells.slices) and len(self._strips) == 1
+        return same and np.allclose(own.z, cells.z)
+
+    def forward_with(self, x: DeviceArray, others: Others, out: DeviceArray) -> None:
+        """Compute out = A x + the sum of what other operators make of their cells.
+
+        Args:
+            x: The operand, [x, y, z].
+            others: Products on rings that `takes_with` holds for, and their cells.
+            out: Takes the result, [angle, r, z].
+        """
+        with self._rows.filling(out, self._rows_field) as rows:
+            for first in self._strips:
+                on_rings = self._spectral._work("samples", self._spectral.grid.shape)
+                self.device.launch(gather_rows, source=self._cut("voxels", x, first), **self._to_rings, out=on_rings)
+                light = self._strip("light", rows)
+                spectrum = self._spectral._gathered(on_rings)
+                for other, cells in others:
+                    combine(1.0, spectrum, 1.0, other._gathered(cells), spectrum)
+                self._spectral._in_turn(spectrum, light)
+                self._put(light, first, rows)
+
+    def transposed_with(self, y: DeviceArray, out: DeviceArray, others: Others) -> None:
+        """Compute out = Aᵀ y, and the cells of other operators, the transpose of `forward_with`.
+
+        Args:
+            y: The operand, [angle, r, z].
+            out: Takes the result, [x, y, z].
+            others: Products on rings that `takes_with` holds for, and what takes their cells.
+        """
+        rows = self._rows.in_slices(y, self._rows_field)
         for first in self._strips:
             on_rings = self._spectral._work("samples", self._spectral.grid.shape)
-            self._spectral._light(self._cut("light", rows, first), on_rings)
+            spectrum = self._spectral._by_frequency(self._cut("light", rows, first))
+            self._spectral._on_rings(spectrum, on_rings)
+            for other, cells in others:
+                other._on_rings(spectrum, cells)
             dose = self._strip("voxels", out)
             self.device.launch(gather_rows, source=on_rings, **self._to_voxels, out=dose)
             self._put(dose, first, out)
@@ -199,13 +258,11 @@ class RingProjection(LinearOperator):
 
     @property
     def row_weights(self) -> np.ndarray:
-        """What each slice gets of the light of each row of pixels, (slices, rows)."""
+        """Share of the light of each row of pixels in each slice, (slices, rows)."""
         return self._rows.weights
 
-    @property
-    def _slices(self) -> tuple[int, int, int]:
-        """Shape of light of as many rows as there are slices."""
-        return (*self.range.shape[:2], self.grid.shape[2])
+    def _rows_field(self, shape: tuple[int, ...]) -> DeviceArray:
+        return self._spectral._work("rows", shape)
 
     def _strip(self, name: str, of: DeviceArray) -> DeviceArray:
         """A field for the slices of a field that are worked on at once; the field itself where those are all."""
@@ -236,54 +293,35 @@ def direct(A: Any) -> Any:
     return A.direct if isinstance(A, RingProjection | Defocused) else A
 
 
-def against_rings(A: Any) -> str:
-    """Why rings cannot take the place of an operator.
-
-    Args:
-        A: The operator.
-
-    Returns:
-        The reason; empty where they can.
-    """
+def unsupported_reason(A: Any) -> str:
+    """Why rings cannot take the place of an operator; empty where they can."""
     if isinstance(A, RingProjection):
         return "it is on rings already; RingProjection.of(A.direct, width=…) makes others"
     if not isinstance(A, Projection):
         return f"the light of a {type(A).__name__} is not that of one pose turned, level and past nothing that turns"
     if A.footprint != "exact":
         return f"they know no footprint {A.footprint!r}"
-    return _against(A.grid, A.motion)
+    return _unsupported(A.grid, A.motion)
 
 
-def pays_on_rings(A: Projection) -> bool:
-    """Whether rings were measured to be faster for the like of an operator that they take.
-
-    Args:
-        A: The operator.
-
-    Returns:
-        True in OpenCL for 48 voxels or more across (128 on GPUs) and 90 angles or more, in short transforms.
-    """
-    across, angles = min(A.grid.shape[:2]), A.motion.angles
-    enough = across >= (128 if getattr(A.device, "is_gpu", False) else 48) and angles >= 90
-    short = max(passes([angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
-    return A.device.name.startswith("opencl") and enough and short
+def prefers_rings(A: Any) -> bool:
+    """Whether rings support an operator and were measured to be faster."""
+    # Measured in OpenCL, from 48 voxels (128 on GPUs) and 90 angles on, with short transforms.
+    if unsupported_reason(A) or not A.device.name.startswith("opencl") or A.motion.angles < 90:
+        return False
+    if min(A.grid.shape[:2]) < (128 if getattr(A.device, "is_gpu", False) else 48):
+        return False
+    return max(passes([A.motion.angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
 
 
-def against_turns(motion: Turntable) -> str:
-    """Why the light of one pose, turned, is not that of all angles; empty where it is.
-
-    Args:
-        motion: The angles.
-
-    Returns:
-        The reason.
-    """
+def uneven_reason(motion: Turntable) -> str:
+    """Why the light of one pose, turned, is not that of all angles; empty where it is."""
     even = motion.is_even and motion.angles >= 2
     return "" if even else f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
 
 
-def _against(grid: Grid, motion: Turntable) -> str:
-    if why := against_turns(motion):
+def _unsupported(grid: Grid, motion: Turntable) -> str:
+    if why := uneven_reason(motion):
         return why
     if grid.shape[2] % 2:
         return f"its {grid.shape[2]} slices are not even in number"
@@ -294,6 +332,17 @@ def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that every angle lights."""
     count = _least(grid, width) + BEYOND
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
+
+
+def _width(grid: Grid, beam: Beam, vessel: Vessel | None) -> float:
+    """Width of rings over that of voxels that light asks for."""
+    column = column_in_resin(beam, vessel) if vessel else beam.pitch
+    return max(min(WIDTH, FINE * column / grid.pitch), NARROWEST)
+
+
+def _parts(width: float) -> int:
+    """Squares in a row that a voxel is the mean of, about as wide as columns that need rings of this width."""
+    return max(1, ceil(FINE / width - 0.25))
 
 
 def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
@@ -310,7 +359,7 @@ def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
 
 def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
     if not isinstance(rings, PolarGrid):
-        raise BadInput(f"got {rings!r} as rings; expected a PolarGrid, or None for rings {WIDTH} of a voxel wide")
+        raise BadInput(f"got {rings!r} as rings; expected a PolarGrid, or None for rings as wide as light asks for")
     if (rings.slices, rings.angles) != (grid.shape[2], motion.angles):
         raise BadInput(f"got {rings!r} for {grid!r} at {motion}; expected rings of the same angles and slices")
     if abs(rings.slice_pitch / grid.pitch - 1) > 1e-9:
@@ -318,7 +367,7 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
             f"got rings whose slices are {rings.slice_pitch:g} mm high for voxels of {grid.pitch:g} mm; "
             f"pass height={grid.pitch:g} to PolarGrid"
         )
-    if not are_enough(rings, grid):
+    if not covers(rings, grid):
         raise BadInput(
             f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before what voxels take of them; "
             f"expected {_least(grid, rings.pitch / grid.pitch)} or more for {grid!r}, a multiple of {ROWS}"
@@ -326,30 +375,28 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
     return rings
 
 
-def are_enough(rings: PolarGrid, grid: Grid) -> bool:
-    """Whether rings reach beyond all that the voxels which every angle lights take of them.
-
-    Args:
-        rings: The rings.
-        grid: The voxels.
-
-    Returns:
-        Whether no voxel is left dark for want of rings.
-    """
+def covers(rings: PolarGrid, grid: Grid) -> bool:
+    """Whether rings reach beyond all that the voxels which every angle lights take of them."""
     return rings.rings >= _least(grid, rings.pitch / grid.pitch)
 
 
 def _least(grid: Grid, width: float) -> int:
     """Rings, of a width in voxels, out to the last tap of the outermost voxel that every angle lights."""
-    return ceil(0.5 * (min(grid.shape[:2]) - 1) / width + TAPS[-1] + 0.5)
+    beyond = sqrt(0.5) * (1.0 - 1.0 / _parts(width))  # to the middle of its outermost square
+    return ceil((0.5 * (min(grid.shape[:2]) - 1) + beyond) / width + TAPS[-1] + 0.5)
 
 
 def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntries:
-    """What lit voxels take of coefficients on rings: splines along the radius and along each of four rings."""
+    """Weights of coefficients on rings in lit voxels: splines along the radius and along each of four rings."""
     x, y, _ = grid.axes()
     across, along = (each.ravel() for each in np.meshgrid(x, y, indexing="ij"))
     voxel = np.flatnonzero(grid.cylinder().ravel() & (np.hypot(across, along) <= lit_radius))
-    row, column, weight = _at_points(rings, across[voxel], along[voxel])
+    parts = _parts(rings.pitch / grid.pitch)
+    off = grid.pitch * ((np.arange(parts) + 0.5) / parts - 0.5)
+    found = [
+        _at_points(rings, across[voxel] + right, along[voxel] + up) for right in off.tolist() for up in off.tolist()
+    ]
+    row, column, weight = (np.concatenate(each) for each in zip(*found, strict=True))
     return SparseEntries(voxel[row].astype(np.int32), column.astype(np.int32), weight.astype(np.float32))
 
 
@@ -358,9 +405,9 @@ def _at_points(rings: PolarGrid, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
     radius, turn = np.hypot(x, y) / rings.pitch - 0.5, np.arctan2(y, x) / FULL_TURN
     inside = np.flatnonzero(radius + TAPS[-1] < rings.rings)
     radius, turn = radius[inside], turn[inside]
-    belts = [belt for belt in rings.belts for _ in range(belt.rings)]
+    bands = [band for band in rings.bands for _ in range(band.rings)]
     samples, wide, first = (np.array(each) for each in zip(
-        *((b.samples, b.rings, b.cell - b.begin) for b in belts), strict=True))  # fmt: skip
+        *((b.samples, b.rings, b.cell - b.begin) for b in bands), strict=True))  # fmt: skip
     low = np.floor(radius).astype(int)
     rows, columns, weights = [], [], []
     for tap, radial in zip(TAPS, shares(radius - low), strict=True):

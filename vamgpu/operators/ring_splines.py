@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 TAPS = np.arange(-1, 3)
 """Coefficients about a place that make what is there."""
 OWN, NEXT = 13 / 21, 4 / 21
-"""What a coefficient makes of its own sample, and of either next one."""
+"""Weight of a coefficient in its own sample, and in either next one."""
 AT_ONCE = 32
 """Frequencies that are filtered together."""
 
 
 def shares(place: np.ndarray) -> list[np.ndarray]:
-    """What each of `TAPS` is to count for places (n,) after the second of them, 0..1; four arrays (n,)."""
+    """Weight of each of `TAPS` for places (n,) after the second of them, 0..1; four arrays (n,)."""
     return [_spline(np.abs(place - tap)) for tap in TAPS.tolist()]
 
 
@@ -40,14 +40,7 @@ def _spline(x: np.ndarray) -> np.ndarray:
 
 
 def to_coefficients(entries: np.ndarray, tiles: list[tuple[int, int, int]], grid: PolarGrid, pool: Executor) -> None:
-    """Make entries of samples those of coefficients, in place.
-
-    Args:
-        entries: (frequencies up to half of the angles, entries), as `vamgpu.kernels.spectrum.Entries`.
-        tiles: Of each `ROWS` cells: first entry, pairs of columns, the tile of conjugate entries.
-        grid: The rings.
-        pool: What works on frequencies that do not depend on each other.
-    """
+    """Turn entries (frequencies, entries) of samples into those of coefficients, in place, by frequency in ``pool``."""
     pivots = _pivots(grid.rings)
     some = [slice(first, first + AT_ONCE) for first in range(0, len(entries), AT_ONCE)]
     tasks = [(part, m, track) for m, track in _tracks(grid).items() for part in some]
@@ -55,18 +48,18 @@ def to_coefficients(entries: np.ndarray, tiles: list[tuple[int, int, int]], grid
 
 
 def _tracks(grid: PolarGrid) -> dict[int, list[tuple[int, int, int]]]:
-    """Of each m, outward, tiles of frequencies k + m · angles: number, first ring, samples of a ring in an angle."""
+    """For each m, outward, tiles of frequencies k + m · angles: number, first ring, samples of a ring in an angle."""
     found: dict[int, list[tuple[int, int, int]]] = {}
-    for belt in grid.belts:
-        for j in range(belt.samples):
-            track = found.setdefault(j if 2 * j < belt.samples else j - belt.samples, [])
-            first = (belt.cell + j * belt.rings) // ROWS
-            track += [(first + i, tile.begin, belt.samples) for i, tile in enumerate(belt.tiles)]
+    for band in grid.bands:
+        for j in range(band.samples):
+            track = found.setdefault(j if 2 * j < band.samples else j - band.samples, [])
+            first = (band.cell + j * band.rings) // ROWS
+            track += [(first + i, tile.begin, band.samples) for i, tile in enumerate(band.tiles)]
     return found
 
 
 def _pivots(rings: int) -> np.ndarray:
-    """Of the elimination along the radius, (rings, 2): beyond the axis even waves go on, odd ones change their sign."""
+    """Factors of the elimination along the radius, (rings, 2): across the axis odd waves change their sign."""
     found = np.empty((rings, 2))
     found[0] = OWN + NEXT, OWN - NEXT
     for ring in range(1, rings):
@@ -79,10 +72,7 @@ def _filter(
     entries: np.ndarray, tiles: list[tuple[int, int, int]], angles: int, pivots: np.ndarray,
     part: slice, m: int, track: list[tuple[int, int, int]],
 ) -> None:  # fmt: skip
-    """Some frequencies of a track: along the radius ring by ring, outward and back, then along the angle.
-
-    entries: (frequency, entry).  part: of the frequencies.
-    """
+    """Filter some frequencies of a track: along the radius ring by ring, outward and back, then along the angle."""
     entries = entries[part]
     kappa = np.arange(part.start, part.start + len(entries)) + m * angles
     own = pivots[:, kappa % 2].astype(np.float32)[:, :, None, None]  # (ring, frequency, 1, 1)

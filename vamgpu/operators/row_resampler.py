@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import sqrt
 
 import numpy as np
@@ -12,20 +14,16 @@ from vamgpu.geometry import Beam
 from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
+Empty = Callable[[tuple[int, ...]], DeviceArray]
+"""Makes a field of a shape."""
+
 
 class RowResampler:
-    """How light of rows of pixels falls on slices of voxels; both ways are transposes.
+    """Resamples light of rows of pixels to slices of voxels and back; both ways are transposes."""
 
-    A weight is the mean, over a slice, of the light of a row: of its lit box, blurred by the point spread.
-
-    Args:
-        rows: rows of the beam; row_pitch: their distance [mm].
-        slices: slices of the grid; slice_pitch: their thickness [mm].
-        device: that holds the tables.
-        fill: height of a row's lit box over its pitch.
-        sigma: standard deviation of the point spread [rows].
-        raised: by which the light lies higher [rows].
-    """
+    # A weight is the mean, over a slice, of the light of a row: of its lit box (``fill`` of its height), blurred by the
+    # point spread ``sigma`` [rows].  raised: by which the light lies higher [rows].  gap: height between the lower half
+    # of the slices and the upper one [mm].
 
     rows: int
     slices: int
@@ -33,38 +31,46 @@ class RowResampler:
 
     def __init__(
         self, rows: int, row_pitch: float, slices: int, slice_pitch: float, device: Device, fill: float = 1.0,
-        sigma: float = 0.0, raised: float = 0.0,
+        sigma: float = 0.0, raised: float = 0.0, gap: float = 0.0,
     ) -> None:  # fmt: skip
         self.rows, self.slices, self.device = rows, slices, device
         ratio = slice_pitch / row_pitch
         self.same_pitch: bool = abs(ratio - 1.0) < 1e-6
-        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == raised == 0.0
+        self.same: bool = rows == slices and self.same_pitch and fill == 1.0 and sigma == raised == gap == 0.0
         """Whether each row is a slice."""
         self.weights: np.ndarray = np.eye(rows)
-        """What each slice gets of the light of each row, (slices, rows)."""
+        """Share of the light of each row in each slice, (slices, rows)."""
         if self.same:
             return
-        position = (np.arange(slices) - 0.5 * (slices - 1)) * ratio + 0.5 * (rows - 1) - raised
-        matrix = ratio * _mean(position[:, None] - np.arange(rows), ratio, fill, sigma)
+        middle = np.arange(slices) - 0.5 * (slices - 1)
+        position = middle * ratio + np.sign(middle) * 0.5 * gap / row_pitch + 0.5 * (rows - 1) - raised
+        matrix = ratio * mean_light(position[:, None] - np.arange(rows), ratio, fill, sigma)
         self.weights = matrix
         self._to_slices, self._from_slices = (banded(device, m) for m in (matrix, matrix.T))
 
     @classmethod
-    def of(cls, beam: Beam, slices: int, pitch: float, device: Device, height: float = 0.0) -> RowResampler:
-        """That of a beam's pixels with their fill factor and point spread.
-
-        Args:
-            beam: The beam.
-            slices: Slices of the grid.
-            pitch: Their thickness [mm].
-            device: That holds the tables.
-            height: By which the light lies higher [mm].
-
-        Returns:
-            The resampler.
-        """
+    def of(
+        cls, beam: Beam, slices: int, pitch: float, device: Device, height: float = 0.0, gap: float = 0.0
+    ) -> RowResampler:
+        """The resampler of a beam for slices of a pitch [mm], with light raised by ``height`` [mm]."""
         fill, sigma = (1.0, 0.0) if beam.flat else (sqrt(beam.fill), beam.sigma)
-        return cls(beam.pixels[1], beam.pitch, slices, pitch, device, fill, sigma, height / beam.pitch)
+        return cls(beam.pixels[1], beam.pitch, slices, pitch, device, fill, sigma, height / beam.pitch, gap)
+
+    def in_slices(self, rows: DeviceArray, empty: Empty | None = None) -> DeviceArray:
+        """The light [pose, r, slice] of rows; the rows themselves where each is a slice."""
+        if self.same:
+            return rows
+        slices = (empty or self.device.empty)((*rows.shape[:2], self.slices))
+        self.to_slices(rows, slices)
+        return slices
+
+    @contextmanager
+    def filling(self, rows: DeviceArray, empty: Empty | None = None) -> Iterator[DeviceArray]:
+        """A field [pose, r, slice] to fill, which fills rows in the end; the rows themselves where each is a slice."""
+        slices = rows if self.same else (empty or self.device.empty)((*rows.shape[:2], self.slices))
+        yield slices
+        if slices is not rows:
+            self.from_slices(slices, rows)
 
     def from_slices(self, source: DeviceArray, target: DeviceArray) -> None:
         """target [pose, r, row] from source [pose, r, slice]."""
@@ -75,12 +81,12 @@ class RowResampler:
         self.device.launch(resample, source=source, lanes=source, target=target, **self._to_slices)
 
 
-def _mean(distance: np.ndarray, height: float, fill: float, sigma: float) -> np.ndarray:
+def mean_light(distance: np.ndarray, height: float | np.ndarray, fill: float, sigma: float) -> np.ndarray:
     """Mean over a slice ``height`` rows high of the light of a row at a distance [rows]; sums to 1 over rows."""
-    outer, inner = 0.5 * (height + fill), 0.5 * abs(height - fill)
+    outer, inner = 0.5 * (height + fill), 0.5 * np.abs(height - fill)
     ends = sum(_second_integral(distance + x, sigma) for x in (outer, -outer))
     middle = sum(_second_integral(distance + x, sigma) for x in (inner, -inner))
-    inside = np.abs(distance) < max(outer + TAIL * sigma, FAR * sigma)
+    inside = np.abs(distance) < np.maximum(outer + TAIL * sigma, FAR * sigma)
     return np.where(inside, np.maximum(ends - middle, 0.0) / (height * fill), 0.0)
 
 

@@ -17,17 +17,7 @@ from vamgpu.web import WebGrid
 
 
 class Scaled(LinearOperator):
-    """Multiplies every voxel [x, y, z] by a factor; its own transpose.
-
-    Args:
-        grid: The voxels, of a volume or of a web.
-        factors: Of every voxel, [x, y, z] or [l, rho, z], finite.
-        device: A name or a device; the best one here by default.
-
-    Raises:
-        BadInput: A factor is no finite number.
-        ShapeMismatch: There is not one factor a voxel.
-    """
+    """Multiplies every voxel [x, y, z] by a factor; its own transpose. Raises `BadInput`, `ShapeMismatch`."""
 
     domain: VolumeSpace | WebSpace
     range: VolumeSpace | WebSpace

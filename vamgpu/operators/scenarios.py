@@ -22,20 +22,10 @@ from vamgpu.operators.space import Space, VolumeSpace
 
 @final
 class Scenarios(Derived):
-    """One light, the dose in every scenario: volumes stand one above the other, [x, y, scenario · z].
+    """One light, the dose in every scenario: volumes stand one above the other, [x, y, scenario · z]."""
 
-    Dose s is Σ_t mix[s, t] times the dose of operator t. A volume that is 0 in all that an operator has a share in
-    costs no projection by it. Scenarios can `rest`: their dose is not computed, and another stands for it.
-
-    Args:
-        operators: Projectors between the same spaces; the first one is nominal.
-        mix: Shares, (scenarios, operators); None for one scenario an operator.
-
-    Raises:
-        BadInput: There is no operator, or shares are not finite or fit none.
-        ShapeMismatch: Operators map between unlike spaces.
-        DeviceError: They live on several devices.
-    """
+    # Dose s is Σ_t mix[s, t] times the dose of operator t, of which the first is nominal. A volume that is 0 in all
+    # that an operator has a share in costs no projection by it. Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
 
     domain: Space
     range: Space
@@ -65,8 +55,6 @@ class Scenarios(Derived):
         self.domain, self.range, self.device = VolumeSpace(self.grid), nominal.range, nominal.device
         self.projections = 0.0
         """Projections and doses computed so far, in evaluations: half of one each."""
-        self._resting: tuple[bool, ...] = (False,) * len(self.mix)
-        self._instead: DeviceArray | None = None
         self._ones = self.device.table(np.ones((high, 1)))
         self._firsts = [
             self.device.upload(np.arange(high, dtype=np.int32) + high * s, np.dtype(np.int32), table=True)
@@ -81,48 +69,18 @@ class Scenarios(Derived):
 
     @property
     def cost(self) -> float:
-        """Evaluations of projectors that one evaluation takes, scenarios that rest left out."""
+        """Evaluations of projectors that one evaluation takes."""
         return float(sum(bool(self._shares(number)) for number in range(len(self.operators))))
 
-    @property
-    def resting(self) -> tuple[bool, ...]:
-        """Which scenarios rest, (scenarios,)."""
-        return self._resting
-
-    def rest(self, resting: Sequence[bool], instead: DeviceArray | None) -> None:
-        """Let scenarios rest; a volume given for one of them must be 0.
-
-        Args:
-            resting: Whether each does, (scenarios,).
-            instead: Stands for their doses, [x, y, z] of one scenario; needed where any rests.
-        """
-        self._resting, self._instead = tuple(map(bool, resting)), instead
-
     def stacked(self, fields: Sequence[DeviceArray]) -> DeviceArray:
-        """Put one volume of every scenario above the other.
-
-        Args:
-            fields: Volumes [x, y, z], one a scenario.
-
-        Returns:
-            The stack, [x, y, scenario · z].
-        """
+        """Put the volumes [x, y, z] of all scenarios above each other, [x, y, scenario · z]."""
         out = self.device.upload(np.zeros(self.domain.shape, np.float32))
         for scenario, field in enumerate(fields):
             self._put(field, scenario, 1.0, False, out)
         return out
 
     def taken(self, stack: DeviceArray, scenario: int, out: DeviceArray | None = None) -> DeviceArray:
-        """The volume of one scenario.
-
-        Args:
-            stack: [x, y, scenario · z].
-            scenario: Which one.
-            out: Takes the volume; None for a new one.
-
-        Returns:
-            The volume, [x, y, z].
-        """
+        """The volume [x, y, z] of one scenario of a stack."""
         out = self.device.empty(self.each.shape) if out is None else out
         first = self._firsts[scenario]
         self.device.launch(resample, source=stack, first=first, weights=self._ones, lanes=stack, target=out)
@@ -135,16 +93,15 @@ class Scenarios(Derived):
         )  # fmt: skip
 
     def _shares(self, operator: int) -> list[int]:
-        """Scenarios that do not rest and that an operator has a share in."""
-        return [s for s, share in enumerate(self.mix[:, operator]) if share and not self._resting[s]]
+        """Scenarios that an operator has a share in."""
+        return [s for s, share in enumerate(self.mix[:, operator]) if share]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         pulls: dict[int, DeviceArray] = {}
         for scenario in range(len(self)):
-            if not self._resting[scenario]:
-                volume = self.taken(x, scenario)
-                if extent(volume) != (0.0, 0.0):
-                    pulls[scenario] = volume
+            volume = self.taken(x, scenario)
+            if extent(volume) != (0.0, 0.0):
+                pulls[scenario] = volume
         added = False
         for number, operator in enumerate(self.operators):
             shares = [s for s in self._shares(number) if s in pulls]
@@ -181,6 +138,3 @@ class Scenarios(Derived):
             for scenario in shares:
                 self._put(dose, scenario, float(self.mix[scenario, number]), scenario in begun, out)
                 begun.add(scenario)
-        for scenario in set(range(len(self))) - begun:
-            if self._instead is not None and self._resting[scenario]:
-                self._put(self._instead, scenario, 1.0, False, out)

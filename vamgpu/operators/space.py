@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vamgpu.errors import ShapeMismatch
+from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.web_motion import WebMotion
@@ -97,3 +97,10 @@ def require(space: Space, value: Any, name: str) -> None:
         raise ShapeMismatch(
             f"{name} has shape {shape}; expected {space.shape} = [{axes}]: build it on the same geometry"
         )
+
+
+def require_kinds(usage: str, *given: tuple[Any, type]) -> None:
+    """Raise `BadInput` unless each value is of its kind; ``usage`` shows the call."""
+    for value, kind in given:
+        if not isinstance(value, kind):
+            raise BadInput(f"got {value!r} where a {kind.__name__} is expected; {usage}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from math import prod
 from threading import local
@@ -28,10 +28,10 @@ from vamgpu.kernels.spectrum import (
     most_lit_first,
 )
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.polar import PolarGrid, ring_table
+from vamgpu.operators.polar import PolarGrid, PoseTile, ring_table
 from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import PolarSpace, SinogramSpace
+from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
 from vamgpu.schema.quantities import finite
 
 MOST = 4
@@ -57,8 +57,11 @@ class SpectralProjection(LinearOperator):
         faint: Share of the greatest entry of its table up to which those of outermost columns count as none.
         tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
             in OpenCL. Elsewhere it changes nothing.
+        motion: Whose angles are those of the grid, and how long each is lit while it turns; None for a turntable that
+            turns all the time.
         splines: Give coefficients of `vamgpu.operators.ring_splines`, which are no doses, but make them between cells;
             with a square alone.
+        tiles: What the light of one pose leaves in every eight rings, where it is not what the vessel illuminates.
 
     Raises:
         BadInput: An argument is of another kind, or no light reaches a ring.
@@ -75,10 +78,10 @@ class SpectralProjection(LinearOperator):
     def __init__(
         self, grid: PolarGrid, beam: Beam, vessel: Vessel | None = None, device: str | Device | None = None, *,
         square: float | None = None, faint: float = 0.0, tf32: bool = False, splines: bool = False,
+        motion: Turntable | None = None,
+        tiles: Sequence[PoseTile] | None = None,
     ) -> None:  # fmt: skip
-        for value, kind in ((grid, PolarGrid), (beam, Beam)):
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; SpectralProjection(grid, beam, …)")
+        require_kinds("SpectralProjection(grid, beam, …)", (grid, PolarGrid), (beam, Beam))
         if vessel is not None and not isinstance(vessel, Vessel):
             raise BadInput(f"got {vessel!r} as vessel; expected a Vial, a Vat, or None for straight light")
         if not isinstance(tf32, bool):
@@ -89,14 +92,21 @@ class SpectralProjection(LinearOperator):
             raise BadInput(f"got faint={faint}; expected a share of the greatest entry, 0 or more and below 1")
         if not isinstance(splines, bool) or (splines and square is None):
             raise BadInput(f"got splines={splines!r}, square={square}; expected splines=True with a square, or False")
+        motion = Turntable(grid.angles) if motion is None else motion
+        if not isinstance(motion, Turntable) or not motion.is_even or motion.angles != grid.angles:
+            raise BadInput(f"got motion={motion!r}; expected a Turntable of the grid's {grid.angles} even angles, each "
+                           "lit as long, or None")  # fmt: skip
+        self._given = {"square": square, "faint": faint, "tf32": tf32, "splines": splines, "motion": motion}
+        self._has_tiles = tiles is not None
         self.tf32: bool = tf32
-        self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, Turntable(grid.angles)
+        self.grid, self.beam, self.vessel, self.motion = grid, beam, vessel, motion
         self.domain = PolarSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
         self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
-        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines)
+        arc = float(motion.arcs[0])
+        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines, arc, tiles)
         self._light_shape = (grid.angles, beam.pixels[0], grid.slices)
         upload = self.device.table
         self._entries = {
@@ -109,9 +119,23 @@ class SpectralProjection(LinearOperator):
             "tf32": int(tf32),
         }
 
+    def described(self) -> dict[str, Any]:
+        """Describe the constructor's arguments.
+
+        Returns:
+            Its arguments by name.
+
+        Raises:
+            BadInput: It was given tiles.
+        """
+        if self._has_tiles:
+            raise BadInput(f"got {self!r} of tiles, which are not kept; expected one of a vessel: pickle what made it")
+        return {"grid": self.grid, "beam": self.beam, "vessel": self.vessel, **self._given}
+
     def __repr__(self) -> str:
         vessel = f", {self.vessel!r}" if self.vessel else ""
-        return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r})"
+        how = "" if self.motion.lit_share == 1.0 else f", motion={self.motion!r}"
+        return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r}{how})"
 
     @cached_property
     def _of_light(self) -> _Passes:
@@ -120,56 +144,64 @@ class SpectralProjection(LinearOperator):
     @cached_property
     def _to_rings(self) -> _Passes:
         own = self._radices and [radices[::-1] for radices in self._radices]
-        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._belts], own)
+        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._bands], own)
 
     @cached_property
     def _from_rings(self) -> _Passes:
-        return _Passes(self.device, self._belts, self._radices)
+        return _Passes(self.device, self._bands, self._radices)
 
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
         """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
-        angles, belts = self.grid.angles, self.grid.belts
+        angles, bands = self.grid.angles, self.grid.bands
         if not on_gpu(self.device) or not any(factors(angles)):
             return None
-        return [(angles, belt.samples) if belts[-1].samples > 1 else (angles,) for belt in belts]
+        return [(angles, band.samples) if bands[-1].samples > 1 else (angles,) for band in bands]
 
     @property
-    def _belts(self) -> list[tuple[int, int, Place, Place]]:
+    def _bands(self) -> list[tuple[int, int, Place, Place]]:
         angles, width, _ = self.grid.shape
         return [
             (angles * b.samples, b.rings, (b.cell, b.samples, b.rings, width), (b.cell, angles, width, b.rings))
-            for b in self.grid.belts
+            for b in self.grid.bands
         ]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self._rows.same else self._work("rows", (*self.range.shape[:2], self.grid.slices))
-        self._gather(x, rows)
-        if rows is not out:
-            self._rows.from_slices(rows, out)
+        with self._rows.filling(out, lambda shape: self._work("rows", shape)) as rows:
+            self._gather(x, rows)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = y
-        if not self._rows.same:
-            rows = self._work("rows", (*self.range.shape[:2], self.grid.slices))
-            self._rows.to_slices(y, rows)
-        self._light(rows, out)
+        self._light(self._rows.in_slices(y, lambda shape: self._work("rows", shape)), out)
 
     def _gather(self, x: DeviceArray, rows: DeviceArray) -> None:
-        """What slices of a volume send to columns, [angle, r, slice]."""
+        """Project slices of a volume to columns, [angle, r, slice]."""
+        self._in_turn(self._gathered(x), rows)
+
+    def _gathered(self, x: DeviceArray) -> DeviceArray:
+        """`_gather` by angular frequencies, in a field that is worked in."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
         light = work("light 0", self._light_shape)
         launch(gather_rings, spectrum=spectrum, **self._entries, light=light)
-        self._of_light.run(1.0, light, lambda number: work(f"light {1 - number}", self._light_shape), last=rows)
+        return light
+
+    def _in_turn(self, light: DeviceArray, rows: DeviceArray) -> None:
+        """Light by angular frequencies, in "light 0", back at its angles."""
+        self._of_light.run(1.0, light, lambda number: self._work(f"light {1 - number}", self._light_shape), last=rows)
 
     def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
         """The dose of columns in slices, the transpose of `_gather`."""
-        launch, work = self.device.launch, self._work
-        light = self._of_light.run(-1.0, rows, lambda number: work(f"light {number}", self._light_shape))
-        spectrum = work("rings 0", out.shape)
-        launch(light_rings, light=light, **self._entries, spectrum=spectrum)
-        self._to_rings.run(1.0, spectrum, lambda number: work(f"rings {1 - number}", out.shape), last=out)
+        self._on_rings(self._by_frequency(rows), out)
+
+    def _by_frequency(self, rows: DeviceArray) -> DeviceArray:
+        """Light by its angular frequencies, in a field that is worked in."""
+        return self._of_light.run(-1.0, rows, lambda number: self._work(f"light {number}", self._light_shape))
+
+    def _on_rings(self, light: DeviceArray, out: DeviceArray) -> None:
+        """The dose of light by its angular frequencies."""
+        spectrum = self._work("rings 0", out.shape)
+        self.device.launch(light_rings, light=light, **self._entries, spectrum=spectrum)
+        self._to_rings.run(1.0, spectrum, lambda number: self._work(f"rings {1 - number}", out.shape), last=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
         """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
@@ -180,51 +212,47 @@ class SpectralProjection(LinearOperator):
 
 
 Place = tuple[int, int, int, int]
-"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.Belts`."""
+"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
 
 
 class _Passes:
-    """Fourier transforms of rings, a pass after the other.
+    """Fourier transforms of rings, a pass after the other."""
 
-    belts: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
-    """
+    # bands: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
 
     def __init__(
-        self, device: Device, belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
+        self, device: Device, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
     ) -> None:
         self._device = device
-        radices = radices or passes([n for n, *_ in belts], _fits(device))
-        waves = [FULL_TURN * np.arange(n) / n for n, *_ in belts]
+        radices = radices or passes([n for n, *_ in bands], _fits(device))
+        waves = [FULL_TURN * np.arange(n) / n for n, *_ in bands]
         self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
-        self._tables = [self._pass(belts, radices, number) for number in range(len(radices[0]))]
+        self._tables = [self._pass(bands, radices, number) for number in range(len(radices[0]))]
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """The number of passes."""
         return len(self._tables)
 
     def _pass(
-        self, belts: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
+        self, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
     ) -> dict[str, Any]:
         """The arguments of one pass; the first reads where the source lies, all others where the sink does."""
         found, item, wave = [], 0, 0
-        for (n, rings, source, sink), own in zip(belts, radices, strict=True):
+        for (n, rings, source, sink), own in zip(bands, radices, strict=True):
             read = sink if number else source
             found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
             item, wave = item + n * rings, wave + n
         radix = radices[0][number]
         alike = radix > FACTOR and all(own[number] == radix for own in radices) and all(map(is_even, found))
         fixed = factors(radix) if alike and on_gpu(self._device) else (0, 0, 0, 0)
-        belts_of_pass = self._device.table(in_groups(found, whole=any(fixed)), "int32")
-        return {"belts": belts_of_pass, **dict(zip(("first", "second", "third", "last"), fixed, strict=True))}
+        bands_of_pass = self._device.table(in_groups(found, whole=any(fixed)), "int32")
+        return {"bands": bands_of_pass, **dict(zip(("first", "second", "third", "last"), fixed, strict=True))}
 
     def run(
         self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
     ) -> DeviceArray:
-        """Transform; passes write to work(0) and work(1), which may be the source, in turn, the last one to ``last``.
-
-        Where the result is.
-        """
+        """Transform by way of work(0) and work(1), which may be the source; return where the result is."""
         for number, own in enumerate(self._tables):
             sink = last if last is not None and number == self.count - 1 else work(number % 2)
             self._device.launch(fourier, source=source, **own, waves=self._waves, sign=sign, sink=sink)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, hypot
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -23,7 +23,8 @@ from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import SinogramSpace, VolumeSpace
+from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
+from vamgpu.operators.turning import mean, places, ray_parts
 
 SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""
@@ -43,7 +44,9 @@ class TracedProjection(LinearOperator):
     ray i in voxel j, times transmittance and the absorbed fraction per mm where the medium absorbs, and times the dwell
     of its angle over the mean. Opaque voxels get no dose. Where nothing depends on z and light is level, all slices
     share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device. Otherwise
-    rays are marched in every product. A pixel is one ray, or those of ``rays``, without point spread.
+    rays are marched in every product. A pixel is one ray, or those of ``rays``, without point spread. Light of a
+    container that turns while a frame is lit is the mean of places a third of a voxel apart at the rim: as many times
+    the rays are traced.
 
     Args:
         grid: Voxels of the volume.
@@ -87,9 +90,7 @@ class TracedProjection(LinearOperator):
         medium = CoRotatingMedium() if medium is None else medium
         rays = RayBundle.parallel(beam) if rays is None and isinstance(beam, Beam) else rays
         expected = ((grid, Grid), (beam, Beam), (motion, Turntable), (medium, CoRotatingMedium), (rays, RayBundle))
-        for value, kind in expected:
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; TracedProjection(grid, beam, …)")
+        require_kinds("TracedProjection(grid, beam, …)", *expected)
         one_ray_a_pixel("TracedProjection", beam)
         assert rays is not None  # only a beam of another kind leaves it out
         self.grid, self.beam, self.motion, self.medium, self.rays = grid, beam, motion, medium, rays
@@ -102,6 +103,7 @@ class TracedProjection(LinearOperator):
         self.most_steps = patience if most_steps is None else counts("most_steps", (most_steps,), 1)[0]
         medium.check(grid)
         level = medium.is_level and rays.is_level
+        self._turns = places(motion, ray_parts(motion, 0.5 * hypot(*grid.shape[:2])))
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
         self._dwell = Dwell(motion, self.device)
 
@@ -154,36 +156,44 @@ class _Matrix:
     def __init__(self, owner: TracedProjection) -> None:
         self.device, grid, beam = owner.device, owner.grid, owner.beam
         self.resampled = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, owner.device)
-        self.slices = (owner.motion.angles, beam.pixels[0], grid.shape[2])
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:
             raise BadInput(f"{cells} voxels a slice and {rays} rays; at most {WHOLE} of each: use a coarser geometry")
-        entries = _traced(owner)
+        entries = _mean_of(owner, (rays, cells))
         self.entries = entries.weight.size
-        self.rows = entries.table(self.device, self.slices[:2], PLANES * grid.shape[1])
+        self.rows = entries.table(self.device, owner.range.shape[:2], PLANES * grid.shape[1])
         self.columns = entries.transposed().table(self.device, grid.shape[:2], POSES * beam.pixels[0])
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        rows = out if self.resampled.same else self.device.empty(self.slices)
-        self.device.launch(gather_rows, source=x, **self.rows, out=rows)
-        if rows is not out:
-            self.resampled.from_slices(rows, out)
+        with self.resampled.filling(out) as rows:
+            self.device.launch(gather_rows, source=x, **self.rows, out=rows)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        rows = y
-        if not self.resampled.same:
-            rows = self.device.empty(self.slices)
-            self.resampled.to_slices(y, rows)
-        self.device.launch(gather_rows, source=rows, **self.columns, out=out)
+        self.device.launch(gather_rows, source=self.resampled.in_slices(y), **self.columns, out=out)
 
 
-def _traced(owner: TracedProjection) -> SparseEntries:
-    """The matrix of one slice, rows being [angle, r]; traced some poses at a time."""
+def _mean_of(owner: TracedProjection, shape: tuple[int, int]) -> SparseEntries:
+    """The mean matrix of one slice over the parts of every frame."""
+    from scipy.sparse import csr_array
+
+    parts = (_traced(owner, poses) for poses in owner._turns)
+    if len(owner._turns) == 1:
+        return next(parts)
+    whole = csr_array(shape, dtype=np.float32)
+    for part in parts:
+        whole = whole + csr_array((part.weight, (part.row, part.column)), shape)
+    found = whole.tocoo()
+    weight = found.data / np.float32(len(owner._turns))
+    return SparseEntries(found.row.astype(np.int32), found.col.astype(np.int32), weight)
+
+
+def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
+    """The matrix of one slice at some angles, rows being [angle, r]; traced some poses at a time."""
     device, bundle = owner.device, owner.rays.rays  # type: ignore[union-attr]
     inputs = owner._inputs(level=True) | {"most": owner.most_steps}
     rays = owner.beam.pixels[0] * bundle
     capacity = 3 * sum(owner.grid.shape[:2]) + 16
-    poses, solid = owner.motion.poses, _solid(owner)
+    solid = _solid(owner)
     entries, pairs, at = [], [], 0
     while at < poses.size:
         some = poses[at : at + max(1, SCRATCH // (8 * rays * capacity))]
@@ -223,23 +233,29 @@ class _March:
     entries = 0
 
     def __init__(self, owner: TracedProjection) -> None:
-        self.device, poses = owner.device, owner.motion.poses
+        self.device, owned = owner.device, owner._inputs(level=False)
         angles, (columns, rows) = owner.motion.angles, owner.beam.pixels
-        self.inputs = owner._inputs(level=False)
-        self.inputs["directions"] = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
-        steps = self.device.empty((angles, columns * rows), np.int32, table=True)
-        self.device.launch(
-            survey_rays, **self.inputs, top=owner.grid.shape[2] + 1.0, most=owner.most_steps, steps=steps
-        )
-        owner._check_left(steps.numpy() < 0, rows, 1)
-        self.inputs["steps"] = steps
+        self.inputs = []
+        for poses in owner._turns:
+            directions = self.device.table(np.stack([np.cos(poses), np.sin(poses)], axis=1))
+            inputs = owned | {"directions": directions}
+            steps = self.device.empty((angles, columns * rows), np.int32, table=True)
+            self.device.launch(survey_rays, **inputs, top=owner.grid.shape[2] + 1.0, most=owner.most_steps, steps=steps)
+            owner._check_left(steps.numpy() < 0, rows, 1)
+            self.inputs.append(inputs | {"steps": steps})
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(forward_traced, volume=x, **self.inputs, lanes=out, sinogram=out)
+        def compute(part: int, out: DeviceArray) -> None:
+            self.device.launch(forward_traced, volume=x, **self.inputs[part], lanes=out, sinogram=out)
+
+        mean(len(self.inputs), compute, out)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        self.device.launch(clear_volume, volume=out)
-        self.device.launch(back_traced, sinogram=y, **self.inputs, lanes=y, volume=out)
+        def compute(part: int, out: DeviceArray) -> None:
+            self.device.launch(clear_volume, volume=out)
+            self.device.launch(back_traced, sinogram=y, **self.inputs[part], lanes=y, volume=out)
+
+        mean(len(self.inputs), compute, out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +271,7 @@ class SparseEntries:
         return SparseEntries(self.column, self.row, self.weight)
 
     def table(self, device: Device, shape: tuple[int, int], block: int) -> dict[str, DeviceArray]:
-        """What `gather_rows` needs of a matrix whose rows are ``shape``, in blocks of ``block`` columns."""
+        """Tables of `gather_rows` for a matrix whose rows are ``shape``, in blocks of ``block`` columns."""
         major, minor = np.divmod(self.row, shape[1])
         blocks = -(-(int(self.column.max(initial=0)) + 1) // block)
         place = (major * blocks + self.column // block) * shape[1] + minor

@@ -9,13 +9,13 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Beam, one_ray_a_pixel
 from vamgpu.kernels.unfold import mix_poses
 from vamgpu.operators.bands import Bands
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.row_resampler import RowResampler
-from vamgpu.operators.space import WebSinogramSpace, WebSpace
+from vamgpu.operators.space import WebSinogramSpace, WebSpace, require_kinds
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 
@@ -26,9 +26,10 @@ class WebProjection(LinearOperator):
 
     ``A(web)`` is the light [pose, r, z] of a web [l, rho, z]: g[pose, r, z] = Σ over the window of
     P[r, rho, l]·f[l + start + pose·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count
-    as nothing; a window that begins between two columns interpolates linearly. The unfolded matrix of "Roll-to-roll
-    tomographic volumetric additive manufacturing", section S2, is never made: memory is that of f and g, and with steps
-    between columns that of one more g. A pixel is as the `Propagation` says, without point spread.
+    as nothing; a window that begins between two columns interpolates linearly, and light is the mean over the film's
+    way while a pose is lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing",
+    section S2, is never made: memory is that of f and g, and with steps between columns that of one more g. A pixel is
+    as the `Propagation` says, without point spread.
 
     Args:
         grid: The web.
@@ -67,9 +68,7 @@ class WebProjection(LinearOperator):
         poses: int | None = None,
         start: float | None = None,
     ) -> None:
-        for value, kind in ((grid, WebGrid), (beam, Beam), (wrap, Wrap)):
-            if not isinstance(value, kind):
-                raise BadInput(f"got {value!r} where a {kind.__name__} is expected; WebProjection(grid, beam, wrap, …)")
+        require_kinds("WebProjection(grid, beam, wrap, …)", (grid, WebGrid), (beam, Beam), (wrap, Wrap))
         self.wrap: Wrap | None = wrap
         self._build(
             grid, beam, light_of_pose(wrap, grid, beam, device), wrap.advance / grid.edges[0], device, poses, start
@@ -131,7 +130,8 @@ class WebProjection(LinearOperator):
         self.range = WebSinogramSpace(beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.device: Device = open_device(device)
         self._rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
-        self._between = None if self.motion.whole else _Between(self.motion, self.device)
+        self._between = None if self.motion.whole else _Between(self.motion, light.way, self.device)
+        light = light.moving if self._between is None else light
         begin, stride = (int(self.first), int(self.motion.step)) if not self._between else (self._between.first, 1)
         self._forward = Bands.forward(light, begin, stride).on(self.device)
         self._transposed = Bands.transposed(light, begin, stride).on(self.device)
@@ -149,21 +149,16 @@ class WebProjection(LinearOperator):
         return self.device.empty((poses, self.beam.pixels[0], self.grid.shape[2]))
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        slices = out if self._rows.same else self._light(self.motion.poses)
-        if self._between is None:
-            self._forward.gather(x, slices)
-        else:
-            whole = self._light(self._between.count)
-            self._forward.gather(x, whole)
-            self._between.mix(whole, slices)
-        if slices is not out:
-            self._rows.from_slices(slices, out)
+        with self._rows.filling(out) as slices:
+            if self._between is None:
+                self._forward.gather(x, slices)
+            else:
+                whole = self._light(self._between.count)
+                self._forward.gather(x, whole)
+                self._between.mix(whole, slices)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        slices = y
-        if not self._rows.same:
-            slices = self._light(self.motion.poses)
-            self._rows.to_slices(y, slices)
+        slices = self._rows.in_slices(y)
         if self._between is not None:
             whole = self._light(self._between.count)
             self._between.unmix(slices, whole)
@@ -174,11 +169,8 @@ class WebProjection(LinearOperator):
 class _Between:
     """Poses between two columns as mixtures of ``count`` poses at whole columns from column ``first``."""
 
-    def __init__(self, motion: WebMotion, device: Device) -> None:
-        below, share = motion.neighbors
-        pose = np.concatenate([np.arange(below.size), np.flatnonzero(share)])
-        column = np.concatenate([below, below[share > 0] + 1])
-        weight = np.concatenate([1.0 - share, share[share > 0]])
+    def __init__(self, motion: WebMotion, way: float, device: Device) -> None:
+        pose, column, weight = motion.taps(way)
         self.device, self.first = device, int(column.min())
         column -= self.first
         self.count = int(column.max()) + 1

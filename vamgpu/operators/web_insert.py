@@ -36,6 +36,8 @@ class WebInsertProjection(LinearOperator):
     things move with the web: they shade other rays at every pose. Opaque voxels get no dose. In a voxel that absorbs
     otherwise than the resin, the dose is that of resin in it. Light does not bend at them.
 
+    A film that moves while it is lit takes its things along, and light is linear between whole columns of its way.
+
     Rays stay in their slice. Slices in which the same stands in the light share one sparse matrix, and those without
     anything take the windows of `WebProjection`; memory grows with the number of unlike slices.
 
@@ -117,20 +119,11 @@ class WebInsertProjection(LinearOperator):
         return sum(getattr(part.way, "entries", 0) for part in self._parts)
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        slices = out if self._rows.same else self._light()
-        self._sum([part.forward for part in self._parts], x, slices)
-        if slices is not out:
-            self._rows.from_slices(slices, out)
+        with self._rows.filling(out) as slices:
+            self._sum([part.forward for part in self._parts], x, slices)
 
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        slices = y
-        if not self._rows.same:
-            slices = self._light()
-            self._rows.to_slices(y, slices)
-        self._sum([part.transposed for part in self._parts], slices, out)
-
-    def _light(self) -> DeviceArray:
-        return self.device.empty((self.motion.poses, self.beam.pixels[0], self.grid.shape[2]))
+        self._sum([part.transposed for part in self._parts], self._rows.in_slices(y), out)
 
     def _sum(self, ways: list[Any], given: DeviceArray, out: DeviceArray) -> None:
         ways[0](given, out)
@@ -141,7 +134,7 @@ class WebInsertProjection(LinearOperator):
 
 
 class _Slices:
-    """What happens in some slices of the web, and nothing in the others."""
+    """The light in some slices of the web; the others stay as they are."""
 
     def __init__(self, owner: WebInsertProjection, way: Any, slices: npt.NDArray[np.bool_]) -> None:
         self.way, self.device, self.shape = way, owner.device, owner.domain.shape
@@ -173,7 +166,10 @@ class _Shaded:
             raise BadInput(f"{cells} voxels a slice and {poses * columns} rays; at most {WHOLE} of each past inserts: "
                            "use a shorter web or a coarser geometry")  # fmt: skip
         found = SparseEntries(
-            *(np.concatenate(part) for part in zip(*_entries(owner.motion, grid, rays, opaque, excess), strict=True))
+            *(
+                np.concatenate(part)
+                for part in zip(*_entries(owner.motion, owner.light.way, grid, rays, opaque, excess), strict=True)
+            )
         )
         self.device, self.entries = owner.device, found.weight.size
         self.rows = found.table(self.device, (poses, columns), PLANES * grid.shape[1])
@@ -187,9 +183,14 @@ class _Shaded:
 
 
 def _entries(
-    motion: WebMotion, grid: WebGrid, rays: WebRays, opaque: npt.NDArray[np.bool_], excess: npt.NDArray[np.float64]
+    motion: WebMotion,
+    way: float,
+    grid: WebGrid,
+    rays: WebRays,
+    opaque: npt.NDArray[np.bool_],
+    excess: npt.NDArray[np.float64],
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Row (pose, r), column (l, rho) and weight of the light at each pose, which may lie between two columns."""
+    """Row (pose, r), column (l, rho) and weight of the light at each pose, about which the film moves a way."""
     (columns, layers, window), length = rays.shape, grid.shape[0]
     place = np.ravel_multi_index((rays.r, rays.rho, rays.l), rays.shape)
     voxels, entry = np.unique(place, return_inverse=True)
@@ -198,8 +199,8 @@ def _entries(
     plain = np.bincount(entry, rays.weight, voxels.size)
     stands = np.pad(opaque, ((window, window), (0, 0)))
     more = np.pad(excess, ((window, window), (0, 0)))
-    below, share = motion.neighbors
-    for at in np.unique(np.concatenate([below, below[share > 0] + 1])):
+    pose_of, column_of, share_of = motion.taps(way)
+    for at in np.unique(column_of):
         seen = (l + at >= 0) & (l + at < length)
         if not seen.any():
             continue
@@ -212,19 +213,16 @@ def _entries(
             weight = plain
         seen &= weight != 0.0
         cells = ((l[seen] + at) * layers + rho[seen]).astype(np.int32)
-        for poses, shares in ((below == at, 1.0 - share), ((below + 1 == at) & (share > 0), share)):
-            for pose in np.flatnonzero(poses):
-                yield (pose * columns + r[seen]).astype(np.int32), cells, weight[seen] * shares[pose]
+        for pose, part in zip(pose_of[column_of == at], share_of[column_of == at], strict=True):
+            yield (pose * columns + r[seen]).astype(np.int32), cells, weight[seen] * part
 
 
 def _left(
     rays: WebRays, first: np.ndarray, opaque: npt.NDArray[np.bool_], excess: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """What inserts leave of what each piece leaves in a film of resin alone.
-
-    Before a piece the light falls by exp(−Σ excess · length); in it the resin absorbs along a way on which the light
-    falls by its absorption and the excess together.
-    """
+    """Share of the light in each piece of a film of resin alone that inserts leave."""
+    # Before a piece the light falls by exp(−Σ excess · length); in it the resin absorbs along a way on which the light
+    # falls by its absorption and the excess together.
     met = np.cumsum(opaque)
     dark = met > (met - opaque)[first]
     depth = excess * rays.length

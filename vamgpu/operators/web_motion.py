@@ -1,4 +1,4 @@
-"""How a web passes a pose of light, counted in columns: what a projector needs to know of the machine that moves it."""
+"""The way of a web past a pose of light, in columns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, SkippedColumns
 from vamgpu.geometry import counts, positive
-from vamgpu.web import Propagation
+from vamgpu.web import Propagation, way_taps
 
 DRIFT = 1e-6
 """Columns by which all poses together may miss whole columns and still count as whole."""
@@ -18,10 +18,7 @@ DRIFT = 1e-6
 
 @dataclass(frozen=True)
 class WebMotion:
-    """Poses of light along a web: at pose k the window begins at column ``start + k·step``, which may lie between two.
-
-    poses: how many.  step, start: in columns of the web; start is negative where the window begins before the web.
-    """
+    """Poses along a web: at pose k the window begins at column ``start + k·step``, which may lie between two."""
 
     poses: int
     step: float
@@ -31,14 +28,11 @@ class WebMotion:
     def past(
         cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None
     ) -> WebMotion:
-        """The poses that see any of a web of ``columns``, or ``poses`` of them from ``start``.
-
-        Raises `BadInput`, and `SkippedColumns` for a step longer than the window.
-        """
+        """The poses that see any of a web of ``columns``, or ``poses`` of them. Raises `BadInput`, `SkippedColumns`."""
         step = positive("the step in columns a pose", step)
         if step > window:
             raise SkippedColumns(
-                f"the web moves {step:g} columns a pose and the window of light is {window} columns long; "
+                f"the web moves {step:g} columns an angle and the window of light is {window} columns long; "
                 "turn by smaller steps or use coarser columns"
             )
         begin = float(1 - window) if start is None else float(start)
@@ -72,6 +66,14 @@ class WebMotion:
         share = np.maximum(positions - below, 0.0)
         return below.astype(np.int64), np.where(share < DRIFT, 0.0, share)
 
+    def taps(self, way: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose, column and share of whole columns about each pose, at which the film moves a ``way`` while lit."""
+        below, shares = self.neighbors
+        near = [way_taps(way, float(share)) for share in shares]
+        pose = np.repeat(np.arange(self.poses), [columns.size for columns, _ in near])
+        column = np.concatenate([start + columns for start, (columns, _) in zip(below, near, strict=True)])
+        return pose, column, np.concatenate([part for _, part in near])
+
     def lit(self, light: Propagation, columns: int) -> np.ndarray:
         """Whether each of ``columns`` gets any light at any pose; boolean (columns,)."""
         below, share = self.neighbors
@@ -88,8 +90,8 @@ class WebMotion:
         lit = np.flatnonzero(self.lit(light, columns))
         if not lit.size:
             raise SkippedColumns(
-                f"none of {columns} columns is lit at {self.poses} poses of {self.step:g} columns from {self.start:g}; "
-                "let the window pass the web"
+                f"none of {columns} columns is lit at {self.poses} angles of {self.step:g} columns from "
+                f"{self.start:g}; let the window pass the web"
             )
         expected = columns if whole_web else int(lit[-1] - lit[0]) + 1
         if lit.size < expected:
@@ -97,6 +99,6 @@ class WebMotion:
             dark = np.setdiff1d(span, lit)
             raise SkippedColumns(
                 f"{dark.size} of {expected} columns are never lit, the first is column {dark[0]}: the web moves "
-                f"{self.step:g} columns a pose and light reaches {np.unique(light.l).size} columns of the window; "
+                f"{self.step:g} columns an angle and light reaches {np.unique(light.l).size} columns of the window; "
                 "turn by smaller steps or use coarser columns"
             )

@@ -38,7 +38,7 @@ class Wobble:
             if numbers.ndim > 1 or not np.isfinite(numbers).all():
                 raise BadInput(f"Wobble {name} has shape {numbers.shape} and {np.count_nonzero(~np.isfinite(numbers))} "
                                "values that are not finite; expected one finite number [mm] for every "
-                               "pose")  # fmt: skip
+                               "angle")  # fmt: skip
             numbers.setflags(write=False)
             object.__setattr__(self, name, numbers)
 
@@ -71,5 +71,5 @@ class Wobble:
         """
         for name, values in (("across", self.across), ("along", self.along)):
             if values.ndim and len(values) != poses:
-                raise BadInput(f"Wobble {name} has {len(values)} values; expected one for each of {poses} poses")
+                raise BadInput(f"Wobble {name} has {len(values)} values; expected one for each of {poses} angles")
         return np.stack([np.broadcast_to(v, (poses,)) for v in (self.across, self.along)], axis=1)

@@ -45,11 +45,7 @@ class Wrapper(Vessel):
         return self.inner.lit_radius
 
     def check_fits(self, radius: float) -> None:
-        """Check a target against the other vessel, where that has limits.
-
-        Args:
-            radius: Of the target [mm].
-        """
+        """Check a target of a radius [mm] against the other vessel, where that has limits."""
         check = getattr(self.vessel, "check_fits", None)
         if check is not None:
             check(radius)
@@ -78,7 +74,7 @@ class Misaligned(Wrapper):
 
     @property
     def distance(self) -> float:
-        """Of the projector's pupil from the axis [mm]; infinite for parallel light."""
+        """Distance of the projector's pupil from the axis [mm]; infinite for parallel light."""
         return inf
 
     def check_fits(self, radius: float) -> None:
@@ -225,18 +221,7 @@ def _check_round(vessel: Any, name: str) -> None:
 
 
 def with_absorption(vessel: Any, absorption: float) -> Any:
-    """Change the absorption of a vessel, or of the one within its wrappers.
-
-    Args:
-        vessel: Of whose resin.
-        absorption: Natural logarithm [1/mm].
-
-    Returns:
-        The other vessel.
-
-    Raises:
-        BadInput: Its absorption is not one number.
-    """
+    """Change the absorption [1/mm] of a vessel, or of the one within its wrappers. Raises `BadInput`."""
     names = getattr(vessel, "__dataclass_fields__", {})
     if "absorption" in names:
         return replace(vessel, absorption=absorption)

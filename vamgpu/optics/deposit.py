@@ -19,35 +19,17 @@ def deposit(
     pitch: float,
     step: float = 0.25,
 ) -> Floats:
-    """Power absorbed per volume on a slice of voxels one pitch high, over the whole disc of resin.
-
-    Every chord is cut into equal segments; Beer-Lambert's law is integrated exactly over each, and what the segment
-    absorbs is shared between the four voxels around its middle. Nothing is lost or invented: for a grid that covers
-    the resin, sum(result) * pitch^3 = sum(power * transmittance * (1 - exp(-absorption * length))). A resin that does
-    not absorb is credited 1 per mm of path instead, as in ``Vessel.illuminate``. What falls outside the grid is left
-    out.
-
-    Args:
-        vessel: vial or vat.
-        u: columns of the beam [mm], shape (columns,).
-        power: of each column at each pose [mW], shape (poses, columns).
-        angles: poses of the turntable [rad], shape (poses,).
-        shape: voxels along x and y.
-        pitch: of the voxels [mm].
-        step: longest segment, in pitches.
-
-    Returns:
-        Absorbed power density [mW/mm3], shape (nx, ny).
-
-    Raises:
-        BadInput: shapes that do not match, values that are not finite, a pitch or a step not above 0.
-    """
+    """Power absorbed per volume [mW/mm³] in a slice of voxels, (nx, ny), of the whole disc. Raises `BadInput`."""
+    # u: columns [mm], (columns,).  power: of each column at each pose [mW], (poses, columns).  angles: poses [rad].
+    # pitch: of voxels [mm].  step: longest segment [pitches]. Beer-Lambert's law is exact over each segment, which the
+    # four voxels around its middle share: sum(result) · pitch³ = sum(power · transmittance · (1 − exp(−absorption ·
+    # length))) where the grid covers the resin. Clear resin counts 1 per mm of path.
     columns, powers, poses = as_offsets("u", u), as_offsets("power", power), as_offsets("angles", angles)
     pitch, step = positive("pitch [mm]", pitch), positive("step [pitches]", step)
     if columns.ndim != 1 or poses.ndim != 1 or powers.shape != (poses.size, columns.size):
         raise BadInput(
             f"u, angles and power have the shapes {columns.shape}, {poses.shape} and {powers.shape}; "
-            "expected (columns,), (poses,) and (poses, columns)"
+            "expected (columns,), (angles,) and (angles, columns)"
         )
     nx, ny = counts("shape", shape, 2)
     lab_x, lab_y, absorbed = _segments(vessel.chords(columns), vessel.absorption, step * pitch)

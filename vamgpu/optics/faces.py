@@ -16,14 +16,7 @@ SMALLEST_COSINE = 1e-9
 
 @dataclass(frozen=True)
 class Face:
-    """One cylinder about the axis, crossed inwards.
-
-    Attributes:
-        radius: of the cylinder [mm].
-        outer_index: refractive index outside the cylinder.
-        inner_index: refractive index inside the cylinder.
-        bath_index: refractive index where the columns of the beam are counted.
-    """
+    """A cylinder about the axis, of a radius [mm], crossed inwards; the bath's index is where columns are counted."""
 
     radius: float
     outer_index: float

@@ -18,7 +18,7 @@ from vamgpu.optics.march import march
 from vamgpu.optics.ray_sheet import RaySheet, through
 from vamgpu.optics.vial import LARGEST_DENSITY
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Absorption, Index, Length, Quantity, Thickness
+from vamgpu.schema.quantities import Absorption, Index, Quantity, Thickness, VesselRadius
 
 SETTLED = 1e-9  # of the radius: how well the ends of rays are known
 TANGENT = 1e-4  # cosine of refraction below which the end of a ray is too sensitive for that
@@ -49,7 +49,7 @@ class GradedVial(Vessel):
         RayError: When the light is first asked for: a ray never leaves the resin or turns back.
     """
 
-    radius: Length
+    radius: VesselRadius
     wall: Thickness
     resin: FormulaField | GridField | FunctionField
     wall_index: Index

@@ -197,7 +197,7 @@ class GridField:
 
     @classmethod
     def _of(cls, square: Floats, pitch: float, region: Region | None) -> GridField:
-        """From n² with two more samples on every side."""
+        """Build from n² with two more samples on every side."""
         pitch = positive("pitch [mm]", pitch)
         half = [0.5 * (n - 5) * pitch for n in square.shape]
         for axis in range(square.ndim):
@@ -240,7 +240,7 @@ class FunctionField:
             raise BadInput(f"a function of {self.axes} axes over {self.region}; expected 2 or 3 axes, all with borders")
 
     def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
-        """By central differences of fourth order over a thousandth of the region."""
+        """The gradient by central differences of fourth order over a thousandth of the region."""
         delta, pull = 1e-3 * self.region.size, np.zeros_like(place)
         for axis in range(self.axes):
             near, far = (self._square(place, axis, d) - self._square(place, axis, -d) for d in (delta, 2.0 * delta))

@@ -16,30 +16,17 @@ Crossing = tuple[Floats, Floats, Index, Index]
 
 Polarization = Literal["none", "s", "p"]
 POLARIZATIONS: tuple[Polarization, ...] = get_args(Polarization)
-"""What light may be: unpolarized; its field along the axis of the vial, parallel to every face; or across the axis, in
+"""Polarizations: none; its field along the axis of the vial, parallel to every face; or across the axis, in
 the plane of incidence."""
 
 
 def impact_after(impact: Floats, index_before: float, index_after: float) -> Floats:
-    """Distance of a ray from the axis of a cylinder after refraction [mm].
-
-    Snell's law at a surface of revolution keeps index * distance, whatever the radius of the surface.
-    """
+    """Distance [mm] of a ray from a cylinder's axis after refraction: Snell's law keeps index · distance."""
     return impact * (index_before / index_after)
 
 
 def refract(direction: Floats, normal: Floats, index_before: float, index_after: float) -> Floats:
-    """Unit direction after refraction, by Snell's law in vector form.
-
-    Args:
-        direction: unit vectors of travel, shape (..., dimensions).
-        normal: unit normals of the face, either side, same shape.
-        index_before: refractive index on the side the light comes from.
-        index_after: refractive index on the other side.
-
-    Raises:
-        BadInput: a ray is totally reflected.
-    """
+    """Unit direction after refraction by Snell's law, (…, dimensions). Raises `BadInput` for total reflection."""
     ratio = index_before / index_after
     along = np.sum(direction * normal, axis=-1, keepdims=True)
     facing = np.where(along < 0, -normal, normal)
@@ -56,18 +43,7 @@ def refract(direction: Floats, normal: Floats, index_before: float, index_after:
 
 
 def fresnel(cos_before: Floats, cos_after: Floats, index_before: Index, index_after: Index) -> Floats:
-    """Shares of the power of s and of p light that cross the face (Fresnel's equations for power).
-
-    Args:
-        cos_before: cosine of the angle of incidence, at least 0, any shape.
-        cos_after: cosine of the angle of refraction, at least 0, same shape.
-        index_before: refractive index on the side the light comes from, a number or the same shape.
-        index_after: refractive index on the other side.
-
-    Returns:
-        Shape (..., 2): the share of s, whose field is parallel to the face, then that of p, whose field lies in the
-        plane of incidence.
-    """
+    """Shares of the power of s and of p light that cross a face, (…, 2), from the cosines of both angles."""
     s_in, s_out = index_before * cos_before, index_after * cos_after
     p_in, p_out = index_after * cos_before, index_before * cos_after
     both = 4.0 * s_in * s_out

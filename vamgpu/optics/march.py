@@ -25,19 +25,19 @@ FIRST = 32
 TURNS = 64
 """Sizes of the region a ray may travel before it counts as one that never leaves."""
 HALVINGS = 10
-"""Of the first step, before a ray counts as one that does not settle."""
+"""Halvings of the first step, before a ray counts as one that does not settle."""
 NOISE = 4e-6
 """Share of the region's size below which float32 cannot tell two ends apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Marched:
-    """Where rays end.
+    """Where rays end."""
 
-    place: [mm], (rays, 3).  heading: optical direction, as long as the index, (rays, 3).  optical, length: optical path
-    and geometric length [mm].  time: ∫ds/n [mm].  left: whether the ray left the region.  step: of ∫ds/n [mm], per
-    ray.  error: of the place [mm] by halving the step, per ray; NaN without a tolerance.  path: (rays, rows, 3) [mm].
-    """
+    # place: [mm], (rays, 3).  heading: optical direction, as long as the index, (rays, 3).  optical, length: optical
+    # path and geometric length [mm].  time: ∫ds/n [mm].  left: whether the ray left the region.  step: of ∫ds/n [mm],
+    # per ray.  error: of the place [mm] by halving the step, per ray; NaN without a tolerance.  path: (rays, rows, 3)
+    # [mm].
 
     place: Floats
     heading: Floats
@@ -56,10 +56,7 @@ class Marched:
 
 
 class Marcher:
-    """A medium on a device, ready to trace tables of rays again and again.
-
-    field: formula, grid or function; functions are sampled unless the device is ``numpy``. Raises `BadInput`.
-    """
+    """A medium on a device, ready to trace tables of rays again and again. Raises `BadInput`."""
 
     device: Device
     field: IndexField
@@ -96,10 +93,7 @@ class Marcher:
 
     def run(self, starts: DeviceArray, step: float, steps: int, scheme: str = "sharma", rows: int = 1, every: int = 1,
             region: Floats | None = None) -> tuple[DeviceArray, DeviceArray, DeviceArray]:  # fmt: skip
-        """One launch: the tables ends, path and times of `march_formula`, on the device.
-
-        region: as that takes it, in place of the field's own.
-        """
+        """Launch once: the tables ends, path and times of `march_formula`; ``region`` replaces the field's own."""
         if scheme not in ORDERS:
             raise BadInput(f"no stepper {scheme!r}; there are {', '.join(ORDERS)}")
         count, empty = starts.shape[0], self.device.empty

@@ -55,7 +55,7 @@ class Occluded(Wrapper):
         return self.inner
 
     def share(self, u: ArrayLike, across: ArrayLike, along: ArrayLike) -> Floats:
-        """What is left of the vessel's light at some places: the transmittance in the rod's shadow, else 1.
+        """Share of the vessel's light that is left at some places: the transmittance in the rod's shadow, else 1.
 
         Args:
             u: Columns of the light [mm], (...,).

@@ -22,10 +22,9 @@ CLOSE = 1e-9  # of the sheet's size: a point this near to its ray is met
 
 @dataclass(frozen=True, eq=False)
 class RaySheet:
-    """Rays in order of their offsets, each at equal shares of its ∫ds/n; first index the ray, second the share.
+    """Rays in order of their offsets, each at equal shares of its ∫ds/n: (ray, share)."""
 
-    across, along: places [mm].  path: length from the ray's start [mm].  Light travels towards larger ``along``.
-    """
+    # across, along: places [mm].  path: length from the ray's start [mm].  Light travels towards larger ``along``.
 
     across: Floats
     along: Floats
@@ -95,10 +94,7 @@ class RaySheet:
         return levels, across, share, rays
 
     def find(self, x: Floats, y: Floats, middle: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Fractional ray and share of the ray through each point, and whether there is one.
-
-        Of several rays the first found going out from index ``middle`` counts.
-        """
+        """Fractional ray and share through each point, and whether there is one; the first from ``middle`` counts."""
         ray, share, met = np.empty_like(x), np.empty_like(x), np.zeros(x.shape, bool)
         for start in range(0, x.size, CHUNK):
             part = slice(start, start + CHUNK)

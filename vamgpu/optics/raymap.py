@@ -16,23 +16,10 @@ MOST_STEPS = 100
 
 
 def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Column of the ray through each point, on the branch that is continuous from the axis.
-
-    The ray of column u passes through (X, Y) where f(u) = X cos d(u) + Y sin d(u) - ratio u vanishes. f(0) = X, and
-    mirroring X mirrors u, so the first change of sign over 0 < u < aperture, for abs(X), is the ray wanted.
-    Newton's method runs in the angle psi with u = aperture sin(psi), in which d is smooth up to the last ray.
-
-    Args:
-        faces: from the outside in.
-        aperture: largest column that reaches the resin [mm].
-        ratio: distance from the axis in the resin over column offset.
-        x: laboratory X [mm], shape (points,).
-        y: laboratory Y [mm], shape (points,).
-
-    Returns:
-        Columns u [mm], and the chord's spacing dX_perpendicular/du there; zero spacing where no ray comes, and there u
-        is the last column of that side.
-    """
+    """Column u [mm] of the ray through each (x, y) [mm], and its dX_perpendicular/du: 0 where no ray comes."""
+    # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
+    # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
+    # = aperture·sin ψ, in which d is smooth up to the last ray.
     u = np.empty_like(x)
     spacing = np.empty_like(x)
     for start in range(0, x.size, CHUNK):

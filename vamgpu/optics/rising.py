@@ -48,7 +48,7 @@ class Cone:
         object.__setattr__(self, "plane", Fan(vessel, offset, tilt, throw))
 
     def described(self) -> dict[str, Any]:
-        """What the constructor was given.
+        """Describe the constructor's arguments.
 
         Returns:
             Its arguments by name.
@@ -107,7 +107,7 @@ class Inclined:
             object.__setattr__(self, name, value)
 
     def described(self) -> dict[str, Any]:
-        """What the constructor was given: ``plane`` has the absorption of the longer way.
+        """Describe the constructor's arguments: ``plane`` has the absorption of the longer way.
 
         Returns:
             Its arguments by name.

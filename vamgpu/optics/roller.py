@@ -52,6 +52,8 @@ class Roller:
         planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it: each column is
             in focus at the one nearest to where it meets the middle of the film, as `vamgpu.FocusMasks` shows it. None
             for light that is in focus there itself.
+        lit_share: Share of each step during which its frame is lit while the film moves, half of it before the pose; 0
+            for a film that stands still while it is lit. Beside a lens, each focus plane has its part of that.
         neutral: Depth of the line that bending does not stretch, as a share of the thickness from the roller.
         rays: Rays across the width of a column; a voxel whose walls run along the light knows its share of a column to
             one ray.
@@ -84,6 +86,7 @@ class Roller:
     core: Index | None = None
     volume: Volume = "flat"
     planes: tuple[Place, ...] | None = None
+    lit_share: Share = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.film, Film):
@@ -103,8 +106,8 @@ class Roller:
             )
         if self.legs is None and self.film.penetration == inf:
             raise RayError(
-                "the film absorbs nothing, so that a ray along a leg never leaves the window; "
-                "expected the length of the legs [mm], or a film with an absorption above 0"
+                "the film absorbs nothing, so that a ray along a straight run never leaves the window; "
+                "expected the length of the straight runs [mm], or a film with an absorption above 0"
             )
 
     @property
@@ -183,7 +186,7 @@ class Roller:
         return np.where(np.abs(offsets) < self.aperture, transmit(self.faces, offsets, self.polarization), 0.0)
 
     def gain(self, u: ArrayLike, limit: float | None = None) -> Floats:
-        """What columns are multiplied by against Fresnel's loss: 1/transmittance, at most ``limit``.
+        """Factors of columns against Fresnel's loss: 1/transmittance, at most ``limit``.
 
         Args:
             u: Offsets of the columns [mm], (...,).
@@ -257,7 +260,8 @@ class Roller:
         Every column is ``rays`` × ``fan`` rays of equal power; each leaves in every voxel it crosses exactly what is
         absorbed between the two walls. Per flat volume the entries are energies, so that the Jacobian r/(r_i + τ/2) is
         in them: what a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the
-        mean over its rays of T·(1 − exp(−α·L)), times its gain where the roller compensates.
+        mean over its rays of T·(1 − exp(−α·L)), times its gain where the roller compensates. They are of a
+        film at its pose; the way that it moves on by while it is lit stands beside them.
 
         Args:
             grid: Voxels of the film.
@@ -282,10 +286,10 @@ class Roller:
         gain = np.ones(columns.size) if self.compensation is None else self.gain(columns)
         r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
         weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
-        return Propagation(shape, r, rho, l, weight, map.middle)
+        return Propagation(shape, r, rho, l, weight, map.middle, self.lit_share * self.advance / grid.edges[0])
 
     def rays_of(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> WebRays:
-        """The light of `propagation` ray by ray, as it meets things that the film carries.
+        """The light of `propagation` ray by ray, as it meets things that the film carries, of a film at its pose.
 
         Args:
             grid: Voxels of the film.
@@ -313,7 +317,7 @@ class Roller:
         return WebRays(shape, ray, r, rho, l, length, weight, absorption, map.middle)
 
     def _dense(self, map: WrapMap, grid: WebGrid, rho: np.ndarray, l: np.ndarray) -> Floats | float:  # noqa: E741
-        """What energy of voxels is multiplied by to be that per volume asked for."""
+        """Factor from energy of voxels to the energy per volume asked for."""
         if self.volume == "flat":
             return 1.0
         return 1.0 / map.jacobian((l + 0.5) * grid.edges[0], (rho + 0.5) * grid.edges[1])

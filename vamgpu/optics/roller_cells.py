@@ -1,4 +1,4 @@
-"""What straight pieces of rays leave in the voxels of the flat film: exact crossings, no steps.
+"""Energy that straight pieces of rays leave in the voxels of the flat film: exact crossings, no steps.
 
 On the roller the walls of the voxels are circles and radii, in the legs they are planes. Cut at the point nearest the
 axis, a piece runs steadily in l and in rho, so that its crossings with the walls are two lists in closed form.
@@ -50,9 +50,7 @@ class _Lines:
 
 @dataclass(frozen=True)
 class _Arcs(_Lines):
-    """On the roller; t counts from the point nearest the axis, at the signed distance ``impact`` and the angle φ
-    ``turn``.
-    """
+    """Arcs on the roller; t counts from the point nearest the axis, at distance ``impact`` and angle ``turn``."""
 
     impact: Floats
     turn: Floats
@@ -88,7 +86,7 @@ class _Straights(_Lines):
 
 def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: float, shape: tuple[int, int, int],
           pitch: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Floats]:  # fmt: skip
-    """What columns of rays leave in voxels: indices column, rho, l, in lexical order, and the sum of their pieces.
+    """Light of columns in voxels: indices column, rho, l, in lexical order, and the sum of their pieces.
 
     A piece leaves power · exp(−α·s)·(1 − exp(−α·Δ)) where it runs from s to s + Δ in a voxel: Beer and Lambert's law
     integrated exactly; without absorption it is power · Δ [mm].  column: of each piece.  shape: columns and voxels
@@ -117,10 +115,7 @@ def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: floa
 
 def walks(map: WrapMap, segments: Segments, absorption: float, shape: tuple[int, int],
           pitch: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Floats, Floats]:  # fmt: skip
-    """What each ray leaves in each voxel it crosses, in the order of the rays and of the way of each.
-
-    shape: voxels along rho and l.  Returns ray, rho, l, length [mm], and what is left as `cells` counts it.
-    """
+    """The pieces (ray, rho, l, length [mm], what is left) of rays in voxels, in the order of rays and ways."""
     order, rays = np.argsort(segments.ray, kind="stable"), int(segments.ray.max(initial=-1)) + 1
     kinds = (_arcs(map, segments, segments.ray, order), _straights(map, segments, segments.ray, order))
     pieces: list[tuple[np.ndarray, ...]] = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))]

@@ -41,14 +41,14 @@ class FilmIndex:
             deep = self.index.weights[2] if isinstance(self.index, FormulaField) else _axes(self.index) - 2
             if deep:
                 raise BadInput(f"FilmIndex index is a {type(self.index).__name__} that depends on z; expected one of x "
-                               "and y, as all rows of a web share the light of one pose")  # fmt: skip
+                               "and y, as all rows of a web share the light of one angle")  # fmt: skip
         elif not callable(self.index):
             raise BadInput(f"FilmIndex index is {self.index!r}; expected a FormulaField, a GridField, a FunctionField, "
                            "or a function of x and y [mm]")  # fmt: skip
 
     @property
     def medium(self) -> IndexField | None:
-        """What the marching kernels take; None for a plain function."""
+        """The field as the marching kernels take it; None for a plain function."""
         return self.index if isinstance(self.index, (FormulaField, GridField, FunctionField)) else None
 
     def check_reach(self, outer: float, leg: float) -> None:
@@ -64,7 +64,7 @@ class FilmIndex:
         if any(low > a + slack or high < b - slack for (low, high), (a, b) in zip(spans, need, strict=True)):
             known, wanted = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
             raise BadInput(f"the {type(self.index).__name__} of the film reaches from {known} mm in x and y; expected "
-                           f"{wanted} mm, the film with its legs")  # fmt: skip
+                           f"{wanted} mm, the film with its straight runs")  # fmt: skip
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Index at places; raises `BadInput` where it is below 1 or not finite."""

@@ -27,10 +27,7 @@ INNER, OUTER, MIDDLE, FINISH, NONE = range(5)
 
 
 class FilmMarcher:
-    """A film's medium on a device.
-
-    inner, outer: radii of the film [mm].  leg: length of the legs [mm].  stride: length of a step, about [mm].
-    """
+    """A film's medium on a device; radii of the film, length of the legs and stride in mm."""
 
     marcher: Marcher
     inner: float
@@ -45,12 +42,10 @@ class FilmMarcher:
         self.inner, self.outer, self.leg, self.stride = inner, outer, leg, stride
 
     def run(self, rays: dict[str, Any], index: Floats, powers: Floats, pieces: list[dict[str, Any]]) -> np.ndarray:
-        """Take the rays that are in the film to the faces they meet next, and note the pieces of their ways.
-
-        rays: place, direction and way so far of all, which are changed.  index: of the resin where they are.  powers:
-        of the pieces.  pieces: are added to, as `roller_rays.Segments` has them.  Returns the faces; none for rays that
-        still run, and for those out of the film.
-        """
+        """Take the rays in the film to the faces they meet next, and note the pieces of their ways."""
+        # rays: place, direction and way so far of all; changed.  index: of the resin where they are.  powers: of the
+        # pieces.  pieces: are added to, as `roller_rays.Segments` has them.  Returns the faces; none for rays that
+        # still run or are out.
         face = np.full(index.size, NONE)
         for side in (-1, 0, 1):
             rows = np.flatnonzero(rays["film"] & (rays["side"] == side))

@@ -37,11 +37,12 @@ class End(IntEnum):
 
 @dataclass(frozen=True)
 class Layers:
-    """What a ray can meet. inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.
-    leg: length of the legs [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index
-    of the resin where it changes from place to place, instead of ``resin``.  polarization: of the light.  core: index
-    of a clear roller, None for one that light ends at.
-    """
+    """The faces and media that a ray can meet in a film on a roller."""
+
+    # inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.  leg: length of the legs
+    # [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index of the resin where it
+    # changes from place to place, instead of ``resin``.  polarization: of the light.  core: index of a clear roller,
+    # None for one that light ends at.
 
     inner: float
     outer: float
@@ -131,7 +132,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     else:
         raise RayError(
             f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; expected rays that "
-            f"leave: shorten the legs of {layers.leg:g} mm, or take a thicker film than "
+            f"leave: shorten the straight runs of {layers.leg:g} mm, or take a thicker film than "
             f"{layers.outer - layers.inner:g} mm"
         )
     return Traced(_joined(pieces), share, length, end)
@@ -248,10 +249,7 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
 
 
 def _through(layers: Layers, rays: dict[str, Any], roller: np.ndarray) -> np.ndarray:
-    """Take rays through a clear roller to where they come back into the film; returns those that never do.
-
-    Out of its back they cross the bath between the legs.
-    """
+    """Take rays through a clear roller, and the bath behind it, back into the film; returns those that never come."""
     chosen = np.flatnonzero(roller)
     inside = {name: value[chosen].copy() for name, value in rays.items()}
     core, bath = (np.full(chosen.size, index) for index in (layers.core, layers.bath))

@@ -1,4 +1,4 @@
-"""What a camera behind a print sees: cured resin bends light, and where rays crowd the image is bright."""
+"""The view of a camera behind a print: cured resin bends light, and where rays crowd the image is bright."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ MARGIN = 2
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera behind a telecentric lens, centered on the axis of rotation; lengths as in the resin.
+    """A camera behind a telecentric lens, centered on the axis; lengths as in the resin. Raises `BadInput`."""
 
-    pixels: across (X) and up (z).  pitch: of a pixel, in the resin [mm].  focus: how far behind the axis, along the
-    light, the plane lies that the lens images sharply [mm]; in focus at the print its shadow vanishes.
-    aperture: sine of the steepest ray, in the resin, that the lens accepts.  Raises `BadInput`.
-    """
+    # pixels: across (X) and up (z).  pitch: of a pixel [mm].  focus: how far behind the axis the plane lies that the
+    # lens images sharply [mm]; in focus at the print its shadow vanishes.  aperture: sine of the steepest ray that the
+    # lens accepts.
 
     pixels: tuple[int, int]
     pitch: Length
@@ -41,15 +40,11 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Shadowgram:
-    """A camera image and the rays it is made of.
+    """A camera image (pixels across, pixels up), over that without a print, and the rays it is made of."""
 
-    Attributes:
-        image: Light over that without a print, (pixels across, pixels up).
-        light: All that was sent, a little wider than the camera, in pixels without a print.
-        lost: What missed the camera or its aperture: image.sum() + lost is light.
-        start: X and z of the rays in front of the print [mm], (rays, 2).
-        deflection: Slopes dX/dY and dz/dY behind it, (rays, 2).
-    """
+    # light: all that was sent, in pixels without a print.  lost: what missed the camera or its aperture: image.sum() +
+    # lost is light.  start: X and z of the rays in front of the print [mm], (rays, 2).  deflection: dX/dY and dz/dY
+    # behind it, (rays, 2).
 
     image: Floats
     light: float
@@ -59,10 +54,7 @@ class Shadowgram:
 
 
 def cured_index(cured: ArrayLike, grid: Grid, resin_index: float, contrast: float) -> GridField:
-    """The index of partly cured resin, resin_index + contrast × cured, from a field of 0..1 on a grid, [x, y, z].
-
-    A grid of fewer than 4 slices gives a field of x and y, the mean over z. Raises `BadInput`, `ShapeMismatch`.
-    """
+    """The index resin_index + contrast × cured [x, y, z]; of fewer than 4 slices, their mean. Raises `BadInput`."""
     values = np.asarray(cured, np.float64)
     if values.shape != grid.shape:
         raise ShapeMismatch(f"the cured field has shape {values.shape}, the grid {grid.shape}; make them equal")
@@ -138,10 +130,7 @@ def _seen(start: Floats, place: Floats, direction: Floats, camera: Camera, pose:
 
 
 def _shared(at: Floats, pixels: tuple[int, int]) -> Floats:
-    """Rays per pixel, each shared between the three pixels around along each axis by quadratic B-splines.
-
-    Smooth shares: with a kink a comb of rays that lands on it would count double there.
-    """
+    """Rays per pixel, each shared between three pixels along each axis by quadratic B-splines, which have no kink."""
     total = np.zeros(pixels)
     shares = []
     for axis, count in enumerate(pixels):

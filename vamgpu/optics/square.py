@@ -79,7 +79,7 @@ class SquareBath(Vessel):
 
     @property
     def absorption(self) -> float:
-        """Of the resin, natural logarithm [1/mm]."""
+        """Absorption of the resin, natural logarithm [1/mm]."""
         return self.vessel.absorption
 
     @property
@@ -100,7 +100,7 @@ class SquareBath(Vessel):
     # ---- the window -------------------------------------------------------------------------------------------------
     @cached_property
     def _sines(self) -> tuple[float, float, float]:
-        """Of the angles to the window's normal in front of it, in it, and behind it."""
+        """Sines of the angles to the window's normal in front of it, in it, and behind it."""
         sine = float(np.sin(self.tilt)) * self.front_index
         return sine / self.front_index, sine / self.wall_index, sine / self.vessel.bath_index
 
@@ -111,7 +111,7 @@ class SquareBath(Vessel):
 
     @cached_property
     def _turn(self) -> float:
-        """Of the light behind the window [rad]."""
+        """Turn of the light behind the window [rad]."""
         return self.tilt - float(np.arcsin(self._sines[2]))
 
     @cached_property
@@ -151,10 +151,7 @@ class SquareBath(Vessel):
         return replace(self.vessel, polarization="s"), replace(self.vessel, polarization="p")
 
     def _share(self, u: Floats, q: Floats) -> Floats:
-        """Of the vial's light at q, what window and liquid leave of it.
-
-        s light stays s and p light stays p at all faces, those of the vial included: each has its own product.
-        """
+        """The share of the vial's light at q that window and liquid pass; s stays s and p stays p at all faces."""
         shares, kind = self._faces, self.vessel.polarization
         if kind != "none" or self.tilt == 0.0:
             left = np.full_like(q, shares["sp".index(kind)] if kind != "none" else shares.mean())

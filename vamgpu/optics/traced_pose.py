@@ -18,12 +18,11 @@ from vamgpu.optics.traced_rays import Rays
 
 @dataclass(frozen=True, eq=False)
 class TracedPose:
-    """What a kernel looks up.
+    """The table that a kernel looks up."""
 
-    table: [branch, across, along, 4]: offsets [mm] of the first and the last light that crosses the voxel, its absorbed
-    share [1/mm], and a zero; samples ``spacing`` [mm] apart about the axis.  single: radius [mm] within which the first
-    branch is all there is.
-    """
+    # table: [branch, across, along, 4]: offsets [mm] of the first and the last light that crosses the voxel, its
+    # absorbed share [1/mm], and a zero; samples ``spacing`` [mm] apart about the axis.  single: radius [mm] within
+    # which the first branch is all there is.
 
     table: Floats
     spacing: float
@@ -31,19 +30,8 @@ class TracedPose:
 
 
 def trace_pose(rays: Rays, width: float, radius: float, spacing: float) -> TracedPose:
-    """Tabulate traced rays for voxels of a width.
-
-    A voxel counts as a box across the ray, as wide as itself: a square's shadow has that variance in every direction.
-
-    Args:
-        rays: those of one pose.
-        width: edge of the voxels that will look themselves up [mm].
-        radius: how far from the axis they lie at most [mm].
-        spacing: of the samples [mm].
-
-    Returns:
-        The table, of samples up to ``radius`` in both directions.
-    """
+    """Tabulate rays of one pose for voxels of a width [mm], within a radius [mm], at samples of a spacing [mm]."""
+    # A voxel counts as a box across the ray, as wide as itself: a square's shadow has that variance in every direction.
     half = ceil(radius / spacing) + 1
     place: Floats = np.arange(-half, half + 1.0) * spacing
     middle = int(np.argmin(np.abs(rays.cross(0.0).across)))

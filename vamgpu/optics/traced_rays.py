@@ -25,10 +25,7 @@ BISECTIONS = 50
 
 
 class Crossing(NamedTuple):
-    """Rays where they cross a row Y of the laboratory, arrays (rays,).
-
-    across: X [mm].  cosine: of their angle to the light.  share: absorbed per mm there [1/mm], or 1 in clear resin.
-    """
+    """Rays (rays,) at a row Y: X across [mm], cosine to the light, share absorbed per mm (1 in clear resin)."""
 
     across: Floats
     cosine: Floats
@@ -54,11 +51,7 @@ class Rays(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StraightRays:
-    """Rays that run straight in the resin: arrays (rays,).
-
-    p: distance of the chords from the axis [mm].  cosine, sine: of their turn.  entry: place along its chord at which a
-    ray enters [mm].
-    """
+    """Straight rays (rays,): distance p of the chord [mm], cosine and sine of its turn, entry along the chord [mm]."""
 
     u: Floats
     transmittance: Floats
@@ -106,7 +99,7 @@ class ShadedRays:
 
     @property
     def u(self) -> Floats:
-        """Of the rays without the rod."""
+        """Offsets of the rays without the rod."""
         return self.inner.u
 
     @property
@@ -131,16 +124,7 @@ class ShadedRays:
 
 # ---- how the rays of a vessel are traced ---------------------------------------------------------------------------
 def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
-    """The rays of one pose.
-
-    Args:
-        vessel: what the resin stands in; None for straight light in clear resin.
-        reach: columns farther than this from the middle send no light [mm].
-        rays: how many.
-
-    Raises:
-        BadInput: no ray reaches the resin.
-    """
+    """Rays of one pose, from columns within ``reach`` [mm] of the middle. Raises `BadInput` if none enters resin."""
     if vessel is None:
         u = np.linspace(-reach, reach, rays)
         return StraightRays(u, np.ones(rays), u, np.ones(rays), np.zeros(rays), np.zeros(rays), 0.0)
@@ -162,15 +146,7 @@ def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
 
 
 def trace_vial(vessel: Vial | SquareBath, u: Floats) -> tuple[Floats, Floats]:
-    """Rays from in front of a vial into its resin by Snell's law in vector form, face by face.
-
-    Args:
-        vessel: the vial, or the bath that it stands in.
-        u: offsets of the columns [mm], shape (rays,); each reaches the resin.
-
-    Returns:
-        Places on the inner face [mm] and unit headings behind it, shape (rays, 2) each, axes X and Y.
-    """
+    """Places [mm] and unit headings (rays, 2) behind a vial's inner face of rays at offsets u [mm], by Snell's law."""
     vial = vessel if isinstance(vessel, Vial) else vessel.vessel
     place = np.stack([u, np.full_like(u, -2.0 * vial.radius)], axis=1)
     heading = np.broadcast_to([0.0, 1.0], place.shape)
@@ -218,7 +194,7 @@ def _bent(vial: GradedVial) -> BentRays:
 
 
 def resin_radius(vessel: Any) -> float:
-    """How far from the axis resin is that turns freely [mm]: to the inner wall; infinite in open air."""
+    """Radius [mm] of the resin that turns freely: to the inner wall; infinite in open air."""
     if vessel is None:
         return float("inf")
     for name in ("inner_radius", "printable_radius"):

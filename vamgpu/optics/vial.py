@@ -9,17 +9,20 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.card import card
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, Vessel, positive
+from vamgpu.geometry import Chords, Vessel, centers, positive
 from vamgpu.optics.faces import Face, transmit, turn
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Polarization, impact_after, polarized
 from vamgpu.optics.raymap import first_columns
-from vamgpu.schema import check
-from vamgpu.schema.quantities import Absorption, Index, Length, Thickness
+from vamgpu.schema import check, write
+from vamgpu.schema.quantities import Absorption, Index, Thickness, VesselRadius
 
 # On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
 LARGEST_DENSITY = 100.0
+PICTURE = 110
+"""Pixels along the side of the picture of a vial."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class Vial(Vessel):
         BadInput: A value is out of its range, or the wall leaves no room for resin.
     """
 
-    radius: Length
+    radius: VesselRadius
     wall: Thickness
     resin_index: Index
     wall_index: Index
@@ -65,6 +68,16 @@ class Vial(Vessel):
                 f"wall is {self.wall:g} mm in a vial of outer radius {self.radius:g} mm; expected a wall "
                 "thinner than the radius; radius and wall are both in mm, and radius is half the diameter"
             )
+
+    def _repr_html_(self) -> str:
+        across = centers(PICTURE, 2.0 * self.radius / PICTURE)
+        x, y = across[:, None], across[None, :]  # light travels up
+        away = np.hypot(x, y)
+        light = np.where(away < self.lit_radius, self.illuminate(x, y)[1], 0.0)
+        light[(away >= self.inner_radius) & (away < self.radius)] = 0.5 * light.max()
+        reached = f"{self.lit_radius:.4g} of {self.inner_radius:.4g} mm"
+        numbers = {**write(self, units=True), "resin lit at every angle, out to": reached}
+        return card("Vial", numbers, {"light of even columns, from above": light})
 
     @property
     def inner_radius(self) -> float:

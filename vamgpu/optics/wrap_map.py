@@ -20,14 +20,11 @@ from vamgpu.schema.quantities import Length, Thickness
 
 @dataclass(frozen=True)
 class WrapMap:
-    """Wrapped (x, y) ↔ flat (l, rho), Toombs et al., Fig. 2A.
+    """Wrapped (x, y) ↔ flat (l, rho), Toombs et al., Fig. 2A. Raises `BadInput`."""
 
-    l runs along the line that bending neither stretches nor shortens: l = middle + neutral·φ on the roller and mm by mm
-    along the legs; rho is the distance from the roller's side of the film.
-
-    inner, outer: radii of the film's faces [mm].  neutral: radius of the neutral line [mm].  leg: length of each
-    straight leg [mm].  Raises `BadInput`.
-    """
+    # l runs along the line that bending neither stretches nor shortens: l = middle + neutral·φ on the roller and mm by
+    # mm along the legs; rho is the distance from the roller's side of the film.  inner, outer: radii of the film's
+    # faces [mm].  neutral: radius of the neutral line [mm].  leg: length of each straight leg [mm].
 
     inner: Length
     outer: Length
@@ -78,10 +75,7 @@ class WrapMap:
         return (rho >= 0) & (rho <= self.outer - self.inner) & (np.asarray(y) <= self.leg)
 
     def jacobian(self, l: ArrayLike, rho: ArrayLike) -> Floats:  # noqa: E741 - the web's axis
-        """Wrapped area over flat area at flat places: r/neutral on the roller, 1 in the legs.
-
-        Energy absorbed per volume of the flat film is this times the energy per volume of the wrapped one.
-        """
+        """Wrapped over flat area, and flat over wrapped energy density, at flat places: r/neutral; 1 in the legs."""
         along, depth = np.broadcast_arrays(as_offsets("l", l) - self.middle, as_offsets("rho", rho))
         return np.where(np.abs(along) <= 0.5 * self.arc, (self.inner + depth) / self.neutral, 1.0)
 

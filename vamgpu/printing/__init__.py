@@ -1,1 +1,1 @@
-"""From a plan to frames a projector shows, and from their bytes back to light: packing, exporting, job folders."""
+"""Frames of plans, and the light of frames: packing, exporting, job folders."""

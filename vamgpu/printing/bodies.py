@@ -11,32 +11,23 @@ from vamgpu.geometry import Grid
 from vamgpu.kernels.update import multiply
 from vamgpu.metrics.line import Line
 from vamgpu.metrics.parts import Parts
-from vamgpu.targets.limits import Asked, Limits
+from vamgpu.targets.limits import BodyRequirement, Limits
 
 PRINTED = ("print", "gray")
 
 
 @dataclass(frozen=True)
 class BodyDose:
-    """What a body got.
-
-    Args:
-        name: Of the body.
-        role: What is asked of it.
-        asked: The same in words.
-        voxels: That are judged.
-        least, mean, greatest: Dose over the threshold of the print.
-        wrong: Voxels that get another dose than asked.
-    """
+    """The dose of a body."""
 
     name: str
-    role: str
-    asked: str
+    role: str  # what is asked of it
+    asked: str  # the same in words
     voxels: int
     least: float
     mean: float
-    greatest: float
-    wrong: int
+    greatest: float  # dose over the threshold of the print
+    wrong: int  # voxels that get another dose than asked
 
     def __str__(self) -> str:
         dose = f"dose {self.least:.3f} … {self.mean:.3f} … {self.greatest:.3f} of the threshold"
@@ -49,16 +40,8 @@ class BodyDose:
 
 
 def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None) -> Parts:
-    """A dose over the limits of its voxels, and their classes: what scores are made of.
-
-    Args:
-        dose: [x, y, z] on the device.
-        fraction: Of what is printed, [x, y, z] on the same device.
-        limits: What single voxels are asked for; None judges the dose as it is.
-
-    Returns:
-        Both fields; voxels of which nothing is asked have the dose 0 and no class.
-    """
+    """A dose over the limits of its voxels, and their classes: what scores are made of."""
+    # dose [x, y, z]; fraction [x, y, z]
     if limits is None:
         return Parts(dose, fraction)
     scaled = dose.device.upload(limits.scale)
@@ -69,18 +52,8 @@ def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None
 def body_doses(
     dose: np.ndarray, fraction: np.ndarray, limits: Limits, threshold: float, grid: Grid
 ) -> tuple[BodyDose, ...]:
-    """What every body got that is asked for anything.
-
-    Args:
-        dose: [x, y, z].
-        fraction: Of what is printed, [x, y, z].
-        limits: What is asked of the voxels.
-        threshold: Of the scores, in units of the dose.
-        grid: The voxels, of which those in the inscribed cylinder are judged.
-
-    Returns:
-        In the order of the bodies; those of which no voxel is judged are left out.
-    """
+    """The doses of all bodies that are asked for anything."""
+    # dose [x, y, z]; fraction [x, y, z]
     judged = limits.judged & grid.cylinder()[:, :, None]
     inside = fraction >= 0.5
     doses = {k: dose[judged & (limits.body == k)] / (threshold or 1.0) for k in range(len(limits.bodies))}
@@ -96,7 +69,7 @@ def body_doses(
     return tuple(found)
 
 
-def _judged(body: Asked, dose: np.ndarray, usual: float) -> tuple[int, str]:
+def _judged(body: BodyRequirement, dose: np.ndarray, usual: float) -> tuple[int, str]:
     """Voxels that are wrong, and what is asked; dose: over the threshold.  usual: mean of what is printed."""
     if body.role == "print":
         return int((dose < 1.0).sum()), "at least the threshold"

@@ -68,19 +68,20 @@ def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> s
     return svg(draw, WIDE if wide else HALF, 4.0, nrows=2, sharex=True)
 
 
-def tolerance_chart(found: ToleranceWindow) -> str:
-    """The window over the tolerance [µm], half a voxel marked, and how much of the part it judges."""
-    distance, window, half = 1e3 * found.distance, found.window, 0.5e3 * found.voxel
+def tolerance_chart(found: ToleranceWindow, pixel: float) -> str:
+    """The window over the tolerance [µm], a pixel [mm] marked, and how much of the part it judges."""
+    distance, window, marked = 1e3 * found.distance, found.window, 1e3 * pixel
+    at_pixel = found.at(pixel) if marked <= distance[-1] else np.nan
 
     def draw(*axes: Any) -> None:
         axes[0].axhline(0, color=INK, lw=0.8)
         axes[0].plot(distance, window, color=PART, lw=2.0)
         for axis in axes:
-            axis.axvline(half, color=INK, lw=1.0, ls=(0, (4, 3)))
-        if np.isfinite(found.half_voxel):
-            axes[0].plot([half], [found.half_voxel], "o", color=PART, ms=6)
-        at, value = f"½ voxel = {half:.3g} µm", f"{found.half_voxel:+.3f}".replace("-", "−")
-        axes[0].annotate(f"{at}: {value}" if np.isfinite(found.half_voxel) else at, (half, 1.0), (5, -3),
+            axis.axvline(marked, color=INK, lw=1.0, ls=(0, (4, 3)))
+        if np.isfinite(at_pixel):
+            axes[0].plot([marked], [at_pixel], "o", color=PART, ms=6)
+        at, value = f"1 pixel = {marked:.3g} µm", f"{at_pixel:+.3f}".replace("-", "−")
+        axes[0].annotate(f"{at}: {value}" if np.isfinite(at_pixel) else at, (marked, 1.0), (5, -3),
                          xycoords=("data", "axes fraction"), textcoords="offset points", va="top")  # fmt: skip
         axes[0].set(ylabel="process window W(δ)", xlim=(0, distance[-1]))
         axes[1].fill_between(distance, 100 * found.judged, color=REST, alpha=0.4, lw=0)

@@ -1,4 +1,4 @@
-"""What frames print at the corners of tolerances."""
+"""Doses of frames at the corners of tolerances."""
 
 from __future__ import annotations
 

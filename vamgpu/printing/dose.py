@@ -28,10 +28,8 @@ class Dose:
 def absorbed_dose(
     A: Projection, light: DeviceArray, dwell: float, *, unit: float = 1.0, absorption: float | None = None
 ) -> Dose:
-    """Aᵀ(irradiance) · pixel_area · dwell / voxel_volume.
-
-    light: of every pixel and angle [angle, r, z] on the device of ``A``; times ``unit`` it is mW/mm² in air. Other
-    arguments and errors as for `dose_unit`.
-    """
+    """Aᵀ(irradiance) · pixel_area · dwell / voxel_volume."""
+    # light: of every pixel and angle [angle, r, z] on the device of ``A``; times ``unit`` it is mW/mm² in air. Other
+    # arguments and errors as for `dose_unit`.
     factor = dose_unit(A, dwell, unit=unit, absorption=absorption)
     return Dose(A.T(light), factor)

@@ -20,7 +20,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
-from vamgpu.storage.atomic import as_path, replacing
+from vamgpu.storage.atomic import as_path, check_folder, replacing
 from vamgpu.storage.manifest import plain
 
 if TYPE_CHECKING:
@@ -146,8 +146,8 @@ def export(
     writer = FORMATS.get(place.suffix.lower())
     if writer is None:
         raise BadInput(f"cannot export {place.name!r}: expected .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")
-    if overwrite and place.is_dir():
-        raise StorageError(f"{str(path)!r} is a folder; remove it or choose another path")
+    if place.is_dir():
+        raise StorageError(f"{str(path)!r} is a folder, which is never replaced; remove it or choose another path")
     check_folder(place)
     if canvas is not None and writer is _npz:
         raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a film with it")
@@ -159,23 +159,9 @@ def export(
     return place
 
 
-def check_folder(place: Path) -> None:
-    """Refuse a path in a folder that does not exist: a slip of the keys would make folders at odd places.
-
-    Args:
-        place: Where something is to be written.
-
-    Raises:
-        StorageError: Its folder is missing.
-    """
-    if not place.parent.is_dir():
-        raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
-                           "choose another path")  # fmt: skip
-
-
 @dataclass(frozen=True)
 class _Shown:
-    """What is written: frames, where they lie, and how a film shows them."""
+    """Frames to export, where they lie, and how a film shows them."""
 
     frames: Frames
     canvas: Canvas | None
@@ -192,7 +178,7 @@ class _Shown:
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the pictures say of themselves, by which `vam import` reads them."""
+        """Metadata of the images, by which `vam import` reads them."""
         beside: dict[str, Any] = {} if self.canvas is None else {"canvas": self.canvas}
         if self.frames.flat_field is not None:
             beside["flat_field"] = "made up for in the levels, and kept nowhere here"
@@ -200,7 +186,7 @@ class _Shown:
 
 
 def _on_threads(act: Callable[[tuple[int, np.ndarray]], Any], shown: _Shown) -> Iterator[Any]:
-    """What comes of numbers and pictures, in their order, by as many threads as there are cores."""
+    """Results for numbers and images, in their order, by as many threads as there are cores."""
     with ThreadPoolExecutor(threads()) as pool:
         begun: deque[Future[Any]] = deque()
         for numbered in enumerate(shown.images):

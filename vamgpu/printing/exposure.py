@@ -1,4 +1,4 @@
-"""How long a print takes."""
+"""Exposure times of prints."""
 
 from __future__ import annotations
 
@@ -12,27 +12,31 @@ from vamgpu.geometry import positive
 from vamgpu.metrics import Scores
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.dose import dose_unit
-from vamgpu.quantity import parse
+from vamgpu.schema.quantities import Dose, Irradiance, measured
 from vamgpu.units import mJ_cm3, mW_cm2
+
+USUAL = 40.0
+"""Speed of a vial [deg/s] where nobody says another."""
 
 
 @dataclass(frozen=True)
 class ExposureTimes:
-    """Predicted times [s] for a projector and a resin that never forgets a dose.
+    """Predicted times [s] for a projector and a resin that never forgets a dose."""
 
-    irradiance: of a full-on pixel in air [mW/mm²].  critical_dose: from which resin is solid [mJ/mm³].  seconds: until
-    the threshold of the scores reaches the critical dose, when the light should go out.  complete: until the last voxel
-    of the part is solid.  overcure_onset: until the first voxel out of it is; later than ``complete`` where the strict
-    window is positive.  energy: light sent until ``seconds`` [mJ].
-    """
+    # overcure_onset: until the first voxel out of it is; later than ``complete`` where the strict window is positive.
 
-    irradiance: float
-    critical_dose: float
-    seconds: float
-    complete: float
+    irradiance: float  # of a full-on pixel in air [mW/mm²]
+    critical_dose: float  # from which resin is solid [mJ/mm³]
+    seconds: float  # until the threshold of the scores reaches the critical dose, when the light should go out
+    complete: float  # until the last voxel of the part is solid
     overcure_onset: float
-    energy: float
+    energy: float  # light sent until ``seconds`` [mJ]
     spill: ClassVar[Renamed] = Renamed("overcure_onset")
+
+    def turns(self, speed: float = USUAL) -> float:
+        """Turns of a vial that the exposure takes."""
+        # speed [deg/s]
+        return self.seconds * speed / 360.0
 
     @property
     def given(self) -> str:
@@ -41,10 +45,12 @@ class ExposureTimes:
 
 
 UNITS = {
-    "irradiance": ("an irradiance", "mW_cm2", mW_cm2, "mW/mm²"),
-    "critical_dose": ("a dose", "mJ_cm3", mJ_cm3, "mJ/mm³"),
+    "irradiance": (Irradiance, "mW_cm2", mW_cm2, "mW/mm²"),
+    "critical_dose": (Dose, "mJ_cm3", mJ_cm3, "mJ/mm³"),
 }
-"""What each is, its usual unit and that in mW, mJ and mm, and the unit of numbers without any."""
+"""Kind, usual unit, its value in mW, mJ and mm, and the unit of plain numbers."""
+DAY = 86_400.0
+"""Exposure [s] beyond which nothing is printed: prints by tomography take seconds to minutes."""
 ODD = 10.0
 """mW/mm² and mJ/mm³ from which on a number was hardly meant so: 1 W/cm², 10 J/cm³."""
 
@@ -57,21 +63,18 @@ def expose(
     *,
     irradiance: float | str,
     critical_dose: float | str,
-    absorption: float | None = None,
+    absorption: float | str | None = None,
 ) -> ExposureTimes:
-    """Times of a print whose angles share the exposure, evenly or by their dwell, turn after turn.
-
-    scores: of Aᵀ(light).  sent: Σ light · time of its angle over the mean.  full: light of a full-on pixel.
-    irradiance: that pixel's [mW/mm²].  critical_dose: [mJ/mm³]; both also as text with units.  absorption: as for
-    `absorbed_dose`. Raises `BadInput`.
-    """
+    """Times of a print whose angles share the exposure, evenly or by their dwell, turn after turn."""
+    # scores: of Aᵀ(light). sent: Σ light · time of its angle over the mean. full: light of a full-on pixel. irradiance:
+    # that pixel's [mW/mm²]. critical_dose: [mJ/mm³]; both also as text with units. absorption: as for `absorbed_dose`.
     irradiance, wanted = _given("irradiance", irradiance), _given("critical_dose", critical_dose)
     unit = irradiance / positive("light of a full-on pixel", full)
     rate = dose_unit(A, 1.0 / A.motion.angles, unit=unit, absorption=absorption)
     if scores.threshold <= 0:
         raise BadInput("the frames send no light into the part; pack a plan that does")
     seconds = wanted / (scores.threshold * rate)
-    return ExposureTimes(
+    found = ExposureTimes(
         irradiance=irradiance,
         critical_dose=wanted,
         seconds=seconds,
@@ -79,21 +82,20 @@ def expose(
         overcure_onset=_until(wanted, scores.greatest_out * rate),
         energy=sent * unit * A.beam.pixel_area * seconds / A.motion.angles,
     )
+    if seconds > DAY:
+        raise BadInput(
+            f"the exposure would take {seconds:.3g} s, {seconds / DAY:.3g} days, at {found.given}; expected a day at "
+            'most: check these two and their units, or give the part more light (frames of 8 bits, or dither="fit")'
+        )
+    return found
 
 
 def _given(name: str, value: float | str) -> float:
-    """``value``, or what text with its unit says; else `BadInput` that tells it in the unit that laboratories use.
-
-    Warns:
-        OpticsWarning: a number so great that it was hardly meant in mW/mm² or mJ/mm³.
-    """
+    """``value``, or what text with its unit says; else `BadInput` that tells it in the unit that laboratories use."""
     kind, unit, factor, own = UNITS[name]
     usual = unit.replace("_", "/")
     if isinstance(value, str):
-        try:
-            return parse(value, kind)
-        except ValueError as error:
-            raise BadInput(f"{name}: got {value!r}; {error}") from error
+        return measured(name, value, kind)
     try:
         number = positive(name, value)
     except BadInput as error:

@@ -1,9 +1,10 @@
-"""Frames of 1 bit, chosen pixel by pixel by the dose that all of them make together.
+"""Frames of which each pixel is chosen by the dose that all of them make together.
 
-Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Here light is driven to
-its two ends first, where it can be split (`TwoLevels`). Then pixels of a few angles at a time are flipped where that
-brings the dose nearer to a window: direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the
-voxels that miss it, with a dose for the eye.
+Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Pixels of 8 bits are
+rounded first, and then some go one level up or down at a time. Light of 1 bit is driven to its two ends first, where it
+can be split (`TwoLevels`). Then pixels of a few angles at a time are flipped. Both are done where that brings the dose
+nearer to a window: direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the voxels that
+miss it, with a dose for the eye.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, OutOfMemory, PackWarning
-from vamgpu.kernels.flip import flip_pixels, price_flips
+from vamgpu.geometry import Grid
+from vamgpu.kernels.flip import flip_pixels, price_flips, step_pixels
 from vamgpu.kernels.update import linear
-from vamgpu.methods.part import fractions_of, reach_of
+from vamgpu.methods.part import fractions_of, on_device, reach_of
+from vamgpu.methods.plan import Plan
 from vamgpu.methods.two_levels import TwoLevels
+from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot, extent, total, window
 from vamgpu.operators.ring_projection import direct
@@ -37,12 +41,20 @@ LIT = 0.1
 AHEAD = 0.01
 """Dose that either side of a window is to gain in the next sweep, over the peak."""
 SWEEPS = 8
-"""How often every pixel is asked; once of frames that go no further."""
+"""Rounds in which every pixel is asked; one for frames that go no further."""
 TOGETHER = 3
 """Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
 THIRDS = 3
 """Neighbors that light the same voxels are flipped one after another."""
 NO_FLOOR = -1e30
+MOST_ROUNDS, SPENT = 12, 0.1
+"""Most rounds for pixels of 8 bits, at an evaluation and a half each, and the share of the evaluations of
+their plan that this may take."""
+CHANCE = 0.05
+"""Share of the greatest gain from which a pixel is stepped; at 0.3 pixels that meet in voxels go too far together."""
+SMALL = 3e-4
+"""Dose by which these are priced, over the peak: about what a level of one pixel gives. At 3e-3 light of two
+thresholds, which leaves all voxels near theirs, gains nothing."""
 
 Packed = Callable[[DeviceArray, float | None, str], Frames]
 """Frames of light, by the irradiance of a full-on pixel (None: that of `pack`) and a name of `DITHERS`."""
@@ -50,39 +62,66 @@ Packed = Callable[[DeviceArray, float | None, str], Frames]
 
 def check_fit(bits: int, shift: tuple[float, float]) -> None:
     """Raise `BadInput` unless pixels of these bits, moved by ``shift``, can be chosen by their dose."""
-    if bits != 1:
-        raise BadInput(f'dither="fit" got {bits} bits; expected 1: rounding costs 8 bits next to nothing')
-    if any(moved % 1 for moved in shift):
-        raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: take those, or '
+    if bits == 1 and any(moved % 1 for moved in shift):
+        raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: take those, 8 bits, or '
                        'dither="error-diffusion"')  # fmt: skip
 
 
-def check_dose(operator: Any, target: Any) -> None:
+def check_dose(operator: Any, target: Any, bits: int = 1) -> None:
     """Raise `BadInput` unless pixels can be chosen by the dose that an operator makes for a target."""
     other = 'take dither="error-diffusion"'
-    if not isinstance(direct(operator), Projection):
+    if bits == 1 and not isinstance(direct(operator), Projection):
         raise BadInput(f'dither="fit" got light of {operator!r}; expected that of a Projection or a RingProjection: '
                        f"{other}")  # fmt: skip
+    if not isinstance(getattr(operator, "grid", None), Grid):
+        raise BadInput(f'dither="fit" got light of {operator!r}; expected an operator on a Grid: {other}')
     if target is None:
         raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), whose window is to be '
-                       f"kept: {other}")  # fmt: skip
+                       f"kept, or target= beside light of your own: {other}")  # fmt: skip
     if getattr(target, "limits", None) is not None:
         raise BadInput(f'dither="fit" got {target.name!r}, whose voxels have limits of their own; expected a part '
                        f"without bodies: {other}")  # fmt: skip
 
 
+def rounds_of(plan: Any) -> int:
+    """Rounds for the 8-bit pixels of a plan: 0 after too few evaluations, or where no dose is known."""
+    known = isinstance(plan, Plan) and plan.target is not None and getattr(plan.target, "limits", None) is None
+    if not known or plan.tolerances is not None or not isinstance(plan.operator.grid, Grid):
+        return 0
+    return min(MOST_ROUNDS, int(SPENT * plan.evaluations / 1.5))
+
+
+def stepped(plan: Any, frames: Frames, packed: Callable[[DeviceArray], Frames], rounds: int) -> tuple[Any, ...]:
+    """Frames of 8 bits whose dose has the window of the plan's light, or nearly."""
+    # In each round some pixels are asked for a level more, or less, where voxels that miss the window of the plan's
+    # light come nearer to it; which ones is spread evenly over light. Works by the plan's own operator, of any kind.
+    A, device, asked = plan.operator, plan.sinogram.device, plan.sinogram
+    fit = _Fit(A, on_device(A, plan.target), asked)
+    prices = {name: device.empty(A.domain.shape) for name in ("brighter", "darker")}
+    gains = {name: device.empty(asked.shape) for name in prices}
+    best, step = (frames, asked, -2.0), frames.scale / (len(frames.gray.table(frames.bits)) - 1)
+    for number in range(rounds + 1):
+        dose = A.T(frames.irradiance(device))
+        if (window := fit.window(dose)) > best[2]:
+            best = (frames, asked, window)
+        if number == rounds:
+            break
+        device.launch(price_flips, dose=dose, side=fit.side, **fit.goal, step=SMALL * fit.goal["most"], **prices)
+        for name, price in prices.items():
+            A(price, out=gains[name])
+        gain = -min(extent(each)[0] for each in gains.values())
+        if gain <= 0.0:
+            break
+        asked = combine(1.0, asked, 0.0, asked, device.empty(asked.shape))
+        device.launch(
+            step_pixels, **gains, worth=gain / CHANCE, seed=number, first=0, step=step, most=frames.scale, light=asked
+        )  # fmt: skip
+        frames = packed(asked)
+    return best
+
+
 def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
-    """Frames of 1 bit whose dose has nearly the window of the plan's light, or a wider one.
-
-    Args:
-        plan: With its light, its operator and its target, that `check_dose` takes.
-        packed: What makes frames of light.
-        scale: Irradiance of a full-on pixel; None looks for it.
-
-    Returns:
-        The frames of the widest strict window, made of the light that they show, and that window; rounded ones, with a
-        `PackWarning`, where theirs is as wide.
-    """
+    """Frames of 1 bit whose dose has nearly the window of the plan's light, or a wider one."""
     A, light = direct(plan.operator), plan.sinogram
     fit = _Fit(A, fractions_of(A, plan.target), light)
     if (settled := _settled(fit, plan.operator, packed, scale)) is not None:
@@ -96,7 +135,7 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     if plain >= window:
         warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
                       f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
-                      PackWarning, stacklevel=4)  # fmt: skip
+                      PackWarning, stacklevel=5)  # fmt: skip
         return rounded, plain
     return packed(lit, frames.scale, "round"), window
 
@@ -126,11 +165,9 @@ class _Settled:
     packed: Packed
 
     def best(self, full: float | None) -> Frames:
-        """Those of the widest window.
-
-        Without ``full``, what a full-on pixel shows is doubled or halved for as long as that gains. It is not brighter
-        than the brightest of the light, so that the print takes about as long at most.
-        """
+        """Those of the widest window."""
+        # Without ``full``, what a full-on pixel shows is doubled or halved for as long as that gains. It is not
+        # brighter than the brightest of the light, so that the print takes about as long at most.
         if full is not None:
             return self.at(full)[1]
         most = extent(self.fit.light)[1]
@@ -158,9 +195,9 @@ class _Settled:
 
 @dataclass(frozen=True)
 class _Fit:
-    """What frames are fitted to: the part, and the window of the plan's light or one ``ahead`` of what they have."""
+    """The aim of a fit: the part, and the window of the plan's light or one ``ahead`` of the frames'."""
 
-    A: Projection
+    A: Any  # a Projection, where pixels are flipped
     target: DeviceArray
     light: DeviceArray
     ahead: float | None = None
@@ -185,14 +222,14 @@ class _Fit:
 
     @cached_property
     def share(self) -> float:
-        """What a pixel's light gives a voxel that it lights, usually: Σ A² / Σ A, by a random sign for every voxel."""
+        """Usual dose of a voxel by a pixel that lights it: Σ A² / Σ A, by a random sign for every voxel."""
         A, signs = self.poses[0], 2 * np.random.default_rng(0).integers(0, 2, self.A.grid.shape, np.int8) - 1
         lit = self.A.device.upload(np.abs(self.side.numpy()))
         shadow = A(self.A.device.upload((signs * lit.numpy()).astype(np.float32)))
         return dot(shadow, shadow) / total(A(lit))
 
     def aimed_at(self, dose: DeviceArray) -> dict[str, float]:
-        """What is to become of a dose: the plan's, or a window a little wider than it has."""
+        """The aim for a dose: the plan's window, or one a little wider than it has."""
         if self.ahead is None:
             return self.goal
         least, leak, most = self._extremes(dose)

@@ -21,7 +21,7 @@ from vamgpu.geometry import Beam, centers, counts, positive
 from vamgpu.kernels.mask import mask_bytes, mask_rays
 from vamgpu.printing.frames import Frames
 
-Shown = TypeVar("Shown", Frames, DeviceArray, np.ndarray)
+Fields = TypeVar("Fields", Frames, DeviceArray, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -157,13 +157,11 @@ def bins_needed(beam: Beam, radius: float, thickness: float, defocus: float) -> 
     return len(_groups(depth, positive("defocus [mm]", defocus)))
 
 
-def split(shown: Shown, masks: FocusMasks) -> tuple[Shown, ...]:
-    """One set of frames, or of light, for each focus plane; their sum is ``shown`` to the last bit.
-
-    shown: `Frames`; light [angle, r, z] on a device or in NumPy; or the bytes of 8-bit frames, uint8
-    [angle, row, column], neither flipped nor shifted. Everything stays where it is. A dark mirror of frames still gives
-    the gray curve's black level, in every bin. Raises `ShapeMismatch`, `BadInput`.
-    """
+def split(shown: Fields, masks: FocusMasks) -> tuple[Fields, ...]:
+    """One set of frames, or of light, for each focus plane; their sum is ``shown`` to the last bit."""
+    # shown: `Frames`; light [angle, r, z] on a device or in NumPy; or the bytes of 8-bit frames, uint8 [angle, row,
+    # column], neither flipped nor shifted. Everything stays where it is. A dark mirror of frames still gives the gray
+    # curve's black level, in every bin.
     if isinstance(shown, Frames):
         return tuple(_frames(shown, mask) for mask in masks.of_frames(shown))
     frames = isinstance(shown, np.ndarray) and shown.dtype == np.uint8
@@ -178,10 +176,8 @@ def split(shown: Shown, masks: FocusMasks) -> tuple[Shown, ...]:
 
 
 def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:
-    """Which plane every slot shows, int (angles, bins), in the order they are shown.
-
-    turning: every other angle in reverse order, so that the lens moves one time less an angle and never flies back.
-    """
+    """Which plane every slot shows, int (angles, bins), in the order they are shown."""
+    # turning: every other angle in reverse order, so that the lens moves one time less an angle and never flies back.
     angles, bins = counts("angles and bins", (angles, bins), 2)
     order = np.tile(np.arange(bins), (angles, 1))
     if turning:

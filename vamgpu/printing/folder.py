@@ -10,7 +10,8 @@ from typing import Any
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.methods.saved import inputs_of, light_of, pixel_pitch, sinogram_from
+from vamgpu.methods.plan import Plan
+from vamgpu.methods.saved import inputs_of, light_of, method_described, pixel_pitch, sinogram_from
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
@@ -28,18 +29,14 @@ def save_frames(
     details: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> Folder:
-    """Write frames to a job folder: Zarr arrays, one chunk a frame, and ``manifest.json``.
-
-    Frames of a plan are kept as its plain light, float32, and how it was packed beside it: a machine that is known
-    makes frames of the light itself. Others are kept as their bytes.
-
-    inputs: what the job was asked for, kept in the manifest; by default geometry, target and record of the frames'
-    plan.  arrays: others to keep beside the frames.  details: of those.
-
-    Raises `StorageError` (nothing is left then), `BadInput`.
-    """
+    """Write frames to a job folder: Zarr arrays, one chunk a frame, and ``manifest.json``."""
+    # Frames of a plan are kept as its plain light, float32, and how it was packed beside it: a machine that is known
+    # makes frames of the light itself. Others are kept as their bytes.
+    # inputs: what the job was asked for, kept in the manifest; by default geometry, target and record of the frames'
+    # plan. arrays: others to keep beside the frames. details: of those.
     plan, own = frames.plan, {}
     known: dict[str, Any] = {}
+    told: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
     if plan is None:
         columns = "column" if frames.bits == 8 else "byte"
         entries = {"frames": Entry(frames.images, ("angle", "row", columns))}
@@ -50,6 +47,13 @@ def save_frames(
                 known, own = inputs_of(plan)
             except BadInput as error:  # they can be printed, if not proven
                 known = {"undescribed": str(error)}
+        if isinstance(plan, Plan):
+            noun, own_arrays = method_described(plan.method)
+            entries |= own_arrays
+            told["plan"] = {
+                "method": noun, "evaluations": plan.evaluations, "best_iteration": plan.best_iteration,
+                "target_name": plan.target_name,
+            }  # fmt: skip
     if frames.flat_field is not None:
         entries["flat_field"] = Entry(frames.flat_field, ("row", "column"))
     taken = set(entries) & set(arrays or {})
@@ -59,7 +63,7 @@ def save_frames(
         path,
         {**own, **entries, **(arrays or {})},
         inputs={**known, **(inputs or {})},
-        details={"saved": "frames", "frames": describe(frames), **(details or {})},
+        details={**told, **(details or {})},
         device=f"{frames.device.name} ({frames.device.description})",
         overwrite=overwrite,
     )
@@ -71,16 +75,7 @@ def load_frames(path: str | Path, device: str | Device | None = None) -> Frames:
 
 
 def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
-    """Frames of an open job folder; its light is packed as it was, or as `pack` does where nobody did yet.
-
-    Args:
-        folder: The folder.
-        place: Device that makes the frames.
-        plan: What the folder keeps of their plan, if that was read already.
-
-    Raises:
-        StorageError: The folder is damaged.
-    """
+    """Frames of an open job folder; its light is packed as it was, or as `pack` does where nobody did yet."""
     name, flat = str(folder.path), None
     stored = folder.record("frames")
     packed = stored.dtype == "uint8"
@@ -94,7 +89,9 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
             known: dict[str, Any] = {key: details[key] for key in ("bits", "scale")}
             gray = GrayCurve.parse(details["gray"])
     except (KeyError, TypeError, AttributeError, BadInput) as error:
-        raise StorageError(f"the manifest of {name!r} garbles its frames: {error}; write the job again") from error
+        raise StorageError(
+            f"the frames in the manifest of {name!r} are malformed: {error}; write the job again"
+        ) from error
     if "flat_field" in folder.manifest.arrays:
         flat = folder.array("flat_field")
     try:
@@ -105,7 +102,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         source = plan or Solved(sinogram_from(folder, place), None)
         how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "quantile", "dither")} | known
         if settings.dither == FIT:
-            how["dither"] = "round"  # the light is what the chosen pixels show
+            how["dither"] = "round"  # the light is what the chosen pixels are rounded from
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
         return replace(made, settings=settings, motion=motion, packed=(made.images, source))
     except BadInput as error:
@@ -113,7 +110,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
 
 
 def describe(frames: Frames) -> dict[str, Any]:
-    """What it takes, beside the bytes, to know the light of frames; plain values."""
+    """Plain values that, with the bytes, tell the light of frames."""
     angles, rows, columns = frames.shape
     poses = {} if frames.motion is None else {"turntable": described(frames.motion)}
     return {

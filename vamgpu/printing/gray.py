@@ -1,4 +1,4 @@
-"""What a projector's gray levels are worth in light."""
+"""Light of a projector's gray levels."""
 
 from __future__ import annotations
 

@@ -1,17 +1,18 @@
 """Frames exposed apart from the operator that solved for them: other rays, other tables, another grid.
 
-Voxels are half as wide as the part's and shifted by a quarter of one, so that their centers lie on the part's centers
-and faces; they reach out to the inner wall. Their light comes from traced rays, of which several may meet where
-caustics fold them. Resin above and below the grid is exposed on the part's voxels as far as there is light. Nothing
-here is read from a solver's operator but its geometry.
+Voxels are so fine that they resolve the light of a column, at most half as wide as the part's, and one is centered on
+the axis; they reach out to the inner wall. Their light comes from traced rays, of which several may meet where caustics
+fold them, and turns by the arc of its frame while that is lit. Resin above and below the grid is exposed on the part's
+voxels as far as there is light. Nothing here is read from a solver's operator but its geometry.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, floor, inf
+from math import ceil, floor, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -19,21 +20,32 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel, centers, positive
-from vamgpu.kernels.proof import average_voxels, expose_voxels, spans, spread_columns, spread_rows, whole_and_part
+from vamgpu.kernels.proof import average_voxels, expose_voxels, spans, spread_columns, spread_rows
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.traced_pose import TracedPose, trace_pose
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
-from vamgpu.printing.outer import Outer, corner_of, greatest_beyond
+from vamgpu.printing.beyond_cylinder import Outer, corner_of, greatest_beyond
 from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
 MEMORY = 1 << 29
 """Bytes that the arrays of one slab may take."""
-MEAN = np.array([3.0, -22.0, 125.0, 300.0, 125.0, -22.0, 3.0]) / 512.0
-"""The mean over a voxel from voxels half as wide about its center and its faces, exact for polynomials of degree 5:
-what their running integral, interpolated to the voxel's faces, gains between them."""
-EDGE = len(MEAN) // 2
+BETWEEN = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
+"""Interpolates midway between samples, exactly for polynomials of degree 5."""
+A_PIXEL = 2.0
+"""Fewest fine voxels along the width of a column in the resin, to begin with, where the part's are the mean of them."""
+AGREED = 1e-3
+"""Share of the greatest dose to which the next finer voxels have to agree."""
+TRIES = 4
+"""Refinements at most: without a point spread, light has edges that no voxel resolves."""
+HARDEST = 4
+"""Slices that are compared: the brightest of as many equal parts of the height."""
+BEND = 0.02
+"""Columns' widths that a path may bend at the corners of the grid in what counts as straight while a frame is lit: then
+the dose is right to 1e-3 of the greatest."""
+EDGE = 3
+"""Fine voxels beyond a grid's corner that the means over its voxels may ask for."""
 LANES = 64
 """Slices that tables are padded to: no device has wider vectors."""
 SAMPLES = 128, 256
@@ -47,94 +59,110 @@ FAR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class FineSlab:
-    """Some slices of the dose on voxels half as wide as the part's.
+    """Some slices of the dose on voxels finer than the part's."""
 
-    dose: [x, y, z] on the device, in units of Aᵀ(light): comparable with the dose of a part voxel.  x, y, z: centers of
-    the voxels [mm].  pitch: their edge [mm].  radius: of the resin [mm]; voxels farther from the axis mean nothing.
-    """
+    # x, y, z: centers of the voxels [mm].
 
-    dose: DeviceArray
+    dose: DeviceArray  # [x, y, z] on the device, in units of Aᵀ(light): comparable with the dose of a part voxel
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    pitch: float
-    radius: float
+    pitch: float  # their edge [mm]
+    radius: float  # of the resin [mm]; voxels farther from the axis mean nothing
 
 
 class IndependentExposure:
-    """The light of a projection's pixels in the resin, by rays traced for it.
+    """The light of a projection's pixels in the resin, by rays traced for it."""
 
-    Args:
-        A: gives the geometry: grid, beam, motion and vessel; none of its tables is read.
-        memory: bytes that the arrays of some slices may take. As many slices as the device keeps together (64 at most)
-            are exposed in any case.
-
-    Raises:
-        BadInput: no ray reaches the resin.
-    """
+    # A: gives the geometry: grid, beam, motion and vessel; none of its tables is read.
 
     grid: Grid
     beam: Beam
-    motion: Turntable
+    motion: Turntable  # the arcs of the light, where they are others than the projection's
     vessel: Vessel | None
     device: Device
+    # fine voxels along an edge of the part's, at least 2, of which the part's are the mean; by default as many as it
+    # takes to have `A_PIXEL` along the least width that a column has in the resin. See `agreed`
+    finer: int
     pitch: float
+    # bytes that the arrays of some slices may take. As many slices as the device keeps together (64 at most) are
+    # exposed in any case
     memory: int
+    agrees: float | None
+    """Share of the greatest dose to which the next finer voxels agree, where they were asked."""
 
-    def __init__(self, A: Projection, memory: int = MEMORY) -> None:
-        self.grid, self.beam, self.motion, self.vessel, self.device = A.grid, A.beam, A.motion, A.vessel, A.device
-        self.pitch, self.memory = 0.5 * A.grid.pitch, memory
+    def __init__(self, A: Projection, memory: int = MEMORY, finer: int | None = None, motion: Any = None) -> None:
+        self.grid, self.beam, self.vessel, self.device = A.grid, A.beam, A.vessel, A.device
+        self.motion = A.motion if motion is None else motion
+        self.memory = memory
         self.corner: float = corner_of(A.grid)
         wall = resin_radius(A.vessel)
         self.radius: float = self.corner if wall == inf else wall
         self._spread = spread_of(A.beam)
+        self.finer = finer or max(2, ceil(A_PIXEL * A.grid.pitch / self.column))
+        self.pitch, self.agrees = A.grid.pitch / self.finer, None
         self._discs: dict[tuple[float, float], _Disc] = {}
+
+    def agreed(self, light: DeviceArray) -> IndependentExposure:
+        """The same on voxels so fine that the next finer ones give the same dose of some light, to `AGREED`."""
+        # light [angle, r, z]
+        z, lit, judge = self._hardest(light), self.grid.cylinder(), self
+        dose = judge._at(light, z)
+        for finer in range(self.finer + 1, self.finer + TRIES + 1):
+            following = judge._refined(finer)
+            found = following._at(light, z)
+            judge.agrees = float(np.abs(found - dose)[lit].max() / (found[lit].max() or 1.0))
+            if judge.agrees <= AGREED or finer == self.finer + TRIES:
+                break
+            judge, dose = following, found
+        return judge
+
+    def _refined(self, finer: int) -> IndependentExposure:
+        """The same on voxels of another width."""
+        other = copy(self)
+        other.finer, other.pitch, other._discs = finer, self.grid.pitch / finer, {}
+        other.__dict__.pop("_near", None)
+        return other
+
+    def _hardest(self, light: DeviceArray) -> np.ndarray:
+        """Slices [mm] of the grid in which dose is compared."""
+        bright, z = extremes(Parts.whole(light), per_slice=True).greatest[:, IN], self.grid.axes()[2]
+        row = np.clip(np.round(z / self.beam.pitch + 0.5 * (bright.size - 1)).astype(int), 0, bright.size - 1)
+        return np.array([part[np.argmax(bright[row[part]])] for part in np.array_split(np.arange(z.size), HARDEST)
+                         if part.size]) * self.grid.pitch + z[0]  # fmt: skip
+
+    def _at(self, light: DeviceArray, z: np.ndarray) -> np.ndarray:
+        """Dose [x, y, z] on the part's voxels at some z [mm], right in the judged cylinder."""
+        disc = self._disc(self.pitch, self.grid.inscribed_radius + 2.0 * self.grid.pitch)
+        return self._averaged(disc, self._expose(disc, light, z, self.grid.pitch), self.grid).numpy()
 
     # ---- what is asked ----------------------------------------------------------------------------------------------
     def fine(self, light: DeviceArray, reach: float | None = None) -> Iterator[FineSlab]:
-        """The dose of light on voxels half as wide as the part's, slab by slab from the lowest z.
-
-        A beam of a single row stands for a print that is the same at every height: there the two halves of a slice get
-        the mean over it, and no voxel lies on its faces.
-
-        Args:
-            light: of every pixel [angle, r, z], a field on the device.
-            reach: farthest from the axis [mm] that is exposed; the inner wall by default.
-
-        Returns:
-            Slabs that follow each other without a gap; let each go before the next one is asked for.
-
-        Raises:
-            BadInput: reach is no finite number above 0.
-        """
+        """The dose of light on voxels that are at most half as wide as the part's and as a column in the resin."""
+        # Slab by slab from the lowest z. A beam of a single row stands for a print that is the same at every height:
+        # there all fine voxels of a slice get the mean over it, and no voxel lies on its faces.
+        # light [angle, r, z]; reach [mm]
         far, slices = self.radius if reach is None else positive("reach [mm]", reach), self.grid.shape[2]
-        disc = self._disc(self.pitch, min(far, self.radius))
+        disc = self._disc(self.grid.pitch / self.halves, min(far, self.radius))
         if self.beam.flat:
-            return self._fine(disc, light, centers(2 * slices, self.pitch), np.repeat(self.grid.axes()[2], 2))
-        z = centers(2 * slices + 1, self.pitch)
+            lit = np.repeat(self.grid.axes()[2], self.halves)
+            return self._fine(disc, light, centers(lit.size, disc.width), lit)
+        z = centers(self.halves * slices + 1, disc.width)
         return self._fine(disc, light, z, z)
 
     def _fine(self, disc: _Disc, light: DeviceArray, z: np.ndarray, lit: np.ndarray) -> Iterator[FineSlab]:
         """Slabs of voxels at ``z``, with the dose of those at ``lit``."""
-        height = self.grid.pitch if self.beam.flat else self.pitch
+        height = self.grid.pitch if self.beam.flat else disc.width
         for part in self._slabs(disc, z.size):
             dose = self._expose(disc, light, lit[part], height)
-            yield FineSlab(dose, disc.axis, disc.axis, z[part], self.pitch, disc.radius)
+            yield FineSlab(dose, disc.axis, disc.axis, z[part], disc.width, disc.radius)
 
     def averaged(
         self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None
     ) -> tuple[DeviceArray, Outer | None]:
-        """The dose on the part's own voxels, the mean of the fine ones.
-
-        Along z the mean over a slice is that of its halves, whatever they are, so it is taken in one step.
-
-        Args:
-            light: of every pixel [angle, r, z], a field on the device.
-            progress: is told the share of the slices that is done, slab by slab.
-
-        Returns:
-            The dose [x, y, z] of the grid, and the greatest beyond the judged cylinder; None where nothing is there.
-        """
+        """The dose on the part's own voxels, the mean of the fine ones."""
+        # Along z the mean over a slice is that of its parts, whatever they are, so it is taken in one step.
+        # light [angle, r, z]; returns [x, y, z]
         far, pitch, disc = self._is_far, self.grid.pitch, self._near
         around = self.grid if far else self._around
         beyond = self._above_and_below(light)
@@ -153,15 +181,8 @@ class IndependentExposure:
         return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer) if far else outer
 
     def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
-        """The dose on the part's own voxels alone, slab by slab.
-
-        Args:
-            light: of every pixel [angle, r, z], a field on the device.
-            dose: takes the dose [x, y, z] of the slices of a slab before that is told.
-
-        Returns:
-            Slices of the grid, the last of which may go on beyond it, and their dose on voxels half as wide.
-        """
+        """The dose on the part's own voxels alone, slab by slab."""
+        # light [angle, r, z]; dose [x, y, z]
         disc, pitch = self._near, self.grid.pitch
         for part in self._slabs(disc, self.grid.shape[2]):
             z = self.grid.axes()[2][0] + np.arange(part.start, part.stop) * pitch
@@ -170,29 +191,34 @@ class IndependentExposure:
             yield part, fine
 
     def back(self, slope: np.ndarray) -> np.ndarray:
-        """The transpose of `onto`, on the host in float64.
-
-        Args:
-            slope: derivatives by the dose on the part's voxels [x, y, z].
-
-        Returns:
-            Derivatives by the light [angle, r, z].
-        """
+        """The transpose of `onto`, on the host in float64."""
+        # slope [x, y, z]; returns [angle, r, z]
         disc, tables, (nx, ny, nz) = self._near, self._tables, self.grid.shape
-        matrices = (_averaging(n, disc) for n in (nx, ny))
+        matrices = (self._averaging(n, disc) for n in (nx, ny))
         fine = np.einsum("xu,yv,xyz->uvz", *matrices, slope, optimize=True)
         poses, shares = (tables[name].numpy().astype(np.float64) for name in ("poses", "shares"))
         pose = {key: value for key, value in disc.pose.items() if key != "pose"} | {"radius": float(disc.half)}
-        found = spans(poses, disc.pose["pose"].numpy().astype(np.float64), **pose, shape=fine.shape[:2])
-        total = np.zeros((len(poses), len(shares) + 1, nz))
-        for angle, lit, low, high, weight in found:
-            total[angle] += _gathered(total.shape[1], low, high, weight).T @ fine[lit]
-        profile = np.cumsum(total[:, :0:-1], axis=1)[:, ::-1]
+        profile = np.zeros((self.motion.angles, len(shares), nz))
+        of = poses, disc.pose["pose"].numpy().astype(np.float64)
+        for angle, lit, bins, weights in spans(*of, **pose, profile=profile.shape, shape=fine.shape[:2]):
+            profile[angle] += _gathered(bins, weights, len(shares)).T @ fine[lit]
         matrix = np.zeros((len(shares), self.beam.pixels[0]))
         matrix[np.arange(len(shares))[:, None], tables["first"].numpy()[:, None] + np.arange(shares.shape[1])] = shares
         spread = matrix.T @ profile
         rows = row_shares(self._spread, self.beam, self.grid.axes()[2], self.grid.pitch, LANES)
         return spread @ np.asarray(rows.shares)[:, :nz].T
+
+    @cached_property
+    def column(self) -> float:
+        """Least width of a column in the resin that is judged [mm]."""
+        across = self._rays.cross(0.0).across
+        widths = np.abs(np.diff(across) / np.diff(self._rays.u))[np.abs(across[1:]) <= self.grid.inscribed_radius]
+        return self.beam.pitch * float(widths.min(initial=1.0))
+
+    @property
+    def halves(self) -> int:
+        """Voxels of `fine` along an edge of the part's."""
+        return max(2, ceil(2.0 * self.grid.pitch / self.column - 0.1))
 
     @property
     def _is_far(self) -> bool:
@@ -231,14 +257,25 @@ class IndependentExposure:
 
     @cached_property
     def _tables(self) -> dict[str, Any]:
-        """How a column's light falls on bins, and the poses."""
-        columns, poses = column_shares(self._spread, self.beam, self._rays), self.motion.poses
-        times = np.asarray(getattr(self.motion, "times", np.ones_like(poses)))
+        """Shares of a column's light in bins, and the poses."""
+        columns = column_shares(self._spread, self.beam, self._rays)
         return {
             "first": self.device.table(columns.first, "int32"),
             "shares": self.device.table(columns.shares),
-            "poses": self.device.table(np.stack([np.cos(poses), np.sin(poses), times, 0.0 * times], axis=1)),
+            "poses": self.device.table(self._arcs),
         }
+
+    @property
+    def _arcs(self) -> np.ndarray:
+        """Cosine, sine, time and half a turn of arcs so short that what they move is on a straight line."""
+        poses = self.motion.poses
+        times, arcs = (np.asarray(getattr(self.motion, name, or_else * np.ones_like(poses)))
+                       for name, or_else in (("times", 1.0), ("arcs", 0.0)))  # fmt: skip
+        straight = sqrt(8.0 * BEND * self.column / min(self.corner, self.radius))
+        count = max(ceil(arcs.max() / straight), 1)
+        at = (poses[:, None] + (centers(count, 1.0 / count) * arcs[:, None])).ravel()
+        times, half = np.repeat(times / count, count), np.repeat(0.5 * arcs / count, count)
+        return np.stack([np.cos(at), np.sin(at), times, half], axis=1)
 
     def _disc(self, width: float, radius: float) -> _Disc:
         """Voxels of a width about the axis, made once."""
@@ -262,10 +299,8 @@ class IndependentExposure:
 
     # ---- slabs ------------------------------------------------------------------------------------------------------
     def _slabs(self, disc: _Disc, slices: int) -> Iterator[slice]:
-        """Parts of the slices, as many in each, whose arrays fit the memory and whose layout is that of the whole.
-
-        The last may go on beyond the slices.
-        """
+        """Parts of the slices, as many in each, whose arrays fit the memory and whose layout is that of the whole."""
+        # The last may go on beyond the slices.
         each = self.motion.angles * (self.beam.pixels[0] + self._tables["first"].shape[0]) + 2 * disc.axis.size**2
         each *= self.device.real.itemsize
         lanes = self.device.lanes_for(slices) or 1
@@ -296,10 +331,27 @@ class IndependentExposure:
         return volume
 
     def _average(self, disc: _Disc, fine: DeviceArray, volume: DeviceArray, first: int) -> None:
-        """Mean of a disc's voxels over twice as wide ones about the axis, into slices of ``volume`` from ``first``."""
-        corner_x, corner_y = (disc.half - (n - 1) - EDGE for n in volume.shape[:2])
-        corner = {"corner_x": corner_x, "corner_y": corner_y, "taps": self.device.table(MEAN)}
-        self.device.launch(average_voxels, fine=fine, **corner, first=first, volume=volume)
+        """Mean of a disc's voxels over the part's about the axis, into slices of ``volume`` from ``first``."""
+        corners, taps = zip(*(self._mean_of(n, disc) for n in volume.shape[:2]), strict=True)
+        given = {"taps": self.device.table(np.stack(taps)), "corner_x": corners[0], "corner_y": corners[1]}
+        self.device.launch(average_voxels, fine=fine, finer=self.finer, **given, first=first, volume=volume)
+
+    def _mean_of(self, count: int, disc: _Disc) -> tuple[int, np.ndarray]:
+        """The first fine voxel and the weights of the mean over the first of so many of the part's about the axis."""
+        # The mean is what the running integral of the fine ones gains between its faces, where it is interpolated if
+        # these are in the middle of fine ones.
+        finer = self.finer
+        split = BETWEEN if count * finer % 2 == 0 else np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        return disc.half - (count * finer + 4) // 2, np.convolve(split, np.full(finer, 1.0 / finer))
+
+    def _averaging(self, count: int, disc: _Disc) -> np.ndarray:
+        """Weights of fine voxels in the part's, (count, fine), along x or along y."""
+        matrix, (corner, taps) = np.zeros((count, disc.axis.size)), self._mean_of(count, disc)
+        for tap, weight in enumerate(taps):
+            at = corner + self.finer * np.arange(count) + tap
+            inside = (at >= 0) & (at < disc.axis.size)
+            matrix[np.flatnonzero(inside), at[inside]] = weight
+        return matrix
 
     # ---- beyond the judged cylinder ---------------------------------------------------------------------------------
     @cached_property
@@ -330,23 +382,9 @@ class _Disc:
         return centers(2 * self.half + 1, self.width)
 
 
-def _averaging(count: int, disc: _Disc) -> np.ndarray:
-    """Weights of fine voxels in the part's, (count, fine), along x or along y."""
-    matrix, corner = np.zeros((count, disc.axis.size)), disc.half - (count - 1) - EDGE
-    for tap, weight in enumerate(MEAN):
-        at = corner + 2 * np.arange(count) + tap
-        inside = (at >= 0) & (at < disc.axis.size)
-        matrix[np.flatnonzero(inside), at[inside]] = weight
-    return matrix
-
-
-def _gathered(count: int, low: np.ndarray, high: np.ndarray, weight: np.ndarray) -> Any:
-    """Weights of a running integral's samples in the light between bins, (voxels, count)."""
-    voxel, parts = np.arange(low.size), []
-    for place, sign in ((low, -1.0), (high, 1.0)):
-        k, part = whole_and_part(count, place)
-        parts += [(sign * weight * (1.0 - part), k), (sign * weight * part, k + 1)]
-    values, bins = (np.concatenate(column) for column in zip(*parts, strict=True))
+def _gathered(bins: np.ndarray, weights: np.ndarray, count: int) -> Any:
+    """Weights of so many bins in the light of voxels, (voxels, count)."""
     from scipy.sparse import csr_array
 
-    return csr_array((values, (np.tile(voxel, 4), bins)), (low.size, count))
+    voxel = np.repeat(np.arange(len(bins)), bins.shape[1])
+    return csr_array((weights.ravel(), (voxel, bins.ravel())), (len(bins), count))

@@ -1,72 +1,145 @@
-"""What a report opens with: the window over tolerance, and what the print bears."""
+"""A proof judged below the voxel: window over tolerance, surface, and sensitivity to errors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from math import prod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from math import ceil, prod
 from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.geometry import Grid
+from vamgpu.geometry import Grid, centers
+from vamgpu.metrics.depth import LARGEST_REACH
+from vamgpu.metrics.interpolation import interpolated
+from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
-from vamgpu.metrics.tolerance import Depth, ToleranceWindow, depth_of_fractions, tolerance_window
+from vamgpu.metrics.tolerance import (
+    WIDEST,
+    Depth,
+    ToleranceWindow,
+    depth_of_fractions,
+    depth_of_target,
+    tolerance_window,
+)
+from vamgpu.operators.projection import Projection
+from vamgpu.printing.independent import IndependentExposure
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
+from vamgpu.targets.target import Target
 
+FINEST = 5
+"""Voxels along an edge of the part's beyond which depths are not looked for in its mesh."""
+DEEP = 2.0
+"""Pixels from the surface: what prints wrong farther than this from it is a fault. Light cannot make the dose jump."""
 WHOLE = 2**28
 """Fine voxels up to which their surface is judged; that of the part's own voxels is beyond."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """How good a proved print is beyond its strict window.
+    """A proved print judged beyond its strict window.
 
     Attributes:
-        over_tolerance: W from 0 to two voxels, on voxels half as wide as the part's.
-        table: the same light through machines that are off by a little.
+        over_tolerance: W from 0 to two voxels or pixels, on voxels at most half as wide as the part's and as a pixel in
+            the resin.
         surface: how the surface of the print lies against the mesh.
+        pixel: least width of a column in the resin [mm]; a voxel of the part where no ray says it.
+        off: finds the table.
+        not_judged: what nobody judged, sentence by sentence.
     """
 
     over_tolerance: ToleranceWindow
-    table: ToleranceTable
     surface: SurfaceJudgement
+    pixel: float
+    off: Callable[[], ToleranceTable] = field(repr=False)
+    not_judged: tuple[str, ...] = ()
+
+    @property
+    def deep(self) -> float:
+        """Distance from the surface from which on what prints wrong is a fault [mm]: two pixels."""
+        return min(DEEP * self.pixel, float(self.over_tolerance.distance[-1]))
+
+    @cached_property
+    def table(self) -> ToleranceTable:
+        """The same light through machines that are off by a little; five to ten projector evaluations when asked."""
+        return self.off()
+
+    def lines(self) -> tuple[Line, ...]:
+        """The windows at half a pixel, one and two, as far as they are known, and the surface with its bodies."""
+        found, known = [], float(self.over_tolerance.distance[-1]) * (1.0 + 1e-9)
+        for number, name in ((0.5, "½ pixel"), (1.0, "1 pixel"), (2.0, "2 pixels")):
+            if number * self.pixel <= known:
+                value = self.over_tolerance.at(number * self.pixel)
+                where = f"of what lies at least {length(number * self.pixel)} from the surface, below the voxel"
+                found.append(Line(f"process window, {name}", f"{value:+.4f}", where))
+        return (*found, *self.surface.lines())
 
 
 def judged(proof: Proof) -> Judgement:
-    """Judge a proof by the light of its frames, exposed once more on finer voxels and through the tolerance table.
-
-    Where a proof knows no finer dose than that of the part's own voxels, all is found on those. Costs about six
-    projector evaluations for the finer dose, five to ten for the table, and some seconds of a processor for the
-    surface.
-    """
+    """Judge a proof by the light of its frames, exposed once more on finer voxels."""
+    # Where a proof knows no finer dose than that of the part's own voxels, all is found on those. Costs about six
+    # projector evaluations for the finer dose, and some seconds of a processor for the surface.
     A, at = proof.operator, proof.scores.threshold
-    depth = depth_of_fractions(proof.target.numpy(), A.grid, A.beam.flat)
-    radius, voxels = A.grid.inscribed_radius, prod(A.grid.shape)
-    slabs: Iterable[Any] = (OwnVoxels(A.grid, proof.dose),)
+    radius, voxels, finer, pixel = A.grid.inscribed_radius, prod(A.grid.shape), 1, A.grid.pitch
+    slabs: Iterable[Any] = [OwnVoxels(A.grid, proof.dose)]
+    if isinstance(A, Projection):
+        exposure = IndependentExposure(A)
+        pixel, finer = exposure.column, exposure.halves if proof.independent else 1
     if proof.independent:
+        voxels *= finer**3
         slabs = (replace(slab, dose=slab.dose.numpy()) for slab in proof.fine(radius))  # type: ignore[arg-type]
-        slabs = list(slabs) if 8 * voxels <= WHOLE else slabs
+        slabs = list(slabs) if voxels <= WHOLE else slabs
+    reach = max(WIDEST * A.grid.pitch, min(DEEP * pixel, (LARGEST_REACH - 3.0) * A.grid.pitch / finer))
+    depth = _depth(proof, finer, reach)
     if proof.limits is not None:
-        slabs, depth = [_asked(proof, slab) for slab in slabs], _where_asked(proof, depth)
-    found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius)
-    light = proof.frames.irradiance(A.device)
-    table = tolerance_table(A, light, proof.target, proved=proof.dose, threshold=at, half_voxel=found.half_voxel,
-                            limits=proof.limits)  # fmt: skip
-    return Judgement(found, table, _surface(proof, slabs if isinstance(slabs, list) else None))
+        asked = map(partial(_asked, proof), slabs)
+        slabs, depth = list(asked) if isinstance(slabs, list) else asked, _where_asked(proof, depth)
+    found = tolerance_window(slabs, depth, A.grid.pitch, radius=radius, reach=reach)
+    fine = slabs if proof.independent and isinstance(slabs, list) else None
+
+    def off() -> ToleranceTable:
+        light = proof.frames.irradiance(A.device)
+        return tolerance_table(A, light, proof.target, proved=proof.dose, threshold=at, limits=proof.limits,
+                               deep=DEEP * pixel)  # fmt: skip
+
+    half_pixels = voxels if proof.independent else int(voxels * max(2.0 * A.grid.pitch / pixel, 1.0) ** 3)
+    missed = (f"what the surface does between the part's own voxels, as {half_pixels:,} finer ones are more than the "
+              f"{WHOLE:,} that are looked at together",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
+    return Judgement(found, _surface(proof, fine, pixel), pixel, off, missed)
 
 
-def _surface(proof: Proof, slabs: list[Any] | None) -> SurfaceJudgement:
+def _depth(proof: Proof, finer: int, reach: float) -> Depth:
+    """Depths in the mesh where there is one, sampled on voxels so many times as fine as the part's."""
+    grid = proof.operator.grid
+    if proof.joined is None or not 1 < finer <= FINEST or proof.operator.beam.flat:
+        return depth_of_fractions(proof.target.numpy(), grid, proof.operator.beam.flat, reach)
+    part = Target.from_array(proof.target.numpy(), grid.pitch, proof.name)
+    return depth_of_target(replace(part, solid=proof.joined), grid.pitch / finer, grid.pitch, reach)
+
+
+def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudgement:
     grid, fraction = proof.operator.grid, proof.target.numpy()
     if slabs is None:
-        dose, place, pitch = proof.parts.dose.numpy(), [axis[0] for axis in grid.axes()], grid.pitch
+        dose, pitch = refined(proof.parts.dose.numpy(), grid.pitch, 0.5 * pixel)
+        place = [-0.5 * (count - 1) * pitch for count in dose.shape]
     else:
         dose = np.concatenate([slab.dose for slab in slabs], axis=2)
         place, pitch = [slabs[0].x[0], slabs[0].y[0], slabs[0].z[0]], slabs[0].pitch
     at, thin = proof.scores.threshold, proof.unjudged
     return judge_surface(dose, place, pitch, at, fraction, grid, proof.joined, thin=thin)
+
+
+def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, float]:
+    """A dose on voxels at most so wide, linear between, and their width: narrow holes close on wide voxels."""
+    finer = pitch / width
+    if finer < 1.1 or dose.size * finer**3 > WHOLE:
+        return dose, pitch
+    shape = [ceil(finer * size - 1e-6) for size in dose.shape]
+    places = [centers(many, 1.0 / finer) + 0.5 * (size - 1) for many, size in zip(shape, dose.shape, strict=True)]
+    return np.asarray(interpolated(dose, places)), width
 
 
 def _asked(proof: Proof, slab: Any) -> _Asked:

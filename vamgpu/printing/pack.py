@@ -12,16 +12,18 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
+from vamgpu.deprecated import named_arguments
 from vamgpu.errors import BadInput, PackWarning, ToleranceWarning
 from vamgpu.geometry import Turntable, positive
 from vamgpu.kernels.pack import BINS, NEVER, count_light, fold_bits, quantize
-from vamgpu.methods.plan import Plan
+from vamgpu.methods.plan import Plan, copied
+from vamgpu.methods.start import own_light
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.space import require
-from vamgpu.printing.dark import no_light
-from vamgpu.printing.fit import check_dose, check_fit, fitted
+from vamgpu.printing.black_level import no_light
+from vamgpu.printing.fit import MOST_ROUNDS, check_dose, check_fit, fitted, rounds_of, stepped
 from vamgpu.printing.frames import Frames, flat_table, flattened
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import FIT, Placement
@@ -38,7 +40,7 @@ FAINTEST, BRIGHTEST = 1e-30, 1e30
 
 
 class Patterns(Protocol):
-    """What can be packed: a plan, or anything with its light and the operator that makes dose of it."""
+    """A plan, or anything with its light and the operator that makes dose of it."""
 
     @property
     def sinogram(self) -> DeviceArray: ...
@@ -56,8 +58,12 @@ class Solved:
     target: Any = None
 
 
+@named_arguments("bits", "gray", "flat_field", "flip_r", "flip_z", "shift", "quantile", "dither", "scale")
 def pack(
-    plan: Patterns,
+    plan: Patterns | Operator,
+    light: Any = None,
+    *,
+    target: Any = None,
     bits: int = 8,
     gray: GrayCurve | None = None,
     flat_field: Any = None,
@@ -65,15 +71,19 @@ def pack(
     flip_z: bool = False,
     shift: tuple[float, float] = (0.0, 0.0),
     quantile: float | None = None,
-    dither: str = "round",
+    dither: str | None = None,
     scale: float | None = None,
 ) -> Frames:
-    """Frames of 8 or 1 bits that show ``plan.sinogram`` as nearly as the projector can.
+    """Frames of 8 or 1 bits that show the light of a plan, or of your own, as nearly as the projector can.
 
-    Everything runs on the plan's device.
+    ``pack(plan)`` packs a plan, ``pack(A, light)`` light of your own. Everything runs on the plan's device, or the
+    operator's.
 
     Args:
-        plan: A plan, or anything with its ``sinogram`` and ``operator``.
+        plan: A plan, or anything with its ``sinogram`` and ``operator``; or, with ``light``, the operator that makes
+            dose of it.
+        light: Light of your own [angle, r, z] ≥ 0, an array of any library (NumPy, PyTorch, JAX, CuPy); it is copied.
+        target: What light of your own prints, as for `optimize`: "fit" and ``vam prove`` ask for it.
         bits: Of a pixel, 8 or 1.
         gray: Light of its levels, by default in proportion with no black level.
         flat_field: Relative brightness [row, column] of its full-on mirrors, made up for up to full-on.
@@ -81,76 +91,97 @@ def pack(
         shift: Columns and rows [pixels] by which frames are moved; what is shifted over an edge is lost.
         quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are cut to it, at least one
             of the plan's; 1 cuts none. None shows the brightest pixel, or twice the quantile 0.99999 where that is
-            less, so that a hot pixel does not dim the print. Not used with ``scale``, nor by "fit".
+            less, so that a hot pixel does not dim the print. Not used with ``scale``.
         dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
             in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
             rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
-            factor. "fit" chooses pixels of 1 bit by the dose of all of them, so that the widest window is left that it
-            finds, and with it how bright a full-on pixel is: for plans of a vial, moved by whole pixels. The frames'
-            ``plan`` is then of the light that they show.
+            factor. "fit" chooses pixels by the dose of all of them. Of 8 bits some go a level up or down where that
+            brings the window of the plan's light back, up to twelve times, each for an evaluation and a half. Of 1 bit
+            it leaves the widest window that it finds, and also finds how bright a full-on pixel is where neither
+            ``quantile`` nor ``scale`` says it: for plans of a vial, moved by whole pixels. The frames' ``plan`` is then
+            of the light that they are rounded from, and its window theirs. None is "fit" where it can be, for 1 bit,
+            and else "error-diffusion", or "round" for angles that are not lit as long. For 8 bits it is "fit" for plans
+            whose target has no bodies and no tolerances, within a tenth of the evaluations that they took, else
+            "round".
         scale: Irradiance of a full-on pixel, in place of the quantile.
 
     Returns:
         The frames, on the plan's device.
 
     Raises:
-        BadInput: A value is out of its range.
-        ShapeMismatch: The flat field does not fit the beam.
+        BadInput: A value is out of its range; light of your own is negative or not finite.
+        ShapeMismatch: The flat field does not fit the beam, or light of your own or its target the operator.
         NoLight: The light is dark everywhere.
     """
     if isinstance(bits, bool) or bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
+    known = light is not None or isinstance(plan, Plan)  # what the dose of all light is
+    plan = _patterns(plan, light, target)
     light = _light(plan)
-    settings = Placement(flip_r, flip_z, shift, quantile, dither)
-    if scale is not None or dither == FIT:
-        settings = replace(settings, quantile=None)
+    rounds = rounds_of(plan) if dither is None and bits == 8 else MOST_ROUNDS
+    if dither is None:
+        dither = _best_bits(plan, shift, known) if bits == 1 else FIT if rounds else "round"
+    settings = Placement(flip_r, flip_z, shift, None if scale is not None else quantile, dither)
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
     motion = getattr(getattr(plan, "operator", None), "motion", None)
     motion = motion if isinstance(motion, Turntable) else None
-    check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None))
-    if dither == FIT:
-        return _fitted(plan, bits, curve, flat_field, settings, scale)
+    check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None), bits, settings.shift)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
-    device = light.device
-    shared = {"sinogram": light, "flat": flat_table(device, flat), **settings.arguments()}
+    shared = {"sinogram": light, "flat": flat_table(light.device, flat), **settings.arguments()}
+    again = _packing(bits, curve, flat, settings)
+    if dither == FIT and bits == 1:
+        shown = _quantile(plan, settings, shared)  # tells of light there is none of
+        return _fitted(plan, again, settings, shown if scale is None and quantile is not None else scale)
     full = positive("scale", scale) if scale is not None else _quantile(plan, settings, shared)
     if not FAINTEST <= full <= BRIGHTEST:
         raise BadInput(
             f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
             "scale the plan's light"
         )
-    steps = curve.table(bits)
-    bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
-    images = device.empty((angles, rows, columns), np.uint8, table=True)
-    carry = float(np.diff(steps).max()) if dither == "error-diffusion" else 0.0
-    tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
-    device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
-    images = _folded(images) if bits == 1 else images
+    carry = float(np.diff(curve.table(bits)).max()) if dither == "error-diffusion" else 0.0
+    images = _quantized(curve.table(bits), bits, full, carry, shared)
     kept = replace(plan, state={}) if isinstance(plan, Plan) else plan  # a run's memory is several times the light
     frames = Frames(images, bits, curve, full, columns, settings, flat, motion, (images, kept))
+    if dither == FIT:
+        found, asked, window = stepped(plan, frames, lambda asked: again(asked, full, "round"), rounds)
+        shown = _showing(plan, asked, window)
+        return replace(found, settings=settings, motion=motion, packed=(found.images, shown))
     if carry == 0.0 or bits == 8 or angles > FEW or getattr(plan, "operator", None) is None:
         return frames
-    plain = pack(plan, bits, curve, flat_field, flip_r, flip_z, shift, scale=full)
+    plain = again(plan, full, "round")
     return _better(plan, frames, replace(plain, settings=replace(settings, dither="round")))
 
 
-def _fitted(
-    plan: Patterns, bits: int, gray: GrayCurve, flat_field: Any, settings: Placement, scale: float | None
-) -> Frames:
-    """Frames whose pixels are chosen by their dose."""
-    check_fit(bits, settings.shift)
-    pack(plan, 1, gray, flat_field, settings.flip_r, settings.flip_z, settings.shift)  # tells of light there is none of
+def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: dict[str, Any]) -> DeviceArray:
+    """Levels of light whose nearest of ``steps`` are shown, on the light's device."""
+    device, (angles, columns, rows) = shared["sinogram"].device, shared["sinogram"].shape
+    bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
+    images = device.empty((angles, rows, columns), np.uint8, table=True)
+    tables = {"curve": device.table(steps), "bounds": device.table(bounds)}
+    device.launch(quantize, **tables, gain=1.0 / full, carry=carry, images=images, **shared)
+    return _folded(images) if bits == 1 else images
 
-    def packed(light: DeviceArray, full: float | None, dither: str) -> Frames:
-        place = settings.flip_r, settings.flip_z, settings.shift
-        return pack(Solved(light, None), 1, gray, flat_field, *place, dither=dither, scale=full)
 
+def _packing(bits: int, gray: GrayCurve, flat: np.ndarray | None, place: Placement) -> Callable[..., Frames]:
+    """A function that packs other light, or a plan, in the same way, of a full-on pixel and a dither of its own."""
+
+    def packed(light: Patterns | DeviceArray, full: float | None, dither: str) -> Frames:
+        return pack(
+            Solved(light, None) if isinstance(light, DeviceArray) else light, bits=bits, gray=gray, flat_field=flat,
+            flip_r=place.flip_r, flip_z=place.flip_z, shift=place.shift, dither=dither, scale=full,
+        )  # fmt: skip
+
+    return packed
+
+
+def _fitted(plan: Patterns, packed: Callable[..., Frames], place: Placement, scale: float | None) -> Frames:
+    """Frames of 1 bit whose pixels are chosen by their dose."""
     frames, window = fitted(plan, packed, scale)
     light, motion = frames.irradiance(plan.sinogram.device), getattr(plan.operator, "motion", None)
-    return replace(frames, settings=settings, motion=motion, packed=(frames.images, _showing(plan, light, window)))
+    return replace(frames, settings=place, motion=motion, packed=(frames.images, _showing(plan, light, window)))
 
 
 def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
@@ -162,29 +193,36 @@ def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
     corners = plan.tolerances.doses(plan.operator, light, plan.target)
     if corners.window <= 0.0:
         warnings.warn(f"the frames do not print at every corner of the plan's tolerances: {corners.statement()}; take "
-                      "8 bits, or more angles", ToleranceWarning, stacklevel=4)  # fmt: skip
+                      "8 bits, or more angles", ToleranceWarning, stacklevel=5)  # fmt: skip
     return replace(plan, sinogram=light, window=corners.window, corners=corners, state={})
 
 
-def check_dither(dither: str, operator: Any, target: Any) -> None:
-    """Check that light can be packed so, which is known before there is any.
-
-    Args:
-        dither: As for `pack`.
-        operator: That makes dose of the light.
-        target: Of the light; None where it is not known.
-
-    Raises:
-        BadInput: It cannot.
-    """
+def check_dither(
+    dither: str | None, operator: Any, target: Any, bits: int = 1, shift: tuple[float, float] = (0.0, 0.0)
+) -> None:  # fmt: skip
+    """Check that light can be packed so, which is known before there is any."""
     motion = getattr(operator, "motion", None)
-    if dither != "round" and isinstance(motion, Turntable) and motion.dwell is not None:
+    carried = dither == "error-diffusion" or (dither == FIT and bits == 1)
+    if carried and isinstance(motion, Turntable) and motion.dwell is not None:
         raise BadInput(
             f"{dither} got {motion} angles; expected angles that are lit as long, for the error of one is made "
             'up for at the next: take dither="round"'
         )
     if dither == FIT:
-        check_dose(operator, target)
+        check_fit(bits, shift)
+        check_dose(operator, target, bits)
+
+
+def _best_bits(plan: Patterns, shift: tuple[float, float], known: bool) -> str:
+    """The dither of 1 bit that keeps most of the dose; known: whether light is all there is."""
+    operator, shift = plan.operator, Placement(shift=shift).shift
+    for dither in (FIT, "error-diffusion") if known else ("error-diffusion",):
+        try:
+            check_dither(dither, operator, getattr(plan, "target", None), shift=shift)
+        except BadInput:
+            continue
+        return dither
+    return "round"
 
 
 def repack(
@@ -221,8 +259,8 @@ def repack(
         light = light.device.upload(_moved(light.numpy(), np.asarray(moves, np.float64), settings))
     dimmest = 1.0 if flat_field is None or flat is None else float(flat.min())
     made = pack(
-        _Light(light), frames.bits, gray or frames.gray, flat, settings.flip_r, settings.flip_z,
-        settings.shift, scale=frames.scale / dimmest,
+        Solved(light, None), bits=frames.bits, gray=gray or frames.gray, flat_field=flat, flip_r=settings.flip_r,
+        flip_z=settings.flip_z, shift=settings.shift, scale=frames.scale / dimmest, dither="round",
     )  # fmt: skip
     packed = None if frames.plan is None else (made.images, frames.plan)
     return replace(made, settings=settings, motion=frames.motion, packed=packed)
@@ -251,14 +289,6 @@ def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndar
     return moved
 
 
-@dataclass(frozen=True)
-class _Light:
-    """Light without an operator."""
-
-    sinogram: DeviceArray
-    operator: Any = None
-
-
 def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
     """Frames whose error is carried on, or, with a `PackWarning`, those that are rounded where their dose is better."""
     misses = _miss(plan, diffused), _miss(plan, rounded)
@@ -268,16 +298,14 @@ def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
         f"at {diffused.shape[0]} angles error diffusion misses the dose of the light by {100 * misses[0]:.0f} %, "
         f"rounding by {100 * misses[1]:.0f} %; the frames are rounded: take more angles, or 8 bits",
         PackWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
     return rounded
 
 
 def _miss(plan: Patterns, frames: Frames) -> float:
-    """How far the dose of frames is from being in proportion to that of the plan's light: the sine of their angle.
-
-    A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
-    """
+    """Distance of the frames' dose from proportion to that of the plan's light: the sine of their angle."""
+    # A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
     A: Any = plan.operator
     wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
     lengths = dot(wanted, wanted) * dot(shown, shown)
@@ -292,6 +320,24 @@ def _folded(images: DeviceArray) -> DeviceArray:
     return folded
 
 
+def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
+    """A plan as it is, or light of one's own beside its operator. Raises `BadInput`, `ShapeMismatch`."""
+    operator = hasattr(plan, "range") and hasattr(plan, "T")
+    if light is None:
+        if operator or hasattr(plan, "__array__"):
+            raise BadInput(f"got a {type(plan).__name__} alone; expected a plan of optimize(), or light [angle, r, z] "
+                           "beside the operator: vam.pack(A, light)")  # fmt: skip
+        if target is not None:
+            raise BadInput("got a target with a plan, which has its own; expected it beside an operator and light")
+        return plan
+    if not operator:
+        raise BadInput(f"got light beside a {type(plan).__name__}; expected the operator that makes dose of it: "
+                       "vam.pack(A, light)")  # fmt: skip
+    if target is not None:
+        require(plan.domain, target, "the target")
+    return Solved(copied(own_light(plan, light, "the light")), plan, target)
+
+
 def _light(plan: Patterns) -> DeviceArray:
     light = getattr(plan, "sinogram", None)
     if not isinstance(light, DeviceArray) or len(light.shape) != 3:
@@ -303,15 +349,7 @@ def _light(plan: Patterns) -> DeviceArray:
 
 
 def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
-    """Light of one pixel by its rank, to the last bit but one of a float32.
-
-    Args:
-        shared: The arguments of `count_light` that say which light is meant.
-        rank: Which lit pixel to take, counted from the dimmest as 1, by the counts of the first round, (`BINS`,).
-
-    Returns:
-        The light; 0 where no pixel is lit.
-    """
+    """Light of one pixel by its rank, to the last bit but one of a float32."""
     device, prefix, left = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:
         counter = device.table(np.zeros(BINS), "int32")

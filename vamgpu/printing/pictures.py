@@ -58,7 +58,7 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
 
 
 def viewer(sheet: dict[str, Any], heights: list[float], first: int) -> dict[str, Any]:
-    """What a page's script needs to show slices: their picture, their z [mm], and which to show first."""
+    """Data of the page's slices: their image, their z [mm], and which to show first."""
     return {"sheet": sheet, "heights": heights, "first": first, "heat": ramp("magma"), "colors": COLORS.tolist()}
 
 

@@ -1,4 +1,4 @@
-"""How frames lie against the beam, and how they were made from light."""
+"""Placement of frames against the beam, and the settings that made them of light."""
 
 from __future__ import annotations
 
@@ -14,19 +14,17 @@ DITHERS = ("round", "error-diffusion", FIT)
 
 @dataclass(frozen=True)
 class Placement:
-    """Settings of a packing.
+    """Settings of a packing."""
 
-    flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back.  shift: (dr, dz) in
-    pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
-    lies that much short of the axis.  quantile: of the lit pixels, the share a full-on pixel reaches; None where
-    none was given.  dither: of `DITHERS`.  Raises `BadInput`.
-    """
+    # flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back. shift: (dr, dz) in
+    # pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
+    # lies that much short of the axis.
 
     flip_r: bool = False
     flip_z: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
-    quantile: float | None = None
-    dither: str = "round"
+    quantile: float | None = None  # of the lit pixels, the share a full-on pixel reaches; None where none was given
+    dither: str = "round"  # of `DITHERS`
 
     def __post_init__(self) -> None:
         for name in ("flip_r", "flip_z"):

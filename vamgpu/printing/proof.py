@@ -1,8 +1,8 @@
-"""What a simulated print turned out to be."""
+"""The result of a simulated print."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
@@ -15,6 +15,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
+from vamgpu.methods.part import idle_light, lit_pixels
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
 from vamgpu.metrics.joined import joined
@@ -23,16 +24,19 @@ from vamgpu.metrics.line import Line
 from vamgpu.metrics.parts import EVERYWHERE, IN
 from vamgpu.metrics.unjudged import Unjudged, unjudged
 from vamgpu.operators.projection import Projection
+from vamgpu.printing.beyond_cylinder import Outer
 from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
 from vamgpu.printing.dose import absorbs
 from vamgpu.printing.exposure import ExposureTimes
 from vamgpu.printing.independent import FineSlab, IndependentExposure
-from vamgpu.printing.outer import Outer
 
 if TYPE_CHECKING:
     from vamgpu.methods import Bound
     from vamgpu.methods.tolerances import CornerDoses
+    from vamgpu.printing.given_dose import GivenDose
     from vamgpu.printing.judgement import Judgement
+    from vamgpu.printing.planes import PlaneDose
+    from vamgpu.printing.verdict import Verdict
     from vamgpu.targets.limits import Limits
     from vamgpu.targets.solid import Solid
 
@@ -49,14 +53,16 @@ class Proof:
         dose: on the part's own voxels [x, y, z], in units of Aᵀ(light), that is light × mm; on the device.
         scores: of the whole volume, by that dose: the proved ones.
         slices: of every z at the volume's scale and threshold.
-        light_efficiency: mean light of all pixels over that of a full-on one.
-        part_share: power absorbed in the part over power sent, or the mean length [mm] of rays inside it where nothing
-            is absorbed.
+        light_efficiency: energy absorbed in the part over the optical energy sent, or the mean length [mm] of rays
+            inside the part where nothing is absorbed.
+        mean_brightness: mean light of all pixels over that of a full-on one.
         claimed: the same scores by Aᵀ(light) of the operator itself.
         outer: the greatest dose beside, above and below the judged cylinder; None where there is nothing. By the
             operator's own dose it is that of its grid alone.
         independent: whether the dose is by rays traced apart from the operator, on finer voxels; else it is the
             operator's own.
+        width: of the voxels that the dose is a mean of [mm].
+        agrees: share of the peak to which the dose on the next finer voxels agrees; None where it was not asked.
         exposure: predicted times, where irradiance and critical dose were given.
         solid: the mesh that the target was made of, in the same place; None where it came from an array or a folder.
         limits: what single voxels are asked for, by which `scores` and `slices` judge them; None where the part is to
@@ -64,6 +70,9 @@ class Proof:
         bound: the window that no light whatever exceeds, by the operator's own dose, at all corners where they were
             asked for; None where nobody asked.
         corners: what the frames give at every corner of tolerances; None where nobody asked.
+        planes: what they give by bit planes, each at the angles at which a rig shows it; None where nobody asked.
+        given: the dose that a run gave, over the one that was proved; None for a proof of frames.
+        history: records of the run that found the light, as of `Plan`; empty where nobody kept them.
     """
 
     operator: Projection
@@ -74,19 +83,24 @@ class Proof:
     scores: Scores
     slices: SliceScores
     light_efficiency: float
-    part_share: float
+    mean_brightness: float
     claimed: Scores
     outer: Outer | None = None
     independent: bool = False
+    width: float | None = None
+    agrees: float | None = None
     exposure: ExposureTimes | None = None
     solid: Solid | None = None
     limits: Limits | None = None
     bound: Bound | None = None
     corners: CornerDoses | None = None
+    planes: PlaneDose | None = None
+    given: GivenDose | None = None
+    history: Sequence[Mapping[str, Any]] = ()
 
     def __repr__(self) -> str:
         proved = f"proved {self.scores.window:+.4f}" if self.independent else f"not proved {self.scores.window:+.4f}"
-        return f"Proof({self.name!r}: strict window {proved}, claimed {self.claimed.window:+.4f}. {self.verdict})"
+        return f"Proof({self.name!r}: strict window {proved}, claimed {self.claimed.window:+.4f})"
 
     def _repr_html_(self) -> str:
         dose = target = None
@@ -97,13 +111,23 @@ class Proof:
             "printed": None if dose is None else (dose >= self.scores.threshold).astype(float),
             "target": target,
         }
-        numbers = {"verdict": self.verdict, **{line.name: line.value for line in self.lines()}}
+        known = "judgement" in self.__dict__
+        verdict = self.verdict.sentence if known else "not found yet: read .verdict, about ten projector evaluations"
+        numbers = {"verdict": verdict} | {line.name: line.value for line in self.lines()}
         return card(f"Proof of {self.name!r}", numbers, planes)
 
     @property
     def seconds(self) -> float | None:
         """Predicted exposure [s]."""
         return self.exposure.seconds if self.exposure else None
+
+    part_share: ClassVar[Renamed] = Renamed("light_efficiency")
+
+    @cached_property
+    def idle_light(self) -> float:
+        """Share of the light sent by pixels whose rays never meet the part; one forward projection."""
+        light = self.frames.irradiance(self.operator.device)
+        return idle_light(self.operator, light, lit_pixels(self.operator, self.target))
 
     @property
     def ratio(self) -> float:
@@ -127,14 +151,16 @@ class Proof:
 
     @cached_property
     def bodies(self) -> tuple[BodyDose, ...]:
-        """What every body of a scene got; empty for a part alone."""
+        """Doses of the bodies of a scene; empty for a part alone."""
         if self.limits is None:
             return ()
         grid, at = self.operator.grid, self.scores.threshold
         return body_doses(self.dose.numpy(), self.target.numpy(), self.limits, at, grid)
 
     def fine(self, reach: float | None = None) -> Iterator[FineSlab]:
-        """The dose on voxels half as wide, computed anew slab by slab; see `IndependentExposure.fine`.
+        """The dose on voxels at most half as wide as the part's and as a column in the resin, computed anew.
+
+        See `IndependentExposure.fine`.
 
         Args:
             reach: Farthest from the axis [mm]; the inner wall by default. The judged cylinder alone,
@@ -155,13 +181,20 @@ class Proof:
         return IndependentExposure(self.operator).fine(light, reach)
 
     @cached_property
+    def judgement(self) -> Judgement:
+        """The print judged below the voxel, see its `lines`. Found when asked: about ten projector evaluations."""
+        from vamgpu.printing.judgement import judged
+
+        return judged(self)
+
+    @cached_property
     def joined(self) -> Solid | None:
         """The mesh without the surfaces that its bodies hide in each other."""
         return joined(self.solid) if self.solid else None
 
     @cached_property
     def unjudged(self) -> Unjudged:
-        """What of the part is too thin for any voxel to stand for it, and so for any score to miss it."""
+        """Features of the part that are too thin for its voxels, so that no score counts them."""
         return unjudged(self.target.numpy(), self.operator.grid, self.joined)
 
     @cached_property
@@ -173,35 +206,15 @@ class Proof:
 
     @property
     def all_correct(self) -> bool:
-        """Whether traced rays print every voxel right and nothing beyond, and no part was left unjudged."""
-        return self.scores.missing + self.scores.excess == 0 and not self._doubts()
+        """Whether it prints, by rays traced for the proof."""
+        return self.independent and self.verdict.prints
 
-    @property
-    def verdict(self) -> str:
-        """Whether all judged voxels are correct, and all that keeps it from being so."""
-        s, doubts = self.scores, self._doubts()
-        total, wrong = s.in_voxels + s.out_voxels, s.missing + s.excess
-        if wrong:
-            first = f"{wrong:,} of {total:,} judged voxels print wrong: {s.missing:,} missing, {s.excess:,} excess"
-        else:
-            first = f"All {total:,} judged voxels print right" + (f", but {doubts.pop(0)}" if doubts else "")
-        return " ".join(f"{said[0].upper()}{said[1:]}." for said in (first, *doubts))
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether it prints, and what is wrong where it does not; takes `judgement`."""
+        from vamgpu.printing.verdict import verdict_of
 
-    def _doubts(self) -> list[str]:
-        """What spoils a print beside wrong voxels."""
-        found = [f"{body.name!r} gets another dose than asked in {body.wrong:,} of {body.voxels:,} voxels"
-                 for body in self.bodies if body.role == "gray" and body.wrong]  # fmt: skip
-        found += ["resin beyond the judged cylinder prints too"] if self.outer_share >= 1.0 else []
-        if self.unjudged_voxels:
-            found.append(
-                f"{self.unjudged_voxels:,} voxels of the part lie beyond the judged cylinder and could not be judged; "
-                "use a wider grid"
-            )
-        if self.unjudged:
-            found.append(self.unjudged.reason())
-        if not self.independent:
-            found.append("all this is by the operator's own dose, so that nothing is proved")
-        return found
+        return verdict_of(self, self.judgement)
 
     @property
     def outside_over_inside(self) -> float:
@@ -226,8 +239,9 @@ class Proof:
     def lines(self) -> tuple[Line, ...]:
         """Every score with its meaning."""
         s, w = self.scores, self.scores.windows
-        share = "of the light sent, what the part absorbs; the rest heats the void or leaves"
+        share = "share of the light sent that is absorbed in the part; the rest heats the void or leaves"
         share = share if absorbs(self.operator) else "mean path of light inside the part: nothing is absorbed"
+        idle = "share of the light sent by pixels whose rays never meet the part"
         bright = "mean light of all pixels and angles over a full-on pixel; says nothing of where it goes"
         outside = "mean dose of judged voxels outside the part over the mean in it; 1 lights the void as much"
         found = [
@@ -235,6 +249,8 @@ class Proof:
             *_judged(self),
             *_bounded(self),
             *_cornered(self),
+            *((self.planes.line(),) if self.planes else ()),
+            *(self.given.lines() if self.given else ()),
             Line("process window, 0.1 %", f"{w.fine:+.4f}", "0.1 % quantile in the part − 99.9 % outside"),
             Line("process window, 1 %", f"{w.trimmed:+.4f}", "1 % quantile in the part − 99 % outside"),
             Line("process window, one-sided", f"{w.one_sided:+.4f}", "least dose in the part − 99 % quantile outside"),
@@ -247,8 +263,9 @@ class Proof:
             Line("judged voxels", f"{s.in_voxels:,} + {s.out_voxels:,}", "in the part + outside, in the cylinder"),
             *_not_judged(self),
             *(body.line() for body in self.bodies),
-            Line("light efficiency", f"{100 * self.light_efficiency:.3g} %", bright),
-            Line("share of the part", _share(self), share),
+            Line("light efficiency", efficiency(self), share),
+            Line("idle light", f"{100 * self.idle_light:.3g} %", idle),
+            Line("mean brightness", f"{100 * self.mean_brightness:.3g} %", bright),
             Line("dose outside over inside", f"{self.outside_over_inside:.3f}", outside),
         ]
         return (*found, *(_times(self.exposure) if self.exposure else ()))
@@ -267,7 +284,7 @@ class Proof:
             BadInput: Nothing but Python can describe the operator, or the frames are those of a run.
             StorageError: The path is taken, or cannot be written.
         """
-        from vamgpu.printing.kept import save_proof
+        from vamgpu.printing.proof_folder import save_proof
 
         return save_proof(self, path, overwrite=overwrite)
 
@@ -298,7 +315,9 @@ def _bounded(proof: Proof) -> tuple[Line, ...]:
     if proof.corners is not None:
         own, dose = proof.corners.window, "at all corners, by traced rays"
     reached = f"this one has {own:+.4f} {dose}, {100 * proof.bound.share(own):.0f} %"
-    return (Line("process window, at most", f"{proof.bound.value:+.4f}", f"no light whatever gives more; {reached}"),)
+    on = f" on {proof.bound.on}" if proof.bound.on else ""
+    most = f"no light whatever gives more{on}; {reached}"
+    return (Line("process window, at most", f"{proof.bound.value:+.4f}", most),)
 
 
 def _cornered(proof: Proof) -> Iterator[Line]:
@@ -315,12 +334,18 @@ def _cornered(proof: Proof) -> Iterator[Line]:
 def _judged(proof: Proof) -> Iterator[Line]:
     """Who judged, and what was claimed."""
     if proof.independent:
-        yield Line("judged by", "traced rays", "on voxels half as wide, shifted by a quarter; the part's take the mean")
-        yield Line("window claimed", f"{proof.claimed.window:+.4f}", "the strict window by the operator that solved")
+        agrees = "" if proof.agrees is None else f", where the next finer ones agree to {proof.agrees:.1g} of the peak"
+        voxels = "finer voxels" if proof.width is None else f"voxels of {1e3 * proof.width:.3g} µm"
+        yield Line("judged by", "traced rays", f"the part's voxels take the mean of {voxels}{agrees}")
         yield Line(
-            "proved over claimed",
+            "window by the solver",
+            f"{proof.claimed.window:+.4f}",
+            "the strict window that the solver's operator predicts",
+        )
+        yield Line(
+            "proved over predicted",
             f"{proof.ratio:.3f}" if isfinite(proof.ratio) else "–",
-            "the strict window by traced rays over a claimed one above 0",
+            "the strict window by traced rays over a predicted one above 0",
         )
     else:
         name = type(proof.operator).__name__
@@ -331,7 +356,7 @@ def _judged(proof: Proof) -> Iterator[Line]:
 
 
 def _not_judged(proof: Proof) -> Iterator[Line]:
-    """What of the part no score counts; nothing where all is judged."""
+    """Lines on the part that no score counts; none where all is judged."""
     if proof.unjudged:
         yield Line("not judged", f"{proof.unjudged.volume:.3g} mm³", proof.unjudged.reason())
     if proof.unjudged_voxels:
@@ -339,10 +364,11 @@ def _not_judged(proof: Proof) -> Iterator[Line]:
         yield Line("part beyond the cylinder", f"{proof.unjudged_voxels:,}", where)
 
 
-def _share(proof: Proof) -> str:
+def efficiency(proof: Proof) -> str:
+    """The light efficiency with its unit."""
     if absorbs(proof.operator):
-        return f"{100 * proof.part_share:.3g} %"
-    return f"{proof.part_share:.3g} mm"
+        return f"{100 * proof.light_efficiency:.3g} %"
+    return f"{proof.light_efficiency:.3g} mm"
 
 
 def _times(exposure: ExposureTimes) -> tuple[Line, ...]:
@@ -350,5 +376,5 @@ def _times(exposure: ExposureTimes) -> tuple[Line, ...]:
         Line("exposure", f"{exposure.seconds:.3g} s", f"until the threshold is solid, at {exposure.given}"),
         Line("part complete", f"{exposure.complete:.3g} s", "until the last voxel of the part is solid"),
         Line("first excess", f"{exposure.overcure_onset:.3g} s", "until the first voxel outside is solid"),
-        Line("light sent", f"{exposure.energy / 1e3:.3g} J", "until the end of the exposure"),
+        Line("optical energy", f"{exposure.energy / 1e3:.3g} J", "sent until the end of the exposure"),
     )

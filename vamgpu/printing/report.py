@@ -16,29 +16,25 @@ from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.methods.tolerances import CornerDose, CornerDoses
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.dose import absorbs
-from vamgpu.printing.judgement import WHOLE, Judgement, judged
-from vamgpu.printing.opening import headline, opening
-from vamgpu.printing.proof import Proof
+from vamgpu.printing.judgement import WHOLE, Judgement
+from vamgpu.printing.proof import Proof, efficiency
+from vamgpu.printing.summary import headline, summary
+from vamgpu.printing.verdict import verdict_of
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, SurfaceView, Table
 
 BYTES_A_VOXEL = 1800
 """Memory of a report over the part's voxels; 1.75 kB was measured at 128³."""
+GAMMA = 2.2
+"""Light is shown to the power of its inverse: its mean is a fortieth of its peak."""
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
-"""What the scores rely on: dose as a sum of projections; window, VER and IPDR; light efficiency."""
+"""Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
 
 JOSEPH = "P. M. Joseph, An improved algorithm for reprojecting rays through pixel images, IEEE TMI 1 (1982) 192"
 
 
 def report_bytes(proof: Proof) -> int:
-    """Memory that drawing a report takes.
-
-    Args:
-        proof: Of what.
-
-    Returns:
-        Bytes, about; most are of voxels half as wide, which beyond `WHOLE` are no longer looked at together.
-    """
+    """Memory that drawing a report takes."""
     return BYTES_A_VOXEL * min(prod(proof.operator.grid.shape), WHOLE // 8)
 
 
@@ -48,28 +44,24 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Ju
 
 
 def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
-    """The page of a proof.
-
-    Args:
-        proof: what to show.
-        plan: adds convergence, method and papers.
-        judgement: window over tolerance and tolerance table; found here by default.
-    """
-    judgement = judged(proof) if judgement is None else judgement
+    """The page of a proof."""
+    judgement = proof.judgement if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    verdict = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
-    data, deviation = _drawn(proof, dose, target, verdict)
+    verdict = verdict_of(proof, judgement)
+    printed = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
+    asked = _asked(proof)
+    data, deviation = _drawn(proof, dose, asked, printed)
     return Page(
         "Print proof",
         proof.name,
-        proof.verdict,
-        proof.all_correct,
+        verdict.sentence,
+        proof.independent and verdict.prints,
         _tiles(proof),
         [
             Card("Printed part", SurfaceView(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
             Card("Slices", Slices(), Legend(),
-                 *(Images(cut, "trio upright") for cut in pictures.cuts(dose, target, verdict, scores.peak))),
+                 *(Images(cut, "trio upright") for cut in pictures.cuts(dose, asked, printed, scores.peak))),
             Card("Dose in and out of the part", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
             *_slice_by_slice(proof, plan),
             *_light(proof),
@@ -80,8 +72,9 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
             Card("Made with", Table(_versions(proof))),
             Card("Papers relied on", Papers(_papers(proof, plan)), wide=True),
         ],
-        headline=headline(proof, judgement),
-        opening=opening(proof, judgement),
+        headline=headline(proof, judgement, verdict),
+        summary=summary(proof, judgement),
+        remedies=verdict.remedies,
         data=data,
     )  # fmt: skip
 
@@ -114,7 +107,7 @@ def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
 
 
 def _pareto(plan: Any) -> Iterator[Card]:
-    """What shorter exposures cost."""
+    """The windows of shorter exposures."""
     points = getattr(plan, "pareto", ())
     if len(points) > 1:
         note = "The widest windows of light that lasts no longer, before packing; the longest is this job's."
@@ -122,24 +115,28 @@ def _pareto(plan: Any) -> Iterator[Card]:
 
 
 def _light(proof: Proof) -> Iterator[Card]:
-    light, full = proof.frames.irradiance(proof.operator.device).numpy(), float(proof.frames.scale)
+    light = (proof.frames.irradiance(proof.operator.device).numpy() / float(proof.frames.scale)) ** (1.0 / GAMMA)
     motion = proof.operator.motion
-    note = f"Light of the middle row: pixels across, angles downwards, {motion}."
-    yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
-    shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
+    note = f"Light of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
+    yield Card("Sinogram", Images([pictures.sinogram(light, 1.0)], "sinogram"), note=note)
+    shown = Images(pictures.frames(light, 1.0, np.degrees(motion.poses)), "frames")
     yield Card("Frames", shown, note=_frames_note(proof))
 
 
 def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
-    """What the page's script draws, and the deviation [mm] at the ends of its color scale."""
+    """Data that the page's script draws, and the deviation [mm] at the ends of its color scale."""
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
-    wanted = surface.iso_surface(target, 0.5, pitch)
+    wanted = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
+    outer = surface.NOTHING
+    if proof.outer is not None and proof.outer_share >= 1.0:
+        slabs, radius = proof.fine() if proof.independent else (), proof.operator.grid.inscribed_radius
+        outer = surface.stray(slabs, proof.solid_from, radius, proof.outer.place, 2.0 * proof.outer.width)
     sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
-    return surface.viewer(wanted, printed, pitch) | slices, pitch
+    return surface.viewer(wanted, printed, pitch, outer) | slices, pitch
 
 
 def _fullest(proof: Proof, slices: list[int]) -> int:
@@ -150,20 +147,17 @@ def _fullest(proof: Proof, slices: list[int]) -> int:
 def _tiles(proof: Proof) -> list[Figure]:
     """Scores, and what became of the light, each with what it means."""
     scores = proof.scores
-    share, meaning = f"{proof.part_share:.3g} mm", "mean path of light in the part"
-    if absorbs(proof.operator):
-        share, meaning = f"{100 * proof.part_share:.2g} %", "of the light sent is absorbed in the part"
+    part = "of the light sent is absorbed in the part" if absorbs(proof.operator) else "mean path of light in the part"
     outside = f"{proof.outside_over_inside:.3f}"
     tiles = [
         ("IoU", f"{scores.iou:.4f}", "intersection over union at the threshold"),
         ("VER", _power(scores.error_rate), "voxels on the wrong side of the threshold"),
         ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part, over the greatest"),
-        ("light efficiency", f"{100 * proof.light_efficiency:.2g} %", "mean pixel over full-on, wherever it goes"),
-        ("share of the part", share, meaning),
+        ("light efficiency", efficiency(proof), part),
+        ("idle light", f"{100 * proof.idle_light:.2g} %", "of the light sent never meets the part"),
+        ("mean brightness", f"{100 * proof.mean_brightness:.2g} %", "mean pixel over full-on, wherever it goes"),
         ("dose outside over inside", outside, "mean dose outside the part over the mean in it"),
     ]
-    if proof.seconds is not None:
-        tiles.append(("predicted exposure", f"{proof.seconds:.3g} s", "until the threshold is solid"))
     return [Figure(value, name, meaning) for name, value, meaning in tiles]
 
 
@@ -176,22 +170,36 @@ def _surface_note(proof: Proof) -> str:
     grid = proof.operator.grid
     width, depth, height = (n * grid.pitch for n in grid.shape)
     return (
-        f"Surface where the dose reaches the threshold, colored by its distance from the target; the scale ends at one "
-        f"voxel. Field of {width:.3g} × {depth:.3g} × {height:.3g} mm. Drag to turn, scroll to zoom."
+        "Surface where the dose reaches the threshold, colored by its distance from the target; the scale ends at one "
+        f"voxel. {_stray_note(proof)}Field of {width:.3g} × {depth:.3g} × {height:.3g} mm. "
+        "Drag to turn, scroll to zoom."
     )
+
+
+def _stray_note(proof: Proof) -> str:
+    """The meaning of orange."""
+    return "Orange: resin beyond the judged cylinder that prints too. " if proof.outer_share >= 1.0 else ""
+
+
+def _asked(proof: Proof) -> np.ndarray:
+    """The target as it is shown [x, y, z]: gray bodies are the darker, the more dose they ask for."""
+    target, limits = proof.target.numpy(), proof.limits
+    if limits is None:
+        return target
+    return np.where(limits.gray, np.maximum(target, 0.2 + 0.6 * np.clip(limits.dose, 0.0, 1.0)), target)
 
 
 def _frames_note(proof: Proof) -> str:
     angles, columns, rows = proof.operator.range.shape
     bits = getattr(proof.frames, "bits", None)
     depth = f" in {bits} bit" if bits else ""
-    return f"{angles} frames of {columns} × {rows} pixels{depth}; brightness is light, full-on is white."
+    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {GAMMA:g}."
 
 
 def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
     A = proof.operator
     rows = [
-        ("grid", f"{' × '.join(map(str, A.grid.shape))} voxels of {1e3 * A.grid.pitch:.4g} µm"),
+        ("grid", str(A.grid)),
         ("beam", f"{' × '.join(map(str, A.beam.pixels))} pixels of {1e3 * A.beam.pitch:.4g} µm"),
         ("angles", str(A.motion)),
         ("vessel", _described(A.vessel) if A.vessel else "none: straight light, nothing absorbed"),
@@ -206,8 +214,13 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         known = window is not None and getattr(plan, "history", True)  # nobody knows that of light made elsewhere
         rows += [("window before packing", f"{window:+.4f}")] if known else []
         bound = getattr(plan, "bound", None)
+        on = getattr(bound, "on", getattr(plan, "bound_on", ""))
         bound = getattr(bound, "value", bound)
-        rows += [("no light gives more than", f"{bound:+.4f}, by what its solver found")] if bound is not None else []
+        told = f" on {on}" if on else ""
+        rows += (
+            [("no light gives more than", f"{bound:+.4f}{told}, by what its solver found")] if bound is not None else []
+        )
+        rows += [("note", note) for note in getattr(plan, "notes", ())]
     return rows
 
 

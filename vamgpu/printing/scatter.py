@@ -17,14 +17,11 @@ STOP = 0.35
 
 @dataclass(frozen=True)
 class ScatterReading:
-    """One camera frame. seconds: when it was taken.  density: gray levels per voxel of the part above the first frame.
+    """One camera frame."""
 
-    stop: that the light should be out by now.
-    """
-
-    seconds: float
-    density: float
-    stop: bool
+    seconds: float  # when it was taken
+    density: float  # gray levels per voxel of the part above the first frame
+    stop: bool  # that the light should be out by now
 
 
 @dataclass

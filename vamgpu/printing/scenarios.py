@@ -1,4 +1,4 @@
-"""What can be off in a machine by a little, and the operator that exposes the same frames through it."""
+"""Small errors of a machine, and the operators that expose the same frames with them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,14 @@ from vamgpu.optics.beams import Misaligned, with_absorption
 
 @dataclass(frozen=True)
 class Scenario:
-    """One thing that may be off.
-
-    Args:
-        name: of the thing.
-        unit: of the amounts: "pixel", or "%".
-        amounts: by how much it is off in the table, in pixels or as a share.
-        farthest: amount up to which the first wrong voxel is searched for.
-        off: the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None
-            where the dose is only scaled.
-    """
+    """One thing that may be off."""
 
     name: str
-    unit: str
-    amounts: tuple[float, ...]
-    farthest: float
+    unit: str  # of the amounts: "pixel", or "%"
+    amounts: tuple[float, ...]  # by how much it is off in the table, in pixels or as a share
+    farthest: float  # amount up to which the first wrong voxel is searched for
+    # the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None where the
+    # dose is only scaled
     off: Callable[[Projection, float], Projection] | None
 
     @property
@@ -89,4 +82,4 @@ SCENARIOS = (
     Scenario("absorption", "%", (-0.1, 0.1), 0.5, clouded),
     Scenario("dose", "%", (-0.1, -0.05, 0.05, 0.1), 1.0, None),
 )
-"""What the tolerance table of a report asks about."""
+"""Scenarios of a report's tolerance table."""

@@ -1,4 +1,4 @@
-"""How the light of rows and columns spreads: a lit box under a Gaussian, averaged in closed form over what it meets."""
+"""Spread of the light of rows and columns: a lit box under a Gaussian, averaged in closed form over voxels."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ TAIL = 4.5
 
 @dataclass(frozen=True)
 class PixelSpread:
-    """The light of one pixel.
+    """The light of one pixel."""
 
-    side: of the lit box.  column, row: standard deviations along columns and along rows; all in pixels.  bins: into
-    which a column's width is cut.  beyond: columns' widths on either side of the beam that its light reaches.
-    """
+    # column, row: standard deviations along columns and along rows; all in pixels. bins: into which a column's width is
+    # cut. beyond: columns' widths on either side of the beam that its light reaches.
 
-    side: float
+    side: float  # of the lit box
     column: float
     row: float
     bins: int
@@ -59,14 +58,12 @@ def spread_of(beam: Beam) -> PixelSpread:
 
 
 def column_shares(spread: PixelSpread, beam: Beam, rays: Rays) -> ColumnShares:
-    """Mean light of every bin: what a pixel's profile has there, times the power that rays there bring to the resin.
-
-    Light that is taken to be even within a bin has the variance of its profile and twice that of a bin, which is taken
-    off the Gaussian beforehand.
-    """
+    """Mean light of every bin: what a pixel's profile has there, times the power that rays there bring to the resin."""
+    # Light that is taken to change evenly from the middle of one bin to that of the next has the variance of its
+    # profile and three times that of a bin, which is taken off the Gaussian beforehand.
     columns, bins = beam.pixels[0], spread.bins
     edge = np.arange(-spread.beyond * bins, (columns + spread.beyond) * bins + 1) / bins  # 0 at the first column's edge
-    sigma = sqrt(max(spread.column**2 - 1.0 / (6.0 * bins**2), 0.0))
+    sigma = sqrt(max(spread.column**2 - 1.0 / (4.0 * bins**2), 0.0))
     taps = min(columns, 2 * ceil(0.5 * spread.side + TAIL * sigma + 1.0 / bins) + 1)
     first = np.clip(np.floor(edge[:-1] + 0.5 / bins).astype(int) - taps // 2, 0, columns - taps)
     column = first[:, None] + np.arange(taps) + 0.5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -23,10 +24,8 @@ class Surface:
     faces: np.ndarray
 
     def packed(self, deviation: np.ndarray, reach: float) -> dict[str, str]:
-        """Deflated base64 of 16-bit points over ±reach [mm], 8-bit normals, 8-bit deviation over ±1, 32-bit faces.
-
-        Points and faces are kept as steps from one to the next, which deflate much better.
-        """
+        """Deflated base64 of 16-bit points over ±reach [mm], 8-bit normals, 8-bit deviation over ±1, 32-bit faces."""
+        # Points and faces are kept as steps from one to the next, which deflate much better.
         points = np.round(np.clip(self.points / reach, -1, 1) * 32767).astype("<i2")
         normals = np.round(self.normals * 127).astype("i1")
         shade = np.round(np.clip(deviation, -1, 1) * 127).astype("i1")
@@ -56,6 +55,44 @@ def iso_surface(field: np.ndarray, level: float, pitch: float) -> Surface:
     return Surface((points - middle) * (block * pitch), vertex_normals(points, faces), faces)
 
 
+def stray(slabs: Iterable[Any], level: float, radius: float, place: tuple[float, float, float], size: float) -> Surface:
+    """Resin beyond a radius that reaches a level, and a ball about the place of the greatest dose."""
+    # radius [mm]; place [mm]; size [mm]
+    from skimage.measure import marching_cubes
+    from trimesh.creation import icosphere
+
+    ball = icosphere(2, size)
+    found = [Surface(ball.vertices + np.array(place), ball.vertices / size, ball.faces)]
+    pooled: list[np.ndarray] = []
+    width = corner = 0.0
+    for slab in slabs:
+        width, corner = slab.pitch * ceil(len(slab.x) / LARGEST), float(slab.x[0])
+        distance = np.hypot(slab.x[:, None], slab.y[None, :])
+        solid = (slab.dose.numpy() >= level) & ((distance > radius) & (distance <= slab.radius))[:, :, None]
+        cells = []
+        for axis, places in enumerate((slab.x, slab.y, slab.z)):
+            cell, first = np.unique(np.rint((places - corner) / width).astype(np.int64), return_index=True)
+            solid = np.logical_or.reduceat(solid, first, axis=axis)
+            cells.append(cell)
+        pooled.append(np.stack([cell[k] for cell, k in zip(cells, np.nonzero(solid), strict=True)], axis=1))
+    if any(map(len, pooled)):
+        cells = np.concatenate(pooled)
+        low = cells.min(axis=0) - 1
+        field = np.zeros(cells.max(axis=0) - low + 2, np.float32)
+        field[tuple((cells - low).T)] = 1.0
+        points, faces, _, _ = marching_cubes(field, 0.5, gradient_direction="ascent")
+        found.append(Surface((points + low) * width + corner, vertex_normals(points, faces), faces))
+    return joined(found)
+
+
+def joined(surfaces: Sequence[Surface]) -> Surface:
+    """Several surfaces as one."""
+    first = np.cumsum([0, *(len(one.points) for one in surfaces)])
+    faces = [one.faces.astype(np.int64) + start for one, start in zip(surfaces, first, strict=False)]
+    points, normals = (np.concatenate([getattr(one, name) for one in surfaces]) for name in ("points", "normals"))
+    return Surface(points, normals, np.concatenate(faces))
+
+
 def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Mean of the normals of the triangles around each point, by area; (n, 3), smoother than the field's gradient."""
     a, b, c = (points[faces[:, k]] for k in range(3))
@@ -83,12 +120,14 @@ def deviation(printed: Surface, target: Surface) -> np.ndarray:
     return np.einsum("ij,ij->i", printed.points - target.points[nearest], target.normals[nearest])
 
 
-def viewer(target: Surface, printed: Surface, most: float) -> dict[str, Any]:
-    """Both surfaces as the page's script takes them; ``most`` is the deviation [mm] at the ends of the color scale."""
-    points = np.concatenate([target.points, printed.points])
+def viewer(target: Surface, printed: Surface, most: float, outer: Surface = NOTHING) -> dict[str, Any]:
+    """Surfaces as the page's script takes them; ``most`` is the deviation [mm] at the ends of the color scale."""
+    # What prints beyond the judged cylinder, ``outer``, has the greatest shade for its own, which the script colors.
+    points = np.concatenate([target.points, printed.points, outer.points])
+    shade = np.concatenate([np.clip(deviation(printed, target) / most, -1.0, 0.99), np.ones(len(outer.points))])
     reach = float(np.abs(points).max(initial=most))
     return {
         "target": target.packed(np.zeros(len(target.points)), reach),
-        "printed": printed.packed(deviation(printed, target) / most, reach),
+        "printed": joined([printed, outer]).packed(shade, reach),
         "radius": 2 * float(np.linalg.norm(points, axis=1).max(initial=most)) / reach,
     }

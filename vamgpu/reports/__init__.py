@@ -1,1 +1,1 @@
-"""What every report and picture share."""
+"""Pages, charts and styles that all reports and pictures share."""

@@ -24,17 +24,8 @@ WIDE, NARROW = 11.6, 7.2
 
 
 def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -> str:
-    """Draw a chart as inline SVG.
-
-    Args:
-        draw: Is given the axes, one after the other.
-        width: Width of the figure [inch].
-        height: Its height [inch].
-        layout: Keywords of `matplotlib.figure.Figure.subplots`.
-
-    Returns:
-        The SVG element.
-    """
+    """Draw a chart as inline SVG."""
+    # width [inch]; height [inch]
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -50,24 +41,13 @@ def svg(draw: Callable[..., None], width: float, height: float, **layout: Any) -
 
 
 def above(axis: Any, columns: int) -> None:
-    """Put the legend above an axis.
-
-    Args:
-        axis: A matplotlib axis.
-        columns: Columns of the legend.
-    """
+    """Put the legend above an axis."""
     axis.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def png(pixels: np.ndarray) -> str:
-    """Encode an image as a data address.
-
-    Args:
-        pixels: uint8 [row, column] or [row, column, channel].
-
-    Returns:
-        The address of a PNG.
-    """
+    """Encode an image as a data address."""
+    # pixels [row, column] [row, column, channel]
     from PIL import Image
 
     stream = BytesIO()
@@ -76,15 +56,8 @@ def png(pixels: np.ndarray) -> str:
 
 
 def colored(values: np.ndarray, name: str) -> np.ndarray:
-    """Color values by a matplotlib color map.
-
-    Args:
-        values: From 0 to 1 [row, column].
-        name: The map.
-
-    Returns:
-        uint8 RGB [row, column, channel].
-    """
+    """Color values by a matplotlib color map."""
+    # values [row, column]; returns [row, column, channel]
     from matplotlib import colormaps
 
     return (colormaps[name](np.clip(values, 0, 1))[..., :3] * 255).round().astype(np.uint8)

@@ -15,26 +15,15 @@ from vamgpu.storage.atomic import explained, page_path, replacing
 
 
 class Figure(NamedTuple):
-    """One number that is looked at first.
+    """One number that is looked at first."""
 
-    Args:
-        value: The number as text.
-        name: What it is.
-        meaning: What it says; empty for nothing.
-    """
-
-    value: str
+    value: str  # the number as text
     name: str
-    meaning: str = ""
+    meaning: str = ""  # what it says; empty for nothing
 
 
 class Image(NamedTuple):
-    """An image, and what stands below it.
-
-    Args:
-        source: A data address.
-        name: What stands below.
-    """
+    """An image, and what stands below it."""
 
     source: str
     name: str
@@ -42,13 +31,9 @@ class Image(NamedTuple):
 
 @dataclass(frozen=True)
 class Chart:
-    """Inline SVG.
+    """Inline SVG."""
 
-    Args:
-        svg: The element, as `vamgpu.reports.chart.svg` draws it.
-    """
-
-    svg: str
+    svg: str  # the element, as `vamgpu.reports.chart.svg` draws it
     kind: ClassVar[str] = "chart"
 
 
@@ -70,27 +55,18 @@ class Images:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Lines of name, value and meaning.
+    """Lines of name, value and meaning."""
 
-    Args:
-        lines: Objects with ``name``, ``value`` and ``meaning``.
-    """
-
-    lines: Iterable[Any]
+    lines: Iterable[Any]  # objects with ``name``, ``value`` and ``meaning``
     kind: ClassVar[str] = "numbers"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells in rows under a header; without one, the first cell of a row is its name.
+    """Cells in rows under a header; without one, the first cell of a row is its name."""
 
-    Args:
-        rows: Text of the cells.
-        header: Text above the columns.
-    """
-
-    rows: Iterable[Sequence[str]]
-    header: Sequence[str] = ()
+    rows: Iterable[Sequence[str]]  # text of the cells
+    header: Sequence[str] = ()  # text above the columns
     kind: ClassVar[str] = "table"
 
 
@@ -108,13 +84,9 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class SurfaceView:
-    """Surfaces in three dimensions, colored by deviation; the page's data holds them.
+    """Surfaces in three dimensions, colored by deviation; the page's data holds them."""
 
-    Args:
-        deviation: Greatest deviation of the color scale [µm], as text.
-    """
-
-    deviation: str
+    deviation: str  # greatest deviation of the color scale [µm], as text
     kind: ClassVar[str] = "solid"
 
 
@@ -127,23 +99,15 @@ class Slices:
 
 @dataclass(frozen=True)
 class Legend:
-    """Colors of verdicts and of the dose.
+    """Colors of verdicts and of the dose."""
 
-    Args:
-        most: What the brightest dose is.
-    """
-
-    most: str = "most"
+    most: str = "most"  # what the brightest dose is
     kind: ClassVar[str] = "legend"
 
 
 @dataclass(frozen=True)
 class Papers:
-    """A numbered list of sources.
-
-    Args:
-        papers: The sources.
-    """
+    """A numbered list of sources."""
 
     papers: Iterable[str]
     kind: ClassVar[str] = "papers"
@@ -153,19 +117,12 @@ Block = Chart | Images | Numbers | Table | Tolerances | SurfaceView | Slices | L
 
 
 class Card:
-    """A titled part of a page.
-
-    Args:
-        title: Its title.
-        *blocks: What it holds.
-        note: A line of small print.
-        wide: Whether it spans both columns.
-    """
+    """A titled part of a page."""
 
     title: str
     blocks: tuple[Block, ...]
-    note: str
-    wide: bool
+    note: str  # a line of small print
+    wide: bool  # whether it spans both columns
 
     def __init__(self, title: str, *blocks: Block, note: str = "", wide: bool = False) -> None:
         self.title, self.blocks, self.note, self.wide = title, blocks, note, wide
@@ -173,29 +130,18 @@ class Card:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report.
+    """A whole report."""
 
-    Attributes:
-        sort: of the report, in two words.
-        title: what it is about.
-        verdict: one sentence.
-        good: whether the verdict is.
-        tiles: numbers in a row.
-        cards: what follows, in two columns.
-        headline: the most important numbers, above the tiles.
-        opening: cards above the tiles.
-        data: what the page's script draws, for cards with a `SurfaceView` or `Slices`.
-    """
-
-    sort: str
-    title: str
+    sort: str  # of the report, in two words
+    title: str  # what it is about
     verdict: str
-    good: bool
-    tiles: Sequence[Figure]
-    cards: Sequence[Card]
-    headline: Sequence[Figure] = ()
-    opening: Sequence[Card] = ()
-    data: Mapping[str, Any] | None = None
+    good: bool  # whether the verdict is
+    tiles: Sequence[Figure]  # numbers in a row
+    cards: Sequence[Card]  # what follows, in two columns
+    headline: Sequence[Figure] = ()  # the most important numbers, above the tiles
+    summary: Sequence[Card] = ()  # cards above the tiles
+    remedies: Sequence[str] = ()  # what to do where it is not
+    data: Mapping[str, Any] | None = None  # what the page's script draws, for cards with a `SurfaceView` or `Slices`
 
     def html(self) -> str:
         """The page as text; what is not markup by its type is escaped."""
@@ -207,17 +153,7 @@ class Page:
         return environment.from_string(_shipped("page.html")).render(parts)
 
     def write(self, path: str | Path) -> Path:
-        """Write the page into a folder that exists, replacing an earlier one.
-
-        Args:
-            path: Where to, ending in .html.
-
-        Returns:
-            The path written.
-
-        Raises:
-            StorageError: The path is a folder or no page, or the system refuses.
-        """
+        """Write the page into a folder that exists, replacing an earlier one."""
         place = page_path(path)
         if not place.parent.is_dir():
             raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))

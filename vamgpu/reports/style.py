@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 INK, QUIET, FAINT = "#1f2733", "#6b7787", "#d5dae1"
 BLUE, ORANGE, RED, GREEN, GLASS, RESIN = "#2563a8", "#e8901a", "#d63a49", "#1d9a5b", "#cfe3f2", "#fdf3e1"
-HUES = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#12939a", "#a0652c", "#c2559d", "#4d5866", "#a8a01e")
+HUES = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#12939a", "#a0652c", "#c2559d", "#4d5866", "#a8a01e", "#5b8c5a")
 LIGHT, DOSE, GAP, SOLID = "inferno", "magma", "RdBu_r", "Greys"
 """Color maps of light, of dose, of signed differences, and of filled fractions."""
 

@@ -13,10 +13,12 @@ import numpy.typing as npt
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, positive
+from vamgpu.schema.quantities import Absorption, measured
 from vamgpu.schema.registry import nearest
 from vamgpu.targets.implicit import Implicit
 from vamgpu.targets.implicit import voxelize as filled
-from vamgpu.targets.limits import Asked
+from vamgpu.targets.limits import BodyRequirement
+from vamgpu.targets.mesh import solid_of
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 from vamgpu.targets.voxelize import voxelize
@@ -38,7 +40,7 @@ MOST_DOSE = 10.0
 
 @dataclass(frozen=True)
 class Place:
-    """From the CAD frame to the vial's: place = factor · rotation · CAD + move."""
+    """Transform from the CAD frame to the vial's: place = factor · rotation · CAD + move."""
 
     factor: float
     rotation: npt.NDArray[np.float64] | None
@@ -59,7 +61,7 @@ class Body:
         weight: Of its voxels in methods that lower a loss, above 0.
         priority: Which body has the voxels that several fill, the higher one; by default the role's.
         index: Of refraction, dimensionless, of an insert that light passes.
-        absorption: Of an insert that light passes [1/mm].
+        absorption: Of an insert that light passes [1/mm]; like ``pitch`` also text with its unit.
         pitch: Edge of a mask's voxels [mm].
 
     Raises:
@@ -93,22 +95,17 @@ class Body:
 
     def _read(self) -> Solid | Target | Implicit:
         """The shape that the source stands for."""
-        from vamgpu.targets.mesh import from_trimesh, load_mesh
-        from vamgpu.targets.repair import repaired
-
         source = self.source
         if isinstance(source, np.ndarray):
             if self.pitch is None:
                 raise BadInput("a body is a mask without pitch; give pitch= [mm], the edge of its voxels")
-            return Target.from_array(source, self.pitch, self.name or self.role)
+            mask = Target.from_array(source, self.pitch, self.name or self.role)
+            object.__setattr__(self, "pitch", mask.grid.pitch)
+            return mask
         if self.pitch is not None:
             raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it for masks alone")
-        if isinstance(source, Solid):
-            return repaired(source)
-        if isinstance(source, str | Path):
-            return load_mesh(source, center=False)
-        if hasattr(source, "faces") and hasattr(source, "vertices"):
-            return from_trimesh(source, name=self.name or self.role)
+        if (solid := solid_of(source, self.name or self.role)) is not None:
+            return solid
         if not isinstance(source, Implicit):
             raise BadInput(
                 f"got a {type(source).__name__} as body; expected the path of a mesh file, a Solid, a trimesh.Trimesh, "
@@ -137,7 +134,7 @@ class Body:
         if self.index is not None and not 1.0 <= positive(f"index of {who}", self.index) < 10.0:
             raise BadInput(f"index of {who} is {self.index:g}; expected an index of refraction from 1 on")
         if self.absorption is not None:
-            positive(f"absorption of {who} [1/mm]", self.absorption, zero=True)
+            object.__setattr__(self, "absorption", measured(f"absorption of {who}", self.absorption, Absorption))
 
     @property
     def opaque(self) -> bool:
@@ -145,9 +142,23 @@ class Body:
         return self.role == "insert" and self.index is None and self.absorption is None
 
     @property
-    def asked(self) -> Asked:
-        """As its voxels are judged."""
-        return Asked(str(self.name), self.role, 1.0 if self.dose is None else self.dose, self.tolerance)
+    def requirement(self) -> BodyRequirement:
+        """Required dose of its voxels."""
+        return BodyRequirement(str(self.name), self.role, 1.0 if self.dose is None else self.dose, self.tolerance)
+
+    def summary(self, place: Place) -> str:
+        """Its role and how far it goes, in words.
+
+        Args:
+            place: Of the CAD frame.
+
+        Returns:
+            Such as "gray, dose 0.7, to 2.1 mm from the axis, z −1 to 3 mm".
+        """
+        reach = self.reach(place)
+        dose = "" if self.dose is None else f", dose {self.dose:g}"
+        where = "by a function" if reach is None else "to {:.4g} mm from the axis, z {:.4g} to {:.4g} mm".format(*reach)
+        return f"{self.role}{dose}, {where}"
 
     def solid(self, place: Place) -> Solid | None:
         """The surface where it is printed.
@@ -163,7 +174,7 @@ class Body:
         return self.source.placed(rotation=place.rotation, factor=place.factor, center=False).translated(place.move)
 
     def reach(self, place: Place) -> tuple[float, float, float] | None:
-        """How far it goes.
+        """Extent of the body.
 
         Args:
             place: Of the CAD frame.

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
+from vamgpu.card import card
 from vamgpu.errors import BadInput, EmptyMesh, TargetTooLarge
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel, counts, positive
 from vamgpu.operators.bundle import RayBundle
@@ -24,6 +25,7 @@ from vamgpu.optics.graded import GradedVial
 from vamgpu.optics.occluder import Occluded
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
 from vamgpu.scene.web import WebPart, shares_on_web
+from vamgpu.schema.quantities import Length, measured
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import MARGIN, Target
@@ -84,6 +86,9 @@ class Scene:
         if origin is not None and (origin.shape != (3,) or not np.isfinite(origin).all()):
             raise BadInput(f"origin is {self.origin!r}; expected three finite lengths (x, y, z)")
 
+    def _repr_html_(self) -> str:
+        return card("Scene", {f"{k}: {body.name}": body.summary(self.place) for k, body in enumerate(self.bodies, 1)})
+
     @property
     def inserts(self) -> tuple[Body, ...]:
         """The bodies that stand in the light."""
@@ -106,17 +111,17 @@ class Scene:
         return Place(self.factor, turn, (0.0, 0.0, -0.5 * (low + high) if low < high else 0.0))
 
     def _reach(self, place: Place) -> tuple[float, float, float]:
-        """Of all that is printed, as far as it is known: radius, lowest and highest z [mm]."""
+        """Radius, lowest and highest z [mm] of all that is printed, as far as known."""
         known = [reach for body in self.printed if (reach := body.reach(place)) is not None]
         if not known:
             return 0.0, inf, -inf
         return max(r for r, _, _ in known), min(low for _, low, _ in known), max(high for _, _, high in known)
 
-    def grid(self, pitch: float, *, margin: int = MARGIN, shape: tuple[int, int, int] | None = None) -> Grid:
+    def grid(self, pitch: float | str, *, margin: int = MARGIN, shape: tuple[int, int, int] | None = None) -> Grid:
         """Voxels that hold all that is printed, and what stands in its light.
 
         Args:
-            pitch: Voxel edge [mm].
+            pitch: Voxel edge [mm], or text with its unit.
             margin: Voxels left free between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the bodies and the margin.
                 Needed where a body that is printed or an insert is a function.
@@ -128,7 +133,7 @@ class Scene:
             BadInput: A value is out of its range.
             TargetTooLarge: What is printed does not fit ``shape``.
         """
-        pitch, place = positive("pitch [mm]", pitch), self.place
+        pitch, place = measured("pitch", pitch, Length), self.place
         free = positive("margin [voxels]", margin, zero=True)
         radius, low, high = self._reach(place)
         along = 2.0 * max(abs(low), abs(high)) / pitch - 1e-6 if low < high else 0.0
@@ -151,13 +156,13 @@ class Scene:
         return Grid((n, n, max(nz, MULTIPLE)), pitch)
 
     def target(
-        self, *, pitch: float, margin: int = MARGIN, shape: tuple[int, int, int] | None = None,
+        self, *, pitch: float | str, margin: int = MARGIN, shape: tuple[int, int, int] | None = None,
         device: str | Device | None = None, name: str | None = None,
     ) -> Target:  # fmt: skip
-        """What is asked of every voxel.
+        """Target with the required dose of every voxel.
 
         Args:
-            pitch: Voxel edge [mm].
+            pitch: Voxel edge [mm], or text with its unit.
             margin: Voxels left free between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; see `grid`.
             device: Where meshes are voxelized: a name or a device; the best one here by default.
@@ -174,7 +179,7 @@ class Scene:
         grid = self.grid(pitch, margin=margin, shape=shape)
         found, name = self._shares(grid, open_device(device)), name or str(self.printed[0].name)
         fraction, radius, place = found.fraction, self._reach(self.place), self.place
-        target = Target.from_array(fraction, pitch, name)
+        target = Target.from_array(fraction, grid.pitch, name)
         exact = all(body.reach(place) is not None for body in self.printed)
         limits = None if self._plain else found.limits(self)
         solid = self.printed[0].solid(place) if self._plain and len(self.bodies) == 1 else None
@@ -203,7 +208,7 @@ class Scene:
         return self.place if self.origin is not None else replace(self.place, move=(0.0, 0.0, 0.0))
 
     def web_part(self, grid: WebGrid, *, device: str | Device | None = None, name: str | None = None) -> WebPart:
-        """What is asked of the voxels of a web's film.
+        """Target with the required dose of a web's voxels.
 
         The CAD frame is that of the film laid flat: x along the web from where it begins, y outwards from the roller's
         side, z across it about its middle. What lies outside is cut off.
@@ -254,7 +259,7 @@ class Scene:
         if bending is not None:
             raise BadInput(
                 f"insert {bending.name!r} has the index {bending.index:g} on a web, whose rays are traced once for all "
-                "poses, and would bend anew at each; expected an opaque insert, or absorption= alone where its index "
+                "angles, and would bend anew at each; expected an opaque insert, or absorption= alone where its index "
                 "is near the resin's"
             )
         film: Any = getattr(wrap, "film", wrap)
@@ -358,20 +363,7 @@ def _drawn(body: Body) -> str:
 
 
 def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -> RayBundle:
-    """Rays of a beam in the resin of a vessel, side by side in each pixel.
-
-    Where the resin absorbs, their weights are what is left of them at the circle about the axis that `Scene.medium`
-    fills with it: that is the same at every angle.
-
-    Args:
-        grid: Voxels that the rays come to.
-        beam: Its pixels.
-        vessel: What the resin stands in; None for straight light.
-        rays: Of a pixel.
-
-    Returns:
-        The rays.
-    """
+    """Rays of a beam in the resin of a vessel, side by side in each pixel."""
     across = (np.arange(rays) + 0.5) / rays - 0.5
     u = beam.columns()[:, None] + beam.pitch * across
     p, angle, share = u, np.zeros_like(u), np.ones_like(u)
@@ -402,11 +394,7 @@ def _disc(grid: Grid) -> npt.NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Shares:
-    """Whose the voxels are.
-
-    shares: of every body in every voxel after overlaps are decided.  fraction: of what is printed in what anything is
-    asked of.  owner: number of the body that a voxel belongs to, −1 for none.
-    """
+    """Whose the voxels are."""
 
     shares: list[npt.NDArray[np.floating]]
     fraction: npt.NDArray[np.float32]
@@ -414,7 +402,7 @@ class _Shares:
 
     @classmethod
     def of(cls, scene: Scene, filled: list[npt.NDArray[np.float32]]) -> _Shares:
-        """From the share of every voxel that each body fills by itself."""
+        """Resolve overlaps of the shares that each body fills by itself."""
         bodies, shape = scene.bodies, filled[0].shape
         room = np.ones(shape, np.float32)
         shares = list(filled)
@@ -455,13 +443,13 @@ class _Shares:
             )
 
     def limits(self, scene: Scene) -> Limits:
-        """What every voxel is asked for."""
+        """Required dose of every voxel."""
         bodies = scene.bodies
         grays = [body.dose for body in bodies if body.role == "gray" and body.dose is not None]
         void = min([1.0, *grays]) if scene.void is None else scene.void
-        dose = [0.0 if body.role in FREE else body.asked.dose for body in bodies]
+        dose = [0.0 if body.role in FREE else body.requirement.dose for body in bodies]
         weight = [body.weight for body in bodies]
         return Limits(
             np.array([*dose, void], np.float32)[self.owner], np.array([*weight, 1.0], np.float32)[self.owner],
-            self.owner, tuple(body.asked for body in bodies), void,
+            self.owner, tuple(body.requirement for body in bodies), void,
         )  # fmt: skip

@@ -21,7 +21,7 @@ from vamgpu.web import WebGrid
 
 @dataclass(frozen=True, eq=False)
 class WebPart:
-    """What a scene asks of the voxels of a web; a target of `optimize`.
+    """Part of a scene on a web; a target of `optimize`.
 
     Args:
         grid: The voxels of the film.
@@ -60,20 +60,7 @@ class WebPart:
 
 
 def shares_on_web(body: Body, grid: WebGrid, place: Place, device: Device) -> npt.NDArray[np.float32]:
-    """The share of every voxel of a film that a body fills.
-
-    Args:
-        body: The body.
-        grid: The film, from x = 0 along the web, from y = 0 at the roller's side; z about its middle.
-        place: Of the CAD frame.
-        device: Where meshes are voxelized.
-
-    Returns:
-        Shares [l, rho, z].
-
-    Raises:
-        BadInput: A mask is to be turned, or the film's voxels are no cubes.
-    """
+    """The share of every voxel of a film that a body fills. Raises `BadInput`."""
     solid = body.solid(place)
     if solid is not None:
         return section(solid, grid, 0.0, device)

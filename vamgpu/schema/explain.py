@@ -56,7 +56,7 @@ def keys(table: type[Any]) -> tuple[Key, ...]:
 
 
 def what(kind: Any) -> str:
-    """What a key holds, in words."""
+    """Description of a key's values."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         for mark in kind.__metadata__:
@@ -120,11 +120,7 @@ def _default(value: Any, kind: Any) -> str:
 
 
 def explain(tables: dict[str, type[Any]]) -> str:
-    """The keys of tables and of every noun, as markdown.
-
-    Args:
-        tables: heading → `Section` of a file, whose sections are its tables.
-    """
+    """The keys of tables and of every noun, as markdown."""
     return "\n".join([*(part for head, file in tables.items() for part in _file(head, file)), *_nouns()]) + "\n"
 
 
@@ -160,14 +156,7 @@ def _nouns() -> Iterator[str]:
 
 
 def first_of(cls: type[Any]) -> str:
-    """The first paragraph of a docstring.
-
-    Args:
-        cls: A class.
-
-    Returns:
-        One line.
-    """
+    """The first paragraph of a docstring."""
     return " ".join((cls.__doc__ or "").strip().split("\n\n")[0].split())
 
 

@@ -1,4 +1,4 @@
-"""What a constructor says of its fields, and the checks that follow from it."""
+"""Fields of a constructor, and the checks that follow from their types."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from vamgpu.schema.quantities import Quantity
+from vamgpu.schema.quantities import Quantity, measured
 
 GIVEN = ("device",)
 """Arguments that say where to compute, not what."""
@@ -41,7 +41,7 @@ class Field:
 
     @property
     def quantity(self) -> Quantity | None:
-        """What it measures; None for what is no number."""
+        """Quantity it measures; None for what is no number."""
         return quantity_in(self.kind)
 
 
@@ -62,13 +62,20 @@ def fields_of(cls: type[Any]) -> tuple[Field, ...]:
     return tuple(Field(p.name, hints.get(p.name, Any), p.default, docs.get(p.name, "")) for p in taken)
 
 
+def given(noun: Any) -> dict[str, Any]:
+    """Arguments of a noun's constructor, by field."""
+    if hasattr(noun, "described"):
+        return noun.described()
+    return {field.name: getattr(noun, field.name) for field in fields_of(type(noun))}
+
+
 def _hints(cls: type[Any]) -> dict[str, Any]:
     generated = getattr(getattr(cls, "__dataclass_params__", None), "init", False) or hasattr(cls, "model_fields")
     return get_type_hints(cls if generated else cls.__init__, include_extras=True)
 
 
 def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
-    """What docstrings of a class and those above it say of names, be it under ``Args:`` or in a line of them."""
+    """Descriptions of names in docstrings of a class and its bases, under ``Args:`` or in a line."""
     found: dict[str, str] = {}
     name = "|".join(map(re.escape, names)) or "$."
     listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*):\s+"
@@ -115,12 +122,12 @@ def _checked(kind: Any, name: str, value: Any) -> Any:
         quantity = quantity_in(kind)
         if quantity is None:
             return _checked(parts[0], name, value)
-        return quantity.check(f"{name} [{quantity.unit}]" if quantity.unit else name, value)
+        return measured(name, value, kind)
     if origin in (Union, UnionType):
-        measured = [part for part in parts if quantity_in(part)]
+        quantities = [part for part in parts if quantity_in(part)]
         other = value is None and NoneType in parts or callable(value)
         other = other or isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) > 0
-        return value if other or not measured else _checked(measured[0], name, value)
+        return value if other or not quantities else _checked(quantities[0], name, value)
     if origin is tuple and isinstance(value, (list, tuple)) and any(quantity_in(part) for part in parts):
         each = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
         if len(each) == len(value):

@@ -1,7 +1,7 @@
 """Types of fields: what a number measures, and which numbers it may be.
 
-They work in dataclasses, whose constructors `vamgpu.schema.check` them, and in pydantic's models, which read them from
-text with units. ``Length`` is a float in mm everywhere in Python and ``"12.4 mm"`` in a file.
+They work in dataclasses, whose constructors `vamgpu.schema.check` them, and in pydantic's models. ``Length`` is a float
+in mm in Python, ``"12.4 mm"`` in a file, and either where Python gives one.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from math import inf, isfinite, pi
 from typing import Annotated, Any
 
 from vamgpu.errors import BadInput
-from vamgpu.quantity import EXAMPLES, parse, positive, unit_of
+from vamgpu.quantity import EXAMPLES, meant, parse, positive, unit_of
 from vamgpu.units import NAMES, dpt
 
 PLAIN = {"plain": True}
@@ -21,23 +21,18 @@ PLAIN = {"plain": True}
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a number measures, and its bounds.
+    """Kind and bounds of a number: ``above`` < number < ``below``, ``least`` ≤ number ≤ ``most``."""
 
-    kind: a key of `vamgpu.quantity.SPELLINGS`; None for a plain number.  above, below: it is greater, and less.
-    least, most: it is no less and no more.  hint: what to do about another one.
-    scale: what 1 in Python is in mm, s and mJ.  endless: Python may say inf, files leave it out.
-    whole: an integer.
-    """
-
-    kind: str | None = None
+    kind: str | None = None  # key of `vamgpu.quantity.SPELLINGS`; None for a plain number
     above: float = -inf
     least: float = -inf
     most: float = inf
     below: float = inf
-    hint: str = ""
-    scale: float = 1.0
-    endless: bool = False
+    hint: str = ""  # remedy for a number out of bounds
+    scale: float = 1.0  # value of 1 in Python, in mm, s and mJ
+    endless: bool = False  # Python accepts inf, which files leave out
     whole: bool = False
+    usual: tuple[float, float] | None = None  # lengths [mm] outside must state their unit
 
     @property
     def unit(self) -> str:
@@ -64,6 +59,10 @@ class Quantity:
             number = finite(name, value)
         if not self._holds(number):
             raise BadInput(f"{name} is {number:g}; expected {self.hint or f'a number {self.bounds}'}")
+        if slip := self._slip(number):
+            usual, unit = slip
+            likely = "" if unit is None else f"; if {number:g} {unit} was meant, write {number:g} * vamgpu.units.{unit}"
+            raise BadInput(f"{name} is {number:g}; expected {usual}: check the unit{likely}")
         if self.whole and (isinstance(value, bool) or number != int(number)):
             raise BadInput(f"{name} is {value!r}; expected a whole number")
         return int(number) if self.whole else number
@@ -75,7 +74,17 @@ class Quantity:
         if not self._holds(value):
             shown = f"{value * self.scale / NAMES[self.unit]:.6g} {self.unit}"
             raise ValueError(f"is {shown}; expected {self.bounds}: correct the value")
+        if slip := self._slip(value):
+            likely = "" if slip[1] is None else f'; was "{value:g} {slip[1]}" meant?'
+            raise ValueError(f"is {value:g} mm; expected {slip[0]}: check the unit{likely}")
         return value
+
+    def _slip(self, value: float) -> tuple[str, str | None] | None:
+        """Usual lengths in words, and the unit that one out of them was likely meant in; None for one of them."""
+        if self.usual is None or self.usual[0] <= value <= self.usual[1]:
+            return None
+        least, most = self.usual
+        return f"{least:g} to {most:g} mm" if least else f"{most:g} mm at most", meant(value, least, most)
 
     def spell(self, value: float) -> str | float:
         """As a file writes it."""
@@ -106,6 +115,17 @@ class Quantity:
         return {"type": "string", "examples": [EXAMPLES[self.kind]]}
 
 
+def measured(name: str, value: Any, kind: Any) -> float:
+    """A number, or text with its unit, as a type of this module such as `Length` has it; else `BadInput`."""
+    quantity = next(part for part in kind.__metadata__ if isinstance(part, Quantity))
+    if isinstance(value, str) and quantity.kind is not None:
+        try:
+            return quantity.read(value)
+        except ValueError as error:
+            raise BadInput(f"{name}: got {value!r}; {error}") from error
+    return quantity.check(f"{name} [{quantity.unit}]" if quantity.unit else name, value)
+
+
 def finite(name: str, value: Any) -> float:
     """``value`` as a finite float, else `BadInput`."""
     try:
@@ -118,6 +138,10 @@ def finite(name: str, value: Any) -> float:
 
 
 Length = Annotated[float, Quantity("a length", above=0.0)]
+Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0))]
+"""The edge of a voxel."""
+PixelPitch = Annotated[float, Quantity("a length", above=0.0, usual=(1e-4, 25.0))]
+VesselRadius = Annotated[float, Quantity("a length", above=0.0, usual=(0.05, 1000.0))]
 Thickness = Annotated[float, Quantity("a length", least=0.0)]
 Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]
 """A length that may be infinite."""

@@ -18,7 +18,7 @@ from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.schema.noun import GIVEN, fields_of, quantity_in
 from vamgpu.schema.quantities import PLAIN
-from vamgpu.schema.registry import current, families_of, family, find, nearest
+from vamgpu.schema.registry import as_known, current, families_of, family, find, remedy
 from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
@@ -42,17 +42,11 @@ NOUN = "noun"
 
 
 class Nouns:
-    """The type of a key whose table is a noun; an annotation for pydantic.
+    """Type of a key whose table is a noun, for pydantic; reads a `Partial` if ``without`` or ``beside`` are given."""
 
-    Args:
-        choices: (family, kind) of the nouns that may stand there; kind is None for all of a family.
-        without: fields that are given elsewhere.
-        beside: keys of the table that are no fields, their types and defaults. With these two a `Partial` is read.
-    """
-
-    given: tuple[tuple[str, str | None], ...]
-    without: tuple[str, ...]
-    beside: dict[str, tuple[Any, Any]]
+    given: tuple[tuple[str, str | None], ...]  # (family, kind) of accepted nouns; None accepts a whole family
+    without: tuple[str, ...]  # fields that come from elsewhere
+    beside: dict[str, tuple[Any, Any]]  # type and default of keys that are no fields
 
     def __init__(
         self, choices: Iterable[tuple[str, str | None]], without: tuple[str, ...] = (),
@@ -67,7 +61,7 @@ class Nouns:
         return tuple((name, kind) for name, kinds in every for kind in kinds)
 
     @property
-    def _word(self) -> str:
+    def word(self) -> str:
         """The key that says the kind."""
         return next((family(name).word for name, _ in self.given), NOUN_WORD)
 
@@ -81,18 +75,24 @@ class Nouns:
         """The class that a table is for; raises `BadInput`."""
         kinds = {kind: name for name, kind in self.choices}
         defaults = [family(name).default for name in dict.fromkeys(kinds.values())]
-        word = self._word
+        word = self.word
         usual = next(iter(kinds)) if len(kinds) == 1 else next((kind for kind in defaults if kind in kinds), None)
         kind = table.get(word, usual)
         if kind is None:
             raise BadInput(f"{word} is missing; add {word} = one of {', '.join(kinds)}")
         if not isinstance(kind, str):
             raise BadInput(f"{word} is {kind!r}; expected one of {', '.join(kinds)}")
+        kind = as_known(kind, kinds)
         kind = kind if kind in kinds else current(kind)
         if kind not in kinds:
             what = " or ".join(dict.fromkeys(kinds.values()))
-            raise BadInput(f"no {what} {kind!r}; expected one of {', '.join(kinds)}{nearest(kind, kinds)}")
+            raise BadInput(f"no {what} {kind!r}; expected one of {', '.join(kinds)}{remedy(what, kind, kinds)}")
         return find(kinds[kind], kind)
+
+    def having(self, key: str) -> list[str]:
+        """Kinds whose tables have a key."""
+        found = ((kind, model_of(find(name, kind), self.without)) for name, kind in self.choices)
+        return [kind for kind, model in found if key in model.model_fields]
 
     def read(self, table: Any, info: Any = None) -> Any:
         """A noun; raises what pydantic collects."""
@@ -102,7 +102,7 @@ class Nouns:
                 return table  # a noun already: the default of a field
             raise ValueError("expected a table")
         cls = self.chosen(table)
-        fields = {key: value for key, value in table.items() if key != self._word}
+        fields = {key: value for key, value in table.items() if key != self.word}
         values = self.model(table).model_validate(fields, context=context)
         if isinstance(values, cls):
             return values  # a noun that is a `Section` itself
@@ -122,7 +122,7 @@ class Nouns:
         if len(refs) == 1:
             return refs[0]
         usual = {kind for name, kind in self.choices if family(name).default == kind}
-        said = [ref if kind in usual else {"allOf": [ref, {"required": [self._word]}]}
+        said = [ref if kind in usual else {"allOf": [ref, {"required": [self.word]}]}
                 for ref, (_, kind) in zip(refs, self.choices, strict=True)]  # fmt: skip
         return {"anyOf": said}
 
@@ -144,10 +144,7 @@ def noun(
     *names: str, kind: str | None = None, without: tuple[str, ...] = (),
     beside: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Nouns:  # fmt: skip
-    """Any noun of some families, or the one of a kind, as ``film: Annotated[Film, noun("film")]`` in a `Section`.
-
-    without, beside: as for `Nouns`; the key then holds a `Partial`.
-    """
+    """Any noun of some families, or the one of a kind, as ``film: Annotated[Film, noun("film")]`` in a `Section`."""
     return Nouns(((name, kind) for name in names), without, beside)
 
 
@@ -237,8 +234,7 @@ class OneOrMany:
 
 
 class Kept:
-    """The type of a field that holds an array: job folders keep it beside the manifest, which names it, and lists the
-    numbers of a short one; job files do not write it. An annotation for pydantic."""
+    """Type of an array field, which job folders save beside the manifest and job files cannot write."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.with_info_plain_validator_function(self.read)
@@ -269,15 +265,7 @@ def read(
     name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None,
     arrays: Callable[[str], np.ndarray] | None = None,
 ) -> Any:  # fmt: skip
-    """The noun of a family that a table describes, as `write` writes it or a file's author does.
-
-    Args:
-        name: of the family.  table: ``kind`` and fields.  units: numbers are text with units, as in job files.
-        device: where operators are built.  arrays: those that `write` kept, by name.
-
-    Raises:
-        BadInput: naming every wrong key at once.
-    """
+    """The noun of a family that a table describes, as `write` writes it or a file's author does. Raises `BadInput`."""
     context: dict[str, Any] = {} if units else dict(PLAIN)
     if device is not None:
         context["device"] = device
@@ -292,7 +280,7 @@ def read(
 
 
 class _Info:
-    """What pydantic hands to validators, for the outermost table."""
+    """Validator context of the outermost table."""
 
     def __init__(self, context: dict[str, Any]) -> None:
         self.context = context
@@ -315,7 +303,7 @@ def complaint(entry: Any, remedy: str = "add it") -> str:
 
 
 def _length(entry: Any) -> str:
-    """How many values a list should have, as far as the complaint tells."""
+    """Expected length of a list, if the error tells."""
     if entry["type"] == "missing":
         return f"at least {entry['loc'][-1] + 1}"
     context = entry.get("ctx", {})
@@ -326,6 +314,13 @@ def _short(value: Any) -> str:
     """A value as text that a person reads; the beginning of a long one."""
     text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+
+
+def nouns_in(annotation: Any, metadata: Iterable[Any] = ()) -> Nouns | None:
+    """The nouns that a key's table may be; None where it is a section."""
+    own = next((part for part in metadata if isinstance(part, Nouns)), None)
+    inner = (nouns_in(part, getattr(part, "__metadata__", ())) for part in get_args(annotation))
+    return own or next((found for found in inner if found is not None), None)
 
 
 def model_in(annotation: Any, metadata: Iterable[Any] = (), table: Any = None) -> type[BaseModel] | None:

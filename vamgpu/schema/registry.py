@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -21,16 +22,12 @@ GROUP = "vamgpu.nouns"
 
 @dataclass(frozen=True)
 class Family:
-    """Nouns that can stand for each other.
+    """Nouns of one interface."""
 
-    nouns: kind → "module:Class".  stands: "module:Type" that constructors ask for where any of them will do.  default:
-    the kind that is meant where none is said.  word: the key of a table that says its kind.
-    """
-
-    nouns: dict[str, str] = field(default_factory=dict)
-    stands: str = ""
-    default: str | None = None
-    word: str = "kind"
+    nouns: dict[str, str] = field(default_factory=dict)  # kind → "module:Class"
+    stands: str = ""  # "module:Type" of constructor arguments that accept any of them
+    default: str | None = None  # kind of a table that states none
+    word: str = "kind"  # key that states it
 
 
 FAMILIES: dict[str, Family] = {
@@ -83,19 +80,17 @@ FAMILIES: dict[str, Family] = {
     "loss": Family({"band": "vamgpu.losses.band:Band"}, stands="vamgpu.losses.loss:Loss"),
     "method": Family(
         {
-            "best": "vamgpu.methods:BestWindow",
-            "window": "vamgpu.methods:ProcessWindow",
-            "widest": "vamgpu.methods:WidestWindow",
-            "recipe": "vamgpu.methods:Recipe",
-            "fbp": "vamgpu.methods:FilteredBackProjection",
-            "cal": "vamgpu.methods:GradientDescent",
-            "osmo": "vamgpu.methods:OSMO",
-            "penalty": "vamgpu.methods:PenaltyMinimization",
-            "bclp": "vamgpu.methods:BCLP",
-            "lbfgs": "vamgpu.methods:LBFGS",
+            "ramp": "vamgpu.methods.surface:SurfaceRamp",
+            "recipe": "vamgpu.methods.recipe:Recipe",
+            "fbp": "vamgpu.methods.fbp:FilteredBackProjection",
+            "cal": "vamgpu.methods.calgd:GradientDescent",
+            "osmo": "vamgpu.methods.osmo:OSMO",
+            "penalty": "vamgpu.methods.penalty:PenaltyMinimization",
+            "bclp": "vamgpu.methods.bclp:BCLP",
+            "lbfgs": "vamgpu.methods.lbfgs:LBFGS",
         },
         stands="vamgpu.methods.method:Method",
-        default="window",
+        default="ramp",
     ),
     "rule": Family(
         {
@@ -229,16 +224,35 @@ def family(name: str) -> Family:
     return FAMILIES[name]
 
 
+REPLACED = {("method", kind): 'the default, "ramp",' for kind in ("best", "widest", "window")}
+"""Kinds that are gone, and what replaces them."""
+
+
 def find(name: str, kind: str) -> type[Any]:
     """The class of a kind; raises `BadInput`."""
     nouns = family(name).nouns
     if kind not in nouns:
-        raise BadInput(f"no {name} {kind!r}; expected one of {', '.join(nouns)}{nearest(kind, nouns)}")
+        raise BadInput(f"no {name} {kind!r}; expected one of {', '.join(nouns)}{remedy(name, kind, nouns)}")
     return load(nouns[kind])
 
 
+def remedy(name: str, kind: str, known: Iterable[str]) -> str:
+    """What replaces a kind that is gone, or what an unknown one was meant to be, to end a complaint."""
+    instead = REPLACED.get((name, _plain(kind)))
+    return f": {instead} replaces it" if instead else nearest(kind, known)
+
+
+def as_known(name: str, known: Iterable[str]) -> str:
+    """The known name that another is but for case, hyphens, underscores and spaces; else the name itself."""
+    return next((each for each in known if _plain(each) == _plain(name)), name)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_\s]", "", name).lower()
+
+
 def nearest(name: Any, known: Iterable[str]) -> str:
-    """What a name that is unknown was meant to be, to end a complaint."""
+    """End of a message on an unknown name: the known one that it resembles."""
     close = nearest_of(name, known)
     return f": did you mean {close!r}?" if close else ": correct the name"
 
@@ -250,7 +264,7 @@ def nearest_of(name: Any, known: Iterable[str]) -> str | None:
 
 
 def load(path: str) -> Any:
-    """What "module:name" says."""
+    """Object at "module:name"."""
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
 

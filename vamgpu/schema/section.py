@@ -31,7 +31,7 @@ class Section(BaseModel):
 
 
 class Misplaced(ValueError):
-    """What is wrong between the tables of a file. key: where one would begin to mend it."""
+    """An error between tables of a file; ``key`` is where to correct it."""
 
     def __init__(self, message: str, *key: str) -> None:
         super().__init__(message)

@@ -10,7 +10,7 @@ from typing import Any, get_args, get_origin
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.schema.noun import fields_of, quantity_in
+from vamgpu.schema.noun import fields_of, given, quantity_in
 from vamgpu.schema.registry import family, name_of
 
 LONGEST = 100_000
@@ -38,10 +38,10 @@ def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | Non
         cls = f"{type(noun).__module__}.{type(noun).__qualname__}"
         raise BadInput(f"nothing describes {_said(noun)}: {cls} is no registered noun; name it with "
                        "vamgpu.schema.register")  # fmt: skip
-    given = noun.described() if hasattr(noun, "described") else None
+    values = given(noun)
     table: dict[str, Any] = {} if family(name[0]).default == name[1] else {"kind": name[1]}
     for field in fields_of(type(noun)):
-        value = getattr(noun, field.name) if given is None else given.get(field.name, field.default)
+        value = values.get(field.name, field.default)
         if isinstance(value, (int, float)) and not isfinite(value) and value == field.default:
             continue
         if units and value is None:

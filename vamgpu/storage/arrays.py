@@ -38,19 +38,7 @@ def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
 def create(
     folder: Path, name: str, shape: tuple[int, ...], dtype: np.dtype, shards: tuple[int, ...], axes: tuple[str, ...]
 ) -> Any:
-    """Create an empty array in a Zarr group, one chunk an entry of the first axis.
-
-    Args:
-        folder: The group.
-        name: The array's name.
-        shape: Its shape.
-        dtype: Type of its values.
-        shards: Shape of the files that hold the chunks.
-        axes: Names of its axes.
-
-    Returns:
-        The Zarr array.
-    """
+    """Create an empty array in a Zarr group, one chunk an entry of the first axis."""
     import zarr
     from zarr.codecs import ZstdCodec
 
@@ -67,7 +55,7 @@ def create(
 
 
 class Entries(Protocol):
-    """What can be stored: values that are fetched in parts, entries of the first axis."""
+    """Values to store, which are fetched in parts: entries of the first axis."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -79,10 +67,7 @@ class Entries(Protocol):
 
 
 def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> str:
-    """Add an array to the Zarr group at ``folder`` and bring it to the disk; returns the SHA-256 of its bytes.
-
-    Raises `OSError` as the system does.
-    """
+    """Add an array to the Zarr group at ``folder`` and bring it to the disk; returns the SHA-256 of its bytes."""
     shape, dtype = values.shape, values.dtype.newbyteorder("<")
     shard, seal = shard_length(shape, dtype.itemsize), hashlib.sha256()
     create(folder, name, shape, values.dtype, (shard, *shape[1:]), axes)
@@ -146,36 +131,18 @@ def _layout(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Layo
 
 @dataclass(frozen=True)
 class Layout:
-    """How an array that `create` made lies on the disk: an entry of the first axis a chunk, ``shard`` of them a file.
+    """Layout of an array that `create` made: an entry of the first axis a chunk, ``shard`` of them a file."""
 
-    Everything that its files say is compared with one another before memory is taken for it.
-
-    Args:
-        path: Its folder.
-        shape: Of the array.
-        dtype: Of its entries.
-        shard: Entries of the first axis in a file.
-    """
+    # Everything that its files say is compared with one another before memory is taken for it.
 
     path: Path
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    shard: int
+    shard: int  # entries of the first axis in a file
 
     @classmethod
     def of(cls, path: Path) -> Layout:
-        """Read ``zarr.json``.
-
-        Args:
-            path: Folder of the array.
-
-        Returns:
-            The layout.
-
-        Raises:
-            OSError: The file cannot be read.
-            ValueError: It is none that `create` writes.
-        """
+        """Read ``zarr.json``."""
         said = parse_json(read_text(path / "zarr.json"))
         try:
             shape, dtype = tuple(said["shape"]), np.dtype(said["data_type"])
@@ -186,7 +153,7 @@ class Layout:
             kinds = sharding["name"], said["chunk_grid"]["name"], inner["index_location"]
             chunk = tuple(inner["chunk_shape"])
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"zarr.json lacks or garbles {error}") from error
+            raise ValueError(f"in zarr.json this is missing or malformed: {error}") from error
         sizes = (*shape, *shards)
         if not (shape and all(type(n) is int and n >= 0 for n in sizes) and 0 < shards[0] <= MOST_SHARD):
             raise ValueError(f"zarr.json says shape {shape} in files of {shards}")
@@ -198,34 +165,13 @@ class Layout:
         return cls(path, shape, dtype, shards[0])
 
     def file(self, number: int) -> Path:
-        """Where the entries from ``number`` times `shard` on are.
-
-        Args:
-            number: Of the file.
-
-        Returns:
-            Its path.
-        """
+        """Where the entries from ``number`` times `shard` on are."""
         return self.path.joinpath("c", str(number), *("0" for _ in self.shape[1:]))
 
     def entries(
         self, span: range, *, whole: bool = False, seen: Callable[[np.ndarray], object] = lambda part: None
     ) -> np.ndarray:
-        """Entries of the first axis.
-
-        Args:
-            span: Which; a step of 1.
-            whole: Whether every file of the array must be there, and every entry in it.
-            seen: Is given the entries in parts [entry, …], in their order, while the next ones are unpacked.
-
-        Returns:
-            The array [entry, …].
-
-        Raises:
-            OSError: A file is missing or cannot be read.
-            ValueError: A file says of its entries what the array does not.
-            StorageError: The entries take more memory than the budget.
-        """
+        """Entries of the first axis."""
         afford(len(span) * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
         out = np.empty((len(span), *self.shape[1:]), self.dtype.newbyteorder("<"))
         if out.nbytes:
@@ -236,20 +182,7 @@ class Layout:
         return out.astype(self.dtype, copy=False)
 
     def parts(self, span: range | None = None, *, whole: bool = True) -> Iterator[np.ndarray]:
-        """Entries in parts that follow each other; the next ones are unpacked while the last one is looked at.
-
-        Args:
-            span: Which; a step of 1. None for all.
-            whole: As for `entries`.
-
-        Yields:
-            The arrays [entry, …], each of entries of one file, of `PIECE` bytes or one entry at the most.
-
-        Raises:
-            OSError: As `entries`.
-            ValueError: As `entries`.
-            StorageError: As `entries`, for what is in memory at once.
-        """
+        """Entries in parts that follow each other; the next ones are unpacked while the last one is looked at."""
         pieces = self._pieces(range(self.shape[0]) if span is None else span)
         most = max((len(piece) for piece in pieces), default=0)
         afford((threads() + 2) * most * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")

@@ -29,93 +29,49 @@ PAGES = (".html", ".htm")
 
 
 def as_path(path: str | Path) -> Path:
-    """A path.
-
-    Args:
-        path: Given by a caller.
-
-    Returns:
-        The path.
-
-    Raises:
-        BadInput: It is none.
-    """
+    """A path."""
     if not isinstance(path, str | os.PathLike):
         raise BadInput(f"got a {type(path).__name__} where a path is expected; give text or a Path")
     return Path(path)
 
 
 def explained(action: str, path: Path, error: OSError | ValueError) -> StorageError:
-    """Explain what the system refused, and what to do about it.
-
-    Args:
-        action: What failed, a verb.
-        path: On which file or folder.
-        error: The system's error.
-
-    Returns:
-        The error to raise.
-    """
+    """Explain what the system refused, and what to do about it."""
     remedy = REMEDIES.get(getattr(error, "errno", None) or 0, "check the path and the disk")
     return StorageError(f"cannot {action} {str(path)!r}: {getattr(error, 'strerror', None) or error}; {remedy}")
 
 
 def page_path(path: str | Path) -> Path:
-    """Take the path of a report; a report replaces what stands there.
-
-    Args:
-        path: The path as given.
-
-    Returns:
-        The path.
-
-    Raises:
-        StorageError: It does not end in .html.
-    """
+    """Take the path of a report; a report replaces what stands there."""
     if Path(path).suffix.lower() not in PAGES:
         raise StorageError(f"the report {str(path)!r} would be a page; expected a path ending in .html: choose another")
     return Path(path)
 
 
 def named(path: Path) -> Path:
-    """Make a path whole, so that it has a name even where it was given as ``.``.
-
-    Args:
-        path: The path as given.
-
-    Returns:
-        The whole path.
-
-    Raises:
-        StorageError: It has no name, as the root has none.
-    """
+    """Make a path whole, so that it has a name even where it was given as ``.``."""
     whole = path.resolve()
     if not whole.name or not str(path).strip():
         raise StorageError(f"{str(path)!r} has no name; expected a file or a folder: check the path")
     return whole
 
 
+def check_folder(place: Path) -> None:
+    """Refuse a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
+    if not place.parent.is_dir():
+        raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
+                           "choose another path")  # fmt: skip
+
+
 @contextmanager
 def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Hand out a path in a fresh folder beside ``path``; what is written there is moved to ``path`` at the end.
-
-    After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands. What a
-    run that was killed left there goes first, see `clear`.
-
-    Args:
-        path: Where the result goes.
-        overwrite: Replace what stands there.
-
-    Returns:
-        A context that gives the path to write to.
-
-    Raises:
-        StorageError: The path is taken, the disk is full, or the system refuses.
-    """
+    """Hand out a path in a fresh folder beside ``path``; what is written there is moved to ``path`` at the end."""
+    # After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands. What
+    # a run that was killed left there goes first, see `clear`.
     place = Path(path)
     clear(place)
     if os.path.lexists(place) and not overwrite:
-        raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it")
+        raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it (--overwrite)")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         workshop, lock = _workshop(place)
@@ -137,14 +93,7 @@ def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def settle(*places: Path) -> None:
-    """Bring files, or the names in folders, to the disk, so that they are there after the power was cut.
-
-    Args:
-        places: Files and folders. Systems that cannot open folders keep names as they like.
-
-    Raises:
-        OSError: As the system does.
-    """
+    """Bring files, or the names in folders, to the disk, so that they are there after the power was cut."""
     for place in places:
         if place.is_dir() and not hasattr(os, "O_DIRECTORY"):
             continue
@@ -156,13 +105,8 @@ def settle(*places: Path) -> None:
 
 
 def clear(path: str | Path) -> None:
-    """Remove what killed runs left beside ``path``, and bring to an end what one of them had only to move there.
-
-    Folders that a run still writes to are locked and stay; where there are no locks, on Windows, all stay.
-
-    Args:
-        path: Where results go.
-    """
+    """Remove what killed runs left beside ``path``, and bring to an end what one of them had only to move there."""
+    # Folders that a run still writes to are locked and stay; where there are no locks, on Windows, all stay.
     place = Path(path)
     try:
         left = [Path(entry.path) for entry in os.scandir(place.parent) if entry.name.startswith(_prefix(place))]
@@ -210,10 +154,7 @@ def _workshop(place: Path) -> tuple[Path, int | None]:
 
 
 def _locked(folder: Path) -> int | None:
-    """A lock on a folder, which ends with this process; None where the disk knows no locks.
-
-    Raises `BlockingIOError` where another holds it, `OSError` where the folder is gone.
-    """
+    """A lock on a folder, which ends with this process; None where the disk knows no locks."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)

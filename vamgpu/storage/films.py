@@ -24,17 +24,7 @@ LOW, HIGH = 16, 235
 
 
 def read_film(path: str | Path) -> tuple[np.ndarray, str]:
-    """The frames of a film.
-
-    Args:
-        path: MP4, MOV, MKV, WebM or AVI.
-
-    Returns:
-        Gray levels uint8 [frame, row, column], and the remark that the file has, "" where it has none.
-
-    Raises:
-        StorageError: It cannot be read, is no film, or takes more memory than the budget.
-    """
+    """The frames of a film."""
     import av
     from av.error import FFmpegError
 
@@ -66,19 +56,7 @@ def read_film(path: str | Path) -> tuple[np.ndarray, str]:
 
 
 def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) -> Path:
-    """Write a film that common players show.
-
-    Args:
-        path: Where to, ending in .mp4; its folder exists.
-        pictures: uint8 [row, column, color], all of one size, which is made even.
-        rate: Pictures a second [1/s].
-
-    Returns:
-        The path written.
-
-    Raises:
-        StorageError: The path has another ending, no folder, is there already, or cannot be written.
-    """
+    """Write a film that common players show."""
     import av
     from av.error import FFmpegError
 

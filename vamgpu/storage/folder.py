@@ -16,73 +16,46 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, read_parts, write
-from vamgpu.storage.atomic import as_path, explained, replacing, settle
+from vamgpu.storage.atomic import as_path, check_folder, explained, replacing, settle
 from vamgpu.storage.manifest import ArrayRecord, Manifest
 from vamgpu.storage.ngff import Image, describe
 from vamgpu.storage.reading import is_file, read_text
 
 MANIFEST = "manifest.json"
 HEADER = "zarr.json"
-"""What Zarr calls the file that says what an array is; it leaves bringing that to the disk to the system."""
+"""Zarr's file that describes an array, which it does not sync to the disk."""
 
 
 @dataclass(frozen=True, eq=False)
 class Streamed:
-    """Values that are made part by part while they are stored, for arrays that memory does not hold whole.
-
-    Args:
-        shape: Of all.
-        dtype: Of all.
-        part: Makes the entries of the first axis from one to before another, [entry, …].
-    """
+    """Values that are made part by part while they are stored, for arrays that memory does not hold whole."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    part: Callable[[int, int], np.ndarray]
+    part: Callable[[int, int], np.ndarray]  # makes the entries of the first axis from one to before another, [entry, …]
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An array to store.
+    """An array to store."""
 
-    Args:
-        values: NumPy, on a device, or made in parts; of any shape [one length for each of ``axes``].
-        axes: Names of its axes.
-        unit: Its unit; "1" for a plain number.
-        spacing: Distance of neighbors in space [mm], for viewers; None where it is no picture.
-    """
-
+    # NumPy, on a device, or made in parts; of any shape [one length for each of ``axes``]
     values: np.ndarray | DeviceArray | Streamed
-    axes: tuple[str, ...]
-    unit: str = "1"
-    spacing: float | None = None
+    axes: tuple[str, ...]  # names of its axes
+    unit: str = "1"  # its unit; "1" for a plain number
+    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None where it is no picture
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A job folder that was opened: its manifest, and its arrays on demand.
-
-    Args:
-        path: The folder.
-        manifest: What its manifest says.
-    """
+    """A job folder that was opened: its manifest, and its arrays on demand."""
 
     path: Path
-    manifest: Manifest
+    manifest: Manifest  # what its manifest says
 
     @classmethod
     def open(cls, path: str | Path) -> Folder:
-        """Read the manifest of a job folder.
-
-        Args:
-            path: The folder.
-
-        Returns:
-            The folder, its arrays unread.
-
-        Raises:
-            StorageError: There is no manifest, or it is damaged.
-        """
+        """Read the manifest of a job folder."""
         file = Path(path) / MANIFEST
         try:
             text = read_text(file)
@@ -95,52 +68,21 @@ class Folder:
         return cls(Path(path), Manifest.from_json(text, file))
 
     def record(self, name: str) -> ArrayRecord:
-        """What the manifest says of an array.
-
-        Args:
-            name: The array.
-
-        Returns:
-            Its shape, type, axes, unit and hash.
-
-        Raises:
-            StorageError: The manifest does not know the name.
-        """
+        """The manifest's record of an array."""
         if name not in self.manifest.arrays:
             known = ", ".join(self.manifest.arrays) or "none"
             raise StorageError(f"{str(self.path)!r} has no array {name!r}; it has {known}")
         return self.manifest.arrays[name]
 
     def array(self, name: str) -> np.ndarray:
-        """Read a whole array, proven by its hash.
-
-        Args:
-            name: The array.
-
-        Returns:
-            Its values, shaped as [its axes].
-
-        Raises:
-            StorageError: It is missing, damaged or changed.
-        """
+        """Read a whole array, proven by its hash."""
         record = self.record(name)
         values, found = read(self.path, name, record.shape, record.dtype)
         self._compare(name, found)
         return values
 
     def parts(self, name: str) -> Iterator[np.ndarray]:
-        """Read a whole array in parts that follow each other along the first axis, proven by its hash at the end.
-
-        Args:
-            name: The array.
-
-        Yields:
-            Its entries [entry, …], some megabytes at a time, to be read: they are hashed meanwhile. What was made of
-            them is worth nothing if the last step raises.
-
-        Raises:
-            StorageError: It is missing, damaged or changed.
-        """
+        """Read a whole array in parts that follow each other along the first axis, proven by its hash at the end."""
         record, seal = self.record(name), hashlib.sha256()
         with ThreadPoolExecutor(1) as pool:
             hashed: Future[None] | None = None
@@ -160,33 +102,29 @@ class Folder:
             )
 
     def one(self, name: str, index: int) -> np.ndarray:
-        """Read one entry along the first axis, such as one frame, proven by the checksum of its chunk.
-
-        Args:
-            name: The array.
-            index: The entry.
-
-        Returns:
-            Its values, shaped as [the other axes].
-
-        Raises:
-            StorageError: It is missing or damaged.
-            BadInput: The index is out of range.
-        """
+        """Read one entry along the first axis, such as one frame, proven by the checksum of its chunk."""
         record = self.record(name)
         if not 0 <= index < record.shape[0]:
             raise BadInput(f"index {index} of {name!r}; expected 0 to {record.shape[0] - 1}")
         return read_one(self.path, name, record.shape, record.dtype, index)
 
     def verify(self) -> None:
-        """Read every array and compare it with its hash.
-
-        Raises:
-            StorageError: An array differs; the message names the first.
-        """
+        """Read every array and compare it with its hash."""
         for name in self.manifest.arrays:
             for _ in self.parts(name):
                 pass
+
+
+def check_place(path: str | Path, *, overwrite: bool = False) -> None:
+    """Refuse, before long work, a path that no job folder could be written to after it."""
+    place = as_path(path)
+    check_folder(place)
+    if not os.path.lexists(place):
+        return
+    if not overwrite:
+        raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it (--overwrite)")
+    if not is_file(place / MANIFEST):
+        raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
 
 
 def write_folder(
@@ -198,25 +136,8 @@ def write_folder(
     device: str,
     overwrite: bool = False,
 ) -> Folder:
-    """Write a job folder, whole or not at all.
-
-    Arrays are fetched and written one after the other and part by part, one chunk an entry along the first axis.
-
-    Args:
-        path: The folder.
-        arrays: Name → array.
-        inputs: What the job was made from.
-        details: What is to be known of the result.
-        device: Name of the device that made it.
-        overwrite: Replace a job folder that stands there; nothing else is ever overwritten.
-
-    Returns:
-        The folder, opened.
-
-    Raises:
-        StorageError: The path is taken, or cannot be written.
-        BadInput: A manifest cannot hold the inputs or details.
-    """
+    """Write a job folder, whole or not at all."""
+    # Arrays are fetched and written one after the other and part by part, one chunk an entry along the first axis.
     place = as_path(path)
     if overwrite and os.path.lexists(place) and not is_file(place / MANIFEST):
         raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
@@ -250,12 +171,5 @@ def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
 
 
 def digest(values: np.ndarray) -> str:
-    """Hash an array.
-
-    Args:
-        values: Of any shape [any axes].
-
-    Returns:
-        SHA-256 of its bytes in C order.
-    """
+    """Hash an array."""
     return hashlib.sha256(np.ascontiguousarray(values).view(np.uint8).data).hexdigest()

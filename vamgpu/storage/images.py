@@ -16,17 +16,7 @@ MOST_PIXELS = 1 << 28
 
 
 def read_image(path: str | Path) -> np.ndarray:
-    """The gray levels of an image file.
-
-    Args:
-        path: PNG, TIFF, JPEG or BMP.
-
-    Returns:
-        Levels [row, column], as many bits as the file has.
-
-    Raises:
-        OSError: It cannot be read, is no image, or has more than `MOST_PIXELS`.
-    """
+    """The gray levels of an image file."""
     from PIL import Image
 
     data = read_bytes(path, MOST_BYTES)
@@ -42,18 +32,7 @@ def read_image(path: str | Path) -> np.ndarray:
 
 
 def read_exr(path: str | Path) -> np.ndarray:
-    """The light of an OpenEXR image: its channel Y, its only one, or the mean of red, green and blue.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Light, float32 [row, column].
-
-    Raises:
-        OSError: It cannot be read, is no such image, or has more than `MOST_PIXELS`.
-        StorageError: The package OpenEXR is not installed.
-    """
+    """The light of an OpenEXR image: its channel Y, its only one, or the mean of red, green and blue."""
     try:
         import OpenEXR
     except ImportError as error:
@@ -79,16 +58,7 @@ def read_exr(path: str | Path) -> np.ndarray:
 
 
 def write_exr(path: str | Path, light: np.ndarray) -> None:
-    """Write light as an OpenEXR image of one channel, Y.
-
-    Args:
-        path: The file.
-        light: Light [row, column].
-
-    Raises:
-        OSError: It cannot be written.
-        StorageError: The package OpenEXR is not installed.
-    """
+    """Write light as an OpenEXR image of one channel, Y."""
     try:
         import OpenEXR
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""What a job folder says of itself, in JSON a person can read."""
+"""Manifests of job folders, in JSON a person can read."""
 
 from __future__ import annotations
 
@@ -51,16 +51,14 @@ class ArrayRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Everything needed to read a job folder and to know where it came from.
+    """Everything needed to read a job folder and to know where it came from."""
 
-    inputs: what the job was asked for.  details: what readers of its arrays must know, by subject.  device: where it
-    was computed.  arrays: by name.  versions: of this library, Python and what it computes with.
-    """
+    # versions: of this library, Python and what it computes with.
 
-    inputs: dict[str, Any]
-    details: dict[str, Any]
-    device: str
-    arrays: dict[str, ArrayRecord]
+    inputs: dict[str, Any]  # what the job was asked for
+    details: dict[str, Any]  # what readers of its arrays must know, by subject
+    device: str  # where it was computed
+    arrays: dict[str, ArrayRecord]  # by name
     versions: dict[str, str] = field(default_factory=lambda: versions())
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
     written: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
@@ -94,7 +92,9 @@ class Manifest:
                     raise TypeError(f"{name}, which is {reprlib.repr(value)}")
             return cls(arrays=arrays, **known)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise StorageError(f"{str(path)!r} lacks or garbles {error}; the job is damaged, write it again") from error
+            raise StorageError(
+                f"in {str(path)!r} this is missing or malformed: {error}; the job is damaged, write it again"
+            ) from error
 
 
 def _record(name: str, record: dict[str, Any]) -> ArrayRecord:
@@ -120,18 +120,7 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any, name: str = "manifest") -> Any:
-    """Turn a value into JSON's own types; dataclasses become objects, paths text.
-
-    Args:
-        value: Numbers, text, lists, mappings or dataclasses of them.
-        name: What messages call it.
-
-    Returns:
-        The plain value.
-
-    Raises:
-        BadInput: It holds something else, or a number that is not finite.
-    """
+    """Turn a value into JSON's own types; dataclasses become objects, paths text."""
     if value is None or isinstance(value, (str, bool)):
         return value
     if isinstance(value, (int, np.integer)):

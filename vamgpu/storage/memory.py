@@ -1,4 +1,4 @@
-"""How much memory the contents of a file may take: one number, compared with what it claims before it is decoded."""
+"""The memory budget for the contents of a file, compared with its claim before it is decoded."""
 
 from __future__ import annotations
 
@@ -20,14 +20,7 @@ GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 
 
 def budget() -> int:
-    """The most memory that the contents of one file may take.
-
-    Returns:
-        Bytes: half of this machine's memory, or what the environment variable ``VAMGPU_MEMORY`` says.
-
-    Raises:
-        BadInput: The variable holds no size.
-    """
+    """The most memory that the contents of one file may take."""
     said = os.environ.get(MEMORY, "").strip()
     if not said:
         return int(SHARE * _installed())
@@ -38,17 +31,7 @@ def budget() -> int:
 
 
 def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> None:
-    """Refuse what takes more memory than the budget, before it is decoded.
-
-    Args:
-        claim: What the contents of a file take in memory [bytes], by what the file says of itself.
-        subject: The file, as messages name it.
-        error: What to raise.
-
-    Raises:
-        VamError: ``error``, with the claim, the budget and how to raise it.
-        BadInput: As `budget`.
-    """
+    """Refuse what takes more memory than the budget, before it is decoded."""
     most = budget()
     if claim > most:
         raise error(
@@ -58,14 +41,7 @@ def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> 
 
 
 def size(count: float) -> str:
-    """Bytes as people read them.
-
-    Args:
-        count: How many [bytes].
-
-    Returns:
-        A number with its unit.
-    """
+    """Bytes as people read them."""
     for unit, name in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
         if count >= unit:
             return f"{count / unit:.3g} {name}"

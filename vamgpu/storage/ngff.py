@@ -11,31 +11,20 @@ VERSION = "0.5"
 SPACE = ("x", "y", "z", "row", "column")
 """Names of axes along which an array reaches through space; others count."""
 FIRST = ("dose", "target", "frames")
-"""What a viewer that shows one image is to show, the best first."""
+"""Arrays for a viewer that shows one image, the best first."""
 
 
 @dataclass(frozen=True)
 class Image:
-    """An array of a folder that is a picture.
-
-    Args:
-        name: The array.
-        axes: Names of its axes.
-        shape: One length for each of them.
-        spacing: Distance of neighbors in space [mm].
-    """
+    """An array of a folder that is a picture."""
 
     name: str
-    axes: tuple[str, ...]
-    shape: tuple[int, ...]
-    spacing: float
+    axes: tuple[str, ...]  # names of its axes
+    shape: tuple[int, ...]  # one length for each of them
+    spacing: float  # distance of neighbors in space [mm]
 
     def multiscale(self) -> dict[str, Any]:
-        """The image at its one resolution, centered on the axis of rotation, or on that of the light.
-
-        Returns:
-            A member of ``multiscales``.
-        """
+        """The image at its one resolution, centered on the axis of rotation, or on that of the light."""
         space = [axis in SPACE for axis in self.axes]
         scale = [self.spacing if inside else 1.0 for inside in space]
         lengths = zip(space, self.shape, strict=True)
@@ -48,12 +37,7 @@ class Image:
 
 
 def describe(folder: Path, images: Iterable[Image]) -> None:
-    """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are.
-
-    Args:
-        folder: The group.
-        images: In any order; without one nothing is said.
-    """
+    """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are."""
     import zarr
 
     rank = {name: place for place, name in enumerate(FIRST)}

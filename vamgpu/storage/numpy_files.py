@@ -22,17 +22,7 @@ HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def map_npy(path: str | Path) -> np.ndarray:
-    """The array of an NPY file, left on the disk: what is read of it is what is used.
-
-    Args:
-        path: The file.
-
-    Returns:
-        A read-only array [...] of plain numbers, in the shape that the file says.
-
-    Raises:
-        StorageError: The file cannot be read, ends before its array does, or holds objects.
-    """
+    """The array of an NPY file, left on the disk: what is read of it is what is used."""
     try:
         with open_file(path) as file:
             shape, fortran, dtype = _header(file, os.fstat(file.fileno()).st_size, str(path))
@@ -47,17 +37,7 @@ def map_npy(path: str | Path) -> np.ndarray:
 
 
 def read_npz(path: str | Path) -> dict[str, np.ndarray]:
-    """The arrays of an NPZ file by name.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Arrays [...] of plain numbers or text by name, each in its own shape.
-
-    Raises:
-        StorageError: The file cannot be read, takes more memory than the budget, or holds objects.
-    """
+    """The arrays of an NPZ file by name."""
     found: dict[str, np.ndarray] = {}
     try:
         with open_file(path) as file, open_zip(file) as archive:

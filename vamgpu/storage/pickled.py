@@ -28,11 +28,9 @@ NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 
 
 class Bag:
-    """What an object was made of: the name of its class, and its attributes.
+    """An object's class name and attributes."""
 
-    Args:
-        *given: What its constructor was called with.
-    """
+    # *given: What its constructor was called with.
 
     name: str = ""
 
@@ -46,14 +44,7 @@ class Bag:
                 self.__dict__.update({str(key): value for key, value in part.items()})
 
     def get(self, name: str) -> Any:
-        """An attribute.
-
-        Args:
-            name: Of the attribute.
-
-        Returns:
-            Its value, None where it has none.
-        """
+        """An attribute."""
         return self.__dict__.get(name)
 
 
@@ -153,18 +144,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def read_pickle(path: str | Path, packages: tuple[str, ...] = ()) -> Any:
-    """What a pickle holds, without running what it says.
-
-    Args:
-        path: The file.
-        packages: Whose classes become `Bag`s; those of others are refused.
-
-    Returns:
-        Plain values, arrays [...] and bags.
-
-    Raises:
-        StorageError: The file cannot be read, or would run code, or takes more memory than the budget.
-    """
+    """The contents of a pickle, without running it."""
     try:
         data = read_bytes(path, MOST_BYTES)
         afford(3 * len(data), f"the pickle {str(path)!r}")

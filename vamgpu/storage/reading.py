@@ -46,29 +46,12 @@ PROSE = re.compile(r'''"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*"|#[^\n]*''' + r"
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether a regular file is there; no path, however odd, raises an error.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The answer.
-    """
+    """Whether a regular file is there; no path, however odd, raises an error."""
     return os.path.isfile(path)
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """Open a regular file for reading its bytes.
-
-    Args:
-        path: The file; links are followed.
-
-    Returns:
-        The open file.
-
-    Raises:
-        OSError: There is none, the system refuses, or it is a pipe, a socket, a device or a folder.
-    """
+    """Open a regular file for reading its bytes."""
     try:
         _regular(os.stat(path).st_mode, path)
         flags = ("O_RDONLY", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")  # a pipe that came meanwhile is no wait either
@@ -84,18 +67,7 @@ def open_file(path: str | Path) -> BinaryIO:
 
 
 def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
-    """The bytes of a regular file.
-
-    Args:
-        path: The file.
-        most: Bytes that it may have.
-
-    Returns:
-        The bytes.
-
-    Raises:
-        OSError: The file cannot be opened, see `open_file`, or has more bytes.
-    """
+    """The bytes of a regular file."""
     with open_file(path) as file:
         found = os.fstat(file.fileno()).st_size
         if found > most:
@@ -104,40 +76,14 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
-    """The text of a regular file in UTF-8.
-
-    Args:
-        path: The file.
-        most: Bytes that it may have.
-
-    Returns:
-        The text, with plain line feeds.
-
-    Raises:
-        OSError: The file cannot be opened, see `open_file`, or has more bytes.
-        UnicodeDecodeError: It is no text.
-    """
+    """The text of a regular file in UTF-8."""
     return read_bytes(path, most).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def load_toml(
     path: str | Path, what: str, *, missing: type[VamError] = StorageError, wrong: type[VamError] = BadInput
 ) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Args:
-        path: The file.
-        what: What the file is, for the message.
-        missing: Raised for a file that cannot be read.
-        wrong: Raised for one that is no TOML.
-
-    Returns:
-        The tables.
-
-    Raises:
-        StorageError: The file cannot be read.
-        BadInput: The file is no TOML.
-    """
+    """The tables of a TOML file."""
     try:
         return parse_toml(read_text(path))
     except (OSError, UnicodeDecodeError) as error:
@@ -148,17 +94,7 @@ def load_toml(
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text.
-
-    Args:
-        text: At most `MOST_TOML` characters.
-
-    Returns:
-        Tables in plain types, at most `MOST_LEVELS` deep.
-
-    Raises:
-        tomllib.TOMLDecodeError: The text is no TOML, too long, too deep, or has a number that is none.
-    """
+    """The tables of a TOML text."""
     if len(text) > MOST_TOML:
         raise tomllib.TOMLDecodeError(f"{len(text):,} characters, expected {MOST_TOML:,} at most")
     if LONG_KEY.search(text) and LONG_KEY.search(PROSE.sub('""', text)):
@@ -176,17 +112,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """What a JSON text holds.
-
-    Args:
-        text: The text.
-
-    Returns:
-        Plain types, at most `MOST_LEVELS` deep; all numbers are finite.
-
-    Raises:
-        ValueError: The text is no JSON, too deep, or has a number that is none.
-    """
+    """The value of a JSON text. Raises `ValueError`."""
     try:
         data = json.loads(text)
     except RecursionError as error:

@@ -17,34 +17,22 @@ from vamgpu.backend.cores import threads
 from vamgpu.storage.reading import is_file, open_file
 
 LEVEL = -1
-"""Of Zstandard. Below 1 literals are not coded again: grainy frames take 7 % more room than at 3, are packed six times
-and unpacked three times as fast, and disks are faster than that."""
+"""Level of Zstandard. Below 1 literals are not coded again: grainy frames take 7 % more room than at 3, are packed six
+times and unpacked three times as fast, and disks are faster than that."""
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
 HEAD = 18
 """Bytes of a Zstandard frame that hold its header whatever it says."""
 ABSENT = np.uint64(2**64 - 1)
-"""What the index says of an entry that is not there."""
+"""The index of an entry that is not there."""
 
 
 def write_files(
     place: Callable[[int], Path], count: int, each: int, part: Callable[[int, int], np.ndarray],
     seen: Callable[[np.ndarray], object],
 ) -> None:  # fmt: skip
-    """Write entries to files, and bring each file to the disk.
-
-    While a file is compressed, the one before is written and the next one's entries are fetched: so two files' entries
-    are in memory.
-
-    Args:
-        place: Path of a file by its number.
-        count: Entries in all.
-        each: Entries of a file.
-        part: Entries from one to before another, contiguous and little-endian [entry, …].
-        seen: Is given all entries, file after file.
-
-    Raises:
-        OSError: As the system does.
-    """
+    """Write entries to files, and bring each file to the disk."""
+    # While a file is compressed, the one before is written and the next one's entries are fetched: so two files'
+    # entries are in memory.
     from numcodecs.zstd import Zstd
 
     codec = Zstd(LEVEL, checksum=True)
@@ -86,22 +74,9 @@ def _save(path: Path, chunks: list[bytes], each: int) -> None:
 
 
 def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: bool) -> None:
-    """Unpack some entries of a file into an array.
-
-    What the file says is compared with itself and with the array before anything is unpacked: sizes, as bombs lie about
-    them, and places.
-
-    Args:
-        path: The file.
-        each: Entries that a file has room for.
-        entries: Which of them.
-        out: Takes them [entry, …], contiguous.
-        whole: Whether every entry must be there; else those that are not are 0.
-
-    Raises:
-        OSError: The file is missing or cannot be read.
-        ValueError: The file says of its entries what the array does not.
-    """
+    """Unpack some entries of a file into an array."""
+    # What the file says is compared with itself and with the array before anything is unpacked: sizes, as bombs lie
+    # about them, and places.
     from google_crc32c import value
     from numcodecs.zstd import decompress
 
@@ -135,14 +110,7 @@ def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: boo
 
 
 def unpacked(head: bytes) -> int | None:
-    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None where it does not say.
-
-    Args:
-        head: Its first `HEAD` bytes, or all.
-
-    Returns:
-        The count, or None.
-    """
+    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None where it does not say."""
     if len(head) < 6 or head[:4] != ZSTANDARD:
         return None
     single, length = head[4] >> 5 & 1, (0, 2, 4, 8)[head[4] >> 6]

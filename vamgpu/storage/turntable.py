@@ -10,15 +10,8 @@ from vamgpu.geometry import Turntable
 
 
 def described(motion: Turntable) -> dict[str, Any]:
-    """Describe a turntable for a manifest.
-
-    Args:
-        motion: The turntable.
-
-    Returns:
-        ``angles``, how many; ``theta``, where they were measured [rad]; ``dwell``, unequal times.
-    """
-    found: dict[str, Any] = {"angles": motion.angles}
+    """Describe a turntable for a manifest."""
+    found: dict[str, Any] = {"angles": motion.angles, "lit_share": motion.lit_share}
     if motion.theta is not None:
         found["theta"] = list(motion.theta)
     if motion.dwell is not None:
@@ -27,22 +20,12 @@ def described(motion: Turntable) -> dict[str, Any]:
 
 
 def turntable_from(description: Mapping[str, Any]) -> Turntable:
-    """Make the turntable that `described` described.
-
-    Args:
-        description: Its plain values.
-
-    Returns:
-        The turntable.
-
-    Raises:
-        StorageError: The description is not one of a turntable.
-    """
+    """Make the turntable that `described` described; one without a lit share was written for a container at rest."""
     try:
         count, theta, dwell = description["angles"], description.get("theta"), description.get("dwell")
-        motion = Turntable(count if theta is None else theta, dwell)
+        motion = Turntable(count if theta is None else theta, dwell, description.get("lit_share", 0.0))
     except (KeyError, TypeError, AttributeError, BadInput) as error:
-        raise StorageError(f"the manifest garbles its turntable: {error}; write the job again") from error
+        raise StorageError(f"the turntable in the manifest is malformed: {error}; write the job again") from error
     if motion.angles != count:
         raise StorageError(f"the manifest has {count!r} angles, and {motion.angles} measured ones; write the job again")
     return motion

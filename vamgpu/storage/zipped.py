@@ -18,18 +18,7 @@ DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x
 
 
 def open_zip(file: BinaryIO) -> ZipFile:
-    """Open a zip for reading.
-
-    Args:
-        file: The open file, which stays the caller's.
-
-    Returns:
-        The zip; `unpacked` reads its members.
-
-    Raises:
-        BadZipFile: It is none, or is packed as nobody packs.
-        OSError: It cannot be read.
-    """
+    """Open a zip for reading."""
     file.seek(max(0, file.seek(0, SEEK_END) - TAIL))
     tail = file.read(TAIL)
     claims = [int.from_bytes(found, "little") for kind in DESCRIPTIONS for found in kind.findall(tail)]
@@ -48,19 +37,7 @@ def open_zip(file: BinaryIO) -> ZipFile:
 
 
 def unpacked(archive: ZipFile, member: str | ZipInfo, most: int | None = None) -> bytes:
-    """A member of a zip, or its first bytes.
-
-    Args:
-        archive: The zip.
-        member: The member, or its name.
-        most: How many bytes; all that the zip's list says it has by default.
-
-    Returns:
-        The bytes; never more than the list says, whatever is packed.
-
-    Raises:
-        Exception: What zipfile and its codecs stumble over.
-    """
+    """A member of a zip, or its first bytes."""
     info = archive.getinfo(member) if isinstance(member, str) else member
     with archive.open(info) as file:
         return file.read(info.file_size if most is None else min(most, info.file_size))

@@ -17,13 +17,7 @@ _SLACK = 1e-12
 
 
 def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:
-    """Return (x, y, radius) of the smallest circle that holds all points.
-
-    points: shape (n, 2), any length unit; the result has the same unit. Only the convex hull is looked at, then
-    circles are grown point by point in a fixed shuffled order (Welzl's algorithm, iterative, expected linear time).
-
-    Raises BadInput when there is no point, or a coordinate is not finite.
-    """
+    """Return (x, y, radius) of the smallest circle that holds all points."""
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
         raise BadInput(f"points has shape {array.shape}; expected (n, 2) with n >= 1")
@@ -49,6 +43,7 @@ def _hull(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _grow(points: npt.NDArray[np.float64]) -> Circle:
+    """Circle grown point by point in a fixed shuffled order: Welzl's algorithm, in expected linear time."""
     circle: Circle = (float(points[0, 0]), float(points[0, 1]), 0.0)
     for i in range(1, len(points)):
         if _holds(circle, points[i]):

@@ -29,9 +29,7 @@ _ASPECT = 5.0
 
 def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:
     """Share of each of ``n`` pixels of ``pitch`` [mm], centered on zero, covered by disjoint intervals low..high [mm].
-
-    Exact, summed over the intervals; shape (n,).
-    """
+    Share of each of ``n`` pixels of ``pitch`` [mm], centered on zero, covered by disjoint intervals low..high [mm]."""
     left = centers(n, pitch) - 0.5 * pitch
     lows, highs = np.atleast_1d(low)[:, None], np.atleast_1d(high)[:, None]
     share = np.minimum(highs, left + pitch) - np.maximum(lows, left)
@@ -44,12 +42,7 @@ def side(diameter: float = DIAMETER) -> float:
 
 
 def dot_array(count: int, pixels: int = PIXELS, diameter: float = DIAMETER, duty: float = 0.5) -> Target:
-    """Square dots on a square raster, as a single slice.
-
-    count: dots along the diameter [mm], so that their period is diameter / count (80 to 1300 in the paper).  duty:
-    edge of a dot over the period.  A period below two pixels is drawn all the same, by coverage: it aliases, as it
-    would on a projector.  Raises `BadInput`.
-    """
+    """Square dots on a square raster, as a single slice."""
     (count,), (n,) = counts("count", (count,), 1), counts("pixels", (pixels,), 1)
     if not 0.0 < duty < 1.0:
         raise BadInput(f"duty is {duty!r}; expected a number between 0 and 1, the edge of a dot over the period")
@@ -63,21 +56,17 @@ def dot_array(count: int, pixels: int = PIXELS, diameter: float = DIAMETER, duty
 
 @dataclass(frozen=True)
 class Bars:
-    """One element of a resolution target: three upright and three lying bars.
-
-    group, element: its numbers.  frequency: line pairs per mm at the scale drawn.  upright, lying: lower left corner
-    [mm] of the two squares, each 5 bar widths wide.
-    """
+    """One element of a resolution target: three upright and three lying bars."""
 
     group: int
     element: int
-    frequency: float
-    upright: tuple[float, float]
+    frequency: float  # line pairs per mm, at the scale drawn
+    upright: tuple[float, float]  # lower left corner of a square, 5 bar widths wide [mm]
     lying: tuple[float, float]
 
     @property
     def width(self) -> float:
-        """Of a bar and of a space [mm]."""
+        """Width of a bar and of a space [mm]."""
         return 0.5 / self.frequency
 
     def boxes(self) -> tuple[tuple[float, float, float, float], ...]:
@@ -91,12 +80,8 @@ class Bars:
 def usaf_bars(
     groups: Sequence[int] = (-2, -1, 0, 1), diameter: float = DIAMETER, fill: float = 0.92
 ) -> tuple[Bars, ...]:
-    """Elements of a 1951 resolution target, drawn as large as ``fill`` of the slice's square allows.
-
-    Frequencies are 2^(group + (element − 1)/6) line pairs per mm times a common scale; in true size group −2 alone is
-    higher than the paper's 21.2-mm square. The first group fills the left, the others stand on the right.
-    Raises `BadInput`.
-    """
+    """Elements of a 1951 resolution target, as large as ``fill`` of the slice's square allows. Raises `BadInput`."""
+    # f = 2^(group + (element − 1)/6) line pairs per mm, times a common scale; the first group stands on the left
     chosen = tuple(sorted({int(g) for g in groups}))
     if not chosen or not 0.0 < fill <= 1.0:
         raise BadInput(f"groups {groups!r}, fill {fill!r}; expected at least one group and 0 < fill ≤ 1")
@@ -182,14 +167,11 @@ def gray_wedges(steps: int = 8, pixels: int = PIXELS, diameter: float = DIAMETER
 
 @dataclass(frozen=True)
 class Block:
-    """A block of cubic compartments between struts.
+    """A block of cubic compartments between struts."""
 
-    cells: compartments along x, y, z.  strut, void: widths [mm] of positive and negative features.  Raises `BadInput`.
-    """
-
-    cells: tuple[int, int, int]
-    strut: float
-    void: float
+    cells: tuple[int, int, int]  # compartments along x, y, z
+    strut: float  # width of positive features [mm]
+    void: float  # width of negative features [mm]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cells", counts("Block cells", self.cells, 3))
@@ -208,9 +190,7 @@ class Block:
 
     def target(self, pitch: float, margin: int = 2) -> Target:
         """The block on voxels of ``pitch`` [mm], exact fractions: filled where two of three coordinates are in struts.
-
-        The inscribed cylinder holds the block and ``margin`` voxels around it.
-        """
+        The block on voxels of ``pitch`` [mm], exact fractions: filled where two of three coordinates are in struts."""
         pitch = positive("pitch [mm]", pitch)
         wide = float(np.hypot(*self.size[:2]))
         n = 4 * -(-int(np.ceil(wide / pitch + 2 * margin + 1)) // 4)

@@ -40,16 +40,7 @@ class Bounded(Protocol):
     """A shape that knows how far its surface is at least."""
 
     def bound(self, x: Array, y: Array, z: Array, /) -> Array:
-        """At most the distance to the surface, negative inside.
-
-        Args:
-            x: Places [mm], (...,).
-            y: Places [mm], (...,).
-            z: Places [mm], (...,).
-
-        Returns:
-            Bounds [mm], (...,).
-        """
+        """At most the distance to the surface, negative inside."""
         ...
 
 
@@ -67,11 +58,7 @@ class Distance(Bounded, Protocol):
 def voxelize(
     shape: Implicit, grid: Grid | WebGrid, *, start: float = 0.0, samples: int = SAMPLES
 ) -> npt.NDArray[np.float32]:
-    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: points inside over ``samples``³ points each.
-
-    start: where a web grid begins along the web [mm]; a `Grid` is centered on the axis and moved by it along x.
-    Raises `BadInput` for a function that gives other shapes than it was asked for, or values that are no numbers.
-    """
+    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: points inside over ``samples``³ points each."""
     if not callable(shape):
         raise BadInput(f"got a {type(shape).__name__} as shape; expected a function φ(x, y, z), negative in the solid")
     samples = counts("samples", (samples,), 1)[0]
@@ -121,11 +108,8 @@ def _filled(
 
 
 def _offsets(edges: tuple[float, float, float], samples: int) -> Array:
-    """Points (``samples``³, 3) of a voxel about its center, in pairs that mirror each other through it.
-
-    Powers of the plastic number spread them evenly, and no two share a coordinate: a face of the part that lies along
-    the voxels is then resolved as well as any other.
-    """
+    """Points (``samples``³, 3) of a voxel about its center, in pairs that mirror each other through it."""
+    # no two share a coordinate, so that faces along the voxels are resolved as well as others
     pairs, center = divmod(samples**3, 2)
     step = 1.0 / PLASTIC ** np.arange(1, 4)
     some = ((np.arange(pairs)[:, None] + 0.5) * step) % 1.0 - 0.5

@@ -1,4 +1,4 @@
-"""What single voxels are asked for: a dose of their own, a weight, or nothing."""
+"""Required dose and weight of single voxels; some have none."""
 
 from __future__ import annotations
 
@@ -15,53 +15,27 @@ Array = npt.NDArray[np.floating]
 
 NOWHERE = -1e15
 """Target of a voxel that is not judged: kernels that count classes leave out what is below −1e12."""
-DESCRIBED = ("name", "role", "dose", "tolerance")
 
 
 @dataclass(frozen=True)
-class Asked:
-    """One body, as its voxels are judged.
-
-    Args:
-        name: Of the body.
-        role: ``print``, ``gray``, ``keep out``, ``don't care`` or ``insert``.
-        dose: Asked for, or the limit; relative to the dose of what is printed.
-        tolerance: Of a gray dose, a share of it.
-    """
+class BodyRequirement:
+    """The dose that the voxels of one body need, relative to that of what is printed; tolerance: of a gray one."""
 
     name: str
     role: str
     dose: float = 1.0
     tolerance: float = 0.2
 
-    def described(self) -> dict[str, str | float]:
-        """Its fields in plain values."""
-        return {key: getattr(self, key) for key in DESCRIBED}
-
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Per voxel: the dose that is its limit, a weight, and the body that it belongs to.
+    """Limit of the dose, weight and body of each voxel: the part must reach its limit, all else must stay below."""
 
-    A voxel of the part is to reach its limit, every other one is to stay below; 1 is the dose of what is printed.
-
-    Args:
-        dose: Limit of every voxel above 0, or 0 where nothing is asked and nothing judged, [x, y, z].
-        weight: In losses, [x, y, z], ≥ 0.
-        body: Number of the body that a voxel belongs to, −1 for none, integers [x, y, z].
-        bodies: The bodies, by number.
-        void: Limit of what belongs to no body; resin gets solid from this share of the threshold on.
-
-    Raises:
-        BadInput: A value is out of its range.
-        ShapeMismatch: Fields of different shapes.
-    """
-
-    dose: Array
-    weight: Array
-    body: npt.NDArray[np.integer]
-    bodies: tuple[Asked, ...]
-    void: float = 1.0
+    dose: Array  # limit [x, y, z], relative to the dose that prints; 0 where nothing is judged
+    weight: Array  # in losses, [x, y, z], ≥ 0
+    body: npt.NDArray[np.integer]  # number of a voxel's body [x, y, z], −1 for none
+    bodies: tuple[BodyRequirement, ...]
+    void: float = 1.0  # limit of voxels without a body
 
     def __post_init__(self) -> None:
         shapes = {np.shape(field) for field in (self.dose, self.weight, self.body)}
@@ -82,7 +56,7 @@ class Limits:
 
     @cached_property
     def scale(self) -> npt.NDArray[np.float32]:
-        """What a dose is multiplied by to be compared with one limit for all, [x, y, z]; 0 where nothing is asked."""
+        """Factor that makes one limit fit all voxels, [x, y, z]; 0 where nothing is judged."""
         return np.divide(1.0, self.dose, out=np.zeros(self.dose.shape, np.float32), where=self.judged)
 
     @property
@@ -97,14 +71,7 @@ class Limits:
         return roles[self.body]
 
     def stacked(self, times: int) -> Limits:
-        """The same limits in several volumes, one above the other.
-
-        Args:
-            times: How many.
-
-        Returns:
-            The limits, [x, y, times · z].
-        """
+        """The same limits in several volumes, one above the other."""
         tall = {name: np.tile(getattr(self, name), (1, 1, times)) for name in ("dose", "weight", "body")}
         return replace(self, **tall)
 
@@ -113,15 +80,7 @@ class Limits:
         return np.where(self.judged, fraction, NOWHERE).astype(np.float32)
 
     def at(self, field: Array, pitch: float) -> Callable[[Array, Array, Array], Array]:
-        """A field of these voxels at other places: that of the nearest voxel.
-
-        Args:
-            field: Values [x, y, z].
-            pitch: Edge of a voxel [mm].
-
-        Returns:
-            A function of places x, y, z [mm], each (n,), about the middle of the grid.
-        """
+        """A field of these voxels at other places: that of the nearest voxel."""
 
         def nearest(*places: Array) -> Array:
             index = [

@@ -6,7 +6,7 @@ from dataclasses import replace
 from io import BytesIO
 from os import fstat
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from vamgpu.targets.solid import Solid
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh"]
+__all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh", "solid_of"]
 
 FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
@@ -60,6 +60,17 @@ def load_mesh(
     solid = from_trimesh(_read(file), name=name or file.stem, repair=repair)
     placed = solid.placed(rotation=rotation, height=height, factor=factor, center=center)
     return placed if center else replace(placed, drawn=True)
+
+
+def solid_of(source: Any, name: str = "solid") -> Solid | None:
+    """The repaired Solid [mm], where it was drawn, of a path, a Solid or a trimesh.Trimesh; None for anything else."""
+    if isinstance(source, Solid):
+        return repaired(source)
+    if isinstance(source, str | Path):
+        return load_mesh(source, center=False)
+    if hasattr(source, "faces") and hasattr(source, "vertices"):
+        return from_trimesh(source, name=name)
+    return None
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
@@ -151,8 +162,8 @@ def _check_ply(data: bytes, name: str) -> None:
         elif words[:1] == [b"property"]:
             claim += count
     if not mark or claim > 2 * len(data):
-        told = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
-        raise MeshError(f"{name!r} {told} in {len(data):,} bytes; it is cut off or no PLY: copy or export it again")
+        fault = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
+        raise MeshError(f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY: copy or export it again")
 
 
 def _encoded(data: bytes, kind: str) -> bytes:

@@ -12,6 +12,9 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Grid
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.ring_means import shares_of_voxels
+from vamgpu.targets.resampling import along
+from vamgpu.targets.solid import Solid
+from vamgpu.targets.voxelize import voxelize
 
 if TYPE_CHECKING:
     from vamgpu.targets.solid import Solid
@@ -23,24 +26,7 @@ _BAND = 1 << 26
 
 
 def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.float32]:
-    """The part of each cell inside a solid, in the solid's own place.
-
-    The mesh is voxelized on columns a quarter as wide as a ring, exactly along z, and cells take the mean of those that
-    hold `POINTS` points of them. What lies beyond the rings is cut off.
-
-    Args:
-        solid: The surface.
-        rings: The cells.
-        device: That voxelizes.
-
-    Returns:
-        Fractions [angle, cell, z].
-
-    Raises:
-        TargetTooLarge: The solid or the rings are too wide for the pitch.
-    """
-    from vamgpu.targets.voxelize import voxelize
-
+    """The part of each cell inside a solid, in the solid's own place. Raises `TargetTooLarge`."""
     across = 2 * min(rings.rings, ceil(float(np.abs(solid.vertices[:, :2]).max()) / rings.pitch) + 1) * FINE
     pitch = rings.pitch / FINE
     squeezed = solid.vertices * (1.0, 1.0, pitch / rings.slice_pitch)
@@ -59,24 +45,11 @@ def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.
 
 
 def _same_faces(solid: Solid, vertices: npt.NDArray[np.float64]) -> Solid:
-    from vamgpu.targets.solid import Solid
-
     return Solid(vertices, solid.faces, solid.name)
 
 
 def averaged_on_rings(fraction: npt.NDArray[np.floating], grid: Grid, rings: PolarGrid) -> npt.NDArray[np.float32]:
-    """The mean of fractions, constant within each voxel and 0 outside, over the cells of rings.
-
-    Args:
-        fraction: [x, y, z], values 0..1.
-        grid: The voxels they live on.
-        rings: The cells.
-
-    Returns:
-        Fractions [angle, cell, z].
-    """
-    from vamgpu.targets.resampling import along
-
+    """The mean of fractions, constant within each voxel and 0 outside, over the cells of rings."""
     shares = shares_of_voxels(rings, grid.shape[:2], grid.pitch)
     on_slices = along(fraction, grid, Grid((1, 1, rings.slices), rings.slice_pitch), 2)
     found = shares @ np.ascontiguousarray(on_slices, np.float32).reshape(-1, rings.slices)

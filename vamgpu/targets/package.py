@@ -25,18 +25,7 @@ COMPONENT = b"component"
 
 
 def models(data: bytes, name: str) -> BytesIO:
-    """The models of a 3MF file in a package that is no longer compressed.
-
-    Args:
-        data: The file.
-        name: Of the file, for messages.
-
-    Returns:
-        A package of the same models and nothing else.
-
-    Raises:
-        MeshError: It is no zip, unpacks to more than memory allows or than a mesh would, or has what no 3MF may have.
-    """
+    """The models of a 3MF file in a package that is no longer compressed. Raises `MeshError`."""
     plain = BytesIO()
     try:
         with open_zip(BytesIO(data)) as package, ZipFile(plain, "w") as out:

@@ -23,18 +23,8 @@ _HOLE = 0.2
 
 
 def repaired(solid: Solid, *, fix: bool = True) -> Solid:
-    """Return a watertight, outward-wound copy of solid (the same object when nothing is wrong).
-
-    Merges equal corners, drops degenerate and repeated triangles, sews cracks up to 1e-5 of the box diagonal, makes
-    the winding consistent, fills small holes (three or four edges, or a rim below 0.2 of the box diagonal) with a fan,
-    and turns bodies outward; a body wound inward inside another one stays a cavity.
-
-    What was changed stands in ``mended`` of the result and in a MeshWarning; only the merging of equal corners, which
-    every STL file needs, is no news. With fix=False nothing is changed and open edges are an error at once.
-
-    Raises NotWatertight with the number of open edges when that was not enough, MeshError when no volume is enclosed.
-    Warns MeshWarning with what it mended.
-    """
+    """Return a watertight, outward-wound copy of solid (the same object when nothing is wrong)."""
+    # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, get a fan
     vertices, faces, mended = solid.vertices, solid.faces, ()
     left = solid.open_edges
     if left and fix:
@@ -78,7 +68,7 @@ def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[st
 
 
 def _said(number: int, one: str, many: str, rest: str) -> tuple[str, ...]:
-    """What was done, as one sentence; nothing where the number is 0."""
+    """Sentence on a repair; empty where the number is 0."""
     return (f"{number} {one if number == 1 else many} {rest}",) if number else ()
 
 

@@ -17,17 +17,7 @@ if TYPE_CHECKING:
 def averaged(
     fraction: npt.NDArray[np.floating], grid: Grid, other: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> npt.NDArray[np.float32]:
-    """The mean of ``fraction``, constant within each voxel of ``grid`` and 0 outside, over every voxel of ``other``.
-
-    Args:
-        fraction: [x, y, z], values 0..1 on ``grid``.
-        grid: the voxels it lives on.
-        other: the voxels to average over.
-        shift: where the middle of ``other`` lies in the frame of ``grid`` [mm].
-
-    Returns:
-        float32 [x, y, z] on ``other``, 0..1. Where ``other`` covers all that is filled, the volume is kept.
-    """
+    """The mean of ``fraction``, constant within each voxel of ``grid`` and 0 outside, over every voxel of ``other``."""
     values = np.asarray(fraction)
     for axis in (2, 0, 1):  # z first: it is cut to a slab more often than x and y
         values = along(values, grid, other, axis, shift[axis])

@@ -115,10 +115,7 @@ class Solid:
         return self.translated((0.0, 0.0, -0.5 * (low[2] + high[2])))
 
     def centered(self) -> Solid:
-        """Put the smallest enclosing circle of the footprint on the axis and mid-height at z = 0.
-
-        A part so placed needs the smallest possible printable radius.
-        """
+        """Put the smallest enclosing circle of the footprint on the axis and mid-height at z = 0."""
         x, y, _ = smallest_enclosing_circle(self.vertices[np.unique(self.faces), :2])
         return self.translated((-x, -y, 0.0)).leveled()
 
@@ -130,10 +127,7 @@ class Solid:
         factor: float | None = None,
         center: bool = True,
     ) -> Solid:
-        """Rotate, then scale (to height [mm] along z, or by factor), then center.
-
-        Raises BadInput when both height and factor are given, or one is not a positive number.
-        """
+        """Rotate, then scale (to height [mm] along z, or by factor), then center."""
         solid = self if rotation is None else self.rotated(rotation)
         if height is not None and factor is not None:
             raise BadInput(f"got height={height} and factor={factor}; give one of them")
@@ -154,8 +148,7 @@ class Solid:
         return trimesh.Trimesh(self.vertices.copy(), self.faces.copy(), process=False, metadata={"name": self.name})
 
     def save(self, path: str | Path) -> Path:
-        """Write STL, PLY, OBJ or 3MF, by the suffix of path, and return the path. Raises BadInput for
-        another one, StorageError when it cannot be written."""
+        """Write STL, PLY, OBJ or 3MF, by the suffix of path, and return the path."""
         file = Path(path)
         if file.suffix.lower() not in {".stl", ".ply", ".obj", ".3mf"}:
             raise BadInput(f"cannot write {file.name!r}: expected a name ending in .stl, .ply, .obj or .3mf")
@@ -173,10 +166,7 @@ class Solid:
 
 
 def unmatched_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Return the directed edges (k, 2) that are not traversed equally often both ways, one row an undirected edge.
-
-    An oriented surface encloses a volume exactly when there are none.
-    """
+    """Return the directed edges (k, 2) that are not traversed equally often both ways, one row an undirected edge."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     directed = directed[directed[:, 0] != directed[:, 1]]
     if len(directed) == 0:

@@ -241,7 +241,7 @@ class _Film:
         return x, y, np.asarray(z, np.float64)
 
     def _beyond(self, along: Array) -> Array:
-        """How far l lies beyond the nearer end of the film."""
+        """Distance of l beyond the nearer end of the film."""
         return np.maximum(-np.asarray(along), along - self.spiral.length)
 
 

@@ -28,10 +28,7 @@ MOST_OVERLAPS = 1000
 @dataclass(frozen=True, eq=False)
 class Repeated:
     """A closed surface in a film's coordinates (l, ρ, z) [mm], and its copies every ``period`` [mm] along l, endlessly.
-
-    Copies that reach into each other become one. The surface is taken where it is: ρ = 0 is the roller's side, z = 0
-    the middle of the web.  Raises `BadInput`.
-    """
+    A closed surface in a film's coordinates (l, ρ, z) [mm], and its copies every ``period`` [mm] along l, endlessly."""
 
     solid: Solid
     period: float
@@ -63,10 +60,7 @@ def tile(
     shape: Implicit | Repeated, grid: WebGrid, start: float = 0.0, *, samples: int = SAMPLES,
     device: str | Device | None = None,
 ) -> npt.NDArray[np.float32]:  # fmt: skip
-    """Filled fractions [l, rho, z] of a piece of web that begins ``start`` [mm] along it.
-
-    samples: points along a voxel's edge, for functions.  device: where meshes are voxelized.  Raises `BadInput`.
-    """
+    """Filled fractions [l, rho, z] of a piece of web that begins ``start`` [mm] along it."""
     if not isinstance(shape, Repeated):
         return sampled(shape, grid, start=start, samples=samples)
     solid = shape.copies(start, start + grid.size[0])
@@ -78,10 +72,7 @@ def tile(
 def section(
     solid: Solid, grid: WebGrid, start: float = 0.0, device: str | Device | None = None
 ) -> npt.NDArray[np.float32]:
-    """Filled fractions [l, rho, z] of a surface in a piece of web that begins ``start`` [mm] along it.
-
-    solid: in the film's coordinates.  device: where it is voxelized.  Raises `BadInput`.
-    """
+    """Filled fractions [l, rho, z] of a surface in a piece of web that begins ``start`` [mm] along it."""
     # Scaled edge by edge, voxels are cubes of 1 about the middle of the tile: a share of a volume stays what it is.
     middle = (start + 0.5 * grid.size[0], 0.5 * grid.size[1], 0.0)
     cubes = Solid((solid.vertices - middle) / grid.edges, solid.faces, solid.name)
@@ -92,11 +83,7 @@ def stream(
     shape: Implicit | Repeated, section: tuple[int, int], pitch: tuple[float, float, float] | float, length: float,
     along: int, *, samples: int = SAMPLES, device: str | Device | None = None,
 ) -> Iterator[npt.NDArray[np.float32]]:  # fmt: skip
-    """Tiles of fractions float32 [l, rho, z], one after the other, that make a web of ``length`` [mm].
-
-    section: voxels along rho and z.  pitch: voxel edges [mm] along l, rho, z.  along: voxels of a tile along l; the
-    last one is as short as it must be.  Only one tile is in memory. Raises `BadInput`, before the first tile.
-    """
+    """Tiles of fractions float32 [l, rho, z], one after the other, that make a web of ``length`` [mm]."""
     section = counts("section (voxels along rho and z)", section, 2)  # type: ignore[assignment]
     grid = WebGrid((counts("along (voxels of a tile)", (along,), 1)[0], *section), pitch)
     voxels = ceil(positive("length [mm]", length) / grid.edges[0] - _SLACK)

@@ -1,4 +1,4 @@
-"""What is to be printed, as the fraction of every voxel that the part fills."""
+"""Targets: the fraction of every voxel that a part fills."""
 
 from __future__ import annotations
 
@@ -17,13 +17,24 @@ from vamgpu.card import card, drawable
 from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, TargetTooLarge
 from vamgpu.geometry import Grid, counts, positive
 from vamgpu.operators.polar import PolarGrid
+from vamgpu.quantity import meant
+from vamgpu.schema.quantities import Length, measured
+from vamgpu.targets.mesh import solid_of
+from vamgpu.targets.on_rings import averaged_on_rings, voxelized
+from vamgpu.targets.resampling import averaged
+from vamgpu.targets.solid import Solid
+from vamgpu.targets.voxelize import voxelize
 
 if TYPE_CHECKING:
+    import trimesh
+
     from vamgpu.targets.limits import Limits
     from vamgpu.targets.solid import Solid
 
 MARGIN = 2
 """Voxels between the part and the rim of the inscribed cylinder, by default."""
+SMALLEST, LARGEST = 0.1, 1000.0
+"""Longest edge [mm] of the box of a part, out of which its unit is asked for."""
 _MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
 _SLACK = 1e-6
@@ -58,11 +69,11 @@ class Target:
     @classmethod
     def from_mesh(
         cls,
-        source: str | Path | Solid,
-        height: float | None = None,
+        source: str | Path | Solid | trimesh.Trimesh,
+        height: float | str | None = None,
         factor: float | None = None,
         *,
-        pitch: float | None = None,
+        pitch: float | str | None = None,
         orientation: npt.ArrayLike | None = None,
         margin: int = MARGIN,
         shape: tuple[int, int, int] | None = None,
@@ -77,8 +88,8 @@ class Target:
         about the axis. ``mended`` keeps what a repair changed.
 
         Args:
-            source: Path of an STL, PLY, OBJ or 3MF file, or a `Solid`.
-            height: Along z [mm].
+            source: Path of an STL, PLY, OBJ or 3MF file, a `Solid`, or a `trimesh.Trimesh`, in mm if it has no unit.
+            height: Along z [mm]; like ``pitch`` also text with its unit, ``"11.5 mm"``.
             factor: Scale of the mesh, dimensionless.
             pitch: Voxel edge [mm].
             orientation: Rotation matrix, (3, 3).
@@ -102,18 +113,15 @@ class Target:
             MeshWarning: The mesh was mended.
         """
         pitch, shape = _pitch_and_shape(pitch, shape, grid)
-        _one_scale(height, factor)
-        from vamgpu.targets.solid import Solid
-
-        given = _solid(source)
+        height = _one_scale(height, factor)
+        given = _solid(source, name)
         drawn = given.drawn and isinstance(source, Solid)
         solid = given.placed(rotation=orientation, height=height, factor=factor, center=not drawn)
         solid = solid.leveled() if drawn else solid
+        _check_size(solid, height, factor)
         box = _grid(solid, pitch, _margin(margin), shape)
         place = open_device(device)
         _check_memory(box, place)
-        from vamgpu.targets.voxelize import voxelize
-
         fraction, volume = voxelize(solid, box, place)
         if volume <= 0.0:
             raise EmptyMesh(
@@ -123,12 +131,12 @@ class Target:
         return cls(box, name or solid.name, fraction, solid.radius, volume, solid.height, solid)
 
     @classmethod
-    def from_array(cls, values: npt.ArrayLike, pitch: float, name: str = "array") -> Target:
+    def from_array(cls, values: npt.ArrayLike, pitch: float | str, name: str = "array") -> Target:
         """A target from fractions. Its radius is that of the outermost voxel center that is not empty.
 
         Args:
             values: Fractions in 0..1, or booleans, [x, y, z], centered on the axis.
-            pitch: Voxel edge [mm].
+            pitch: Voxel edge [mm], or text with its unit.
             name: In messages and reports.
 
         Returns:
@@ -139,7 +147,7 @@ class Target:
             EmptyMesh: No voxel is filled.
         """
         fraction = _fractions(values)
-        grid = Grid(fraction.shape, pitch)  # type: ignore[arg-type]
+        grid = Grid(fraction.shape, pitch)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType] - read there
         footprint, slices = fraction.any(axis=2), np.flatnonzero(fraction.any(axis=(0, 1)))
         if not len(slices):
             raise EmptyMesh(f"{name}: every voxel of the array is 0; expected some that are filled")
@@ -147,6 +155,9 @@ class Target:
         radius = float(np.hypot(x[:, None], y[None, :])[footprint].max())
         volume = float(fraction.sum(dtype=np.float64)) * grid.voxel_volume
         return cls(grid, name, fraction, radius, volume, float(slices[-1] - slices[0] + 1) * grid.pitch)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_copies": {}}
 
     def _repr_html_(self) -> str:
         fraction = self.numpy() if drawable(self.grid.shape) else None
@@ -165,7 +176,7 @@ class Target:
 
     @property
     def mended(self) -> tuple[str, ...]:
-        """What a repair changed of its mesh, a sentence each; empty for a sound mesh and for arrays."""
+        """Changes of a mesh by its repair, a sentence each; empty for a sound mesh and for arrays."""
         return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
@@ -206,11 +217,7 @@ class Target:
         """
         place, move = open_device(device), _lengths(shift)
         if self.solid is not None:
-            from vamgpu.targets.voxelize import voxelize
-
             return voxelize(self.solid.translated([-length for length in move]), grid, place).fraction
-        from vamgpu.targets.resampling import averaged
-
         return place.upload(averaged(self.numpy(), self.grid, grid, move))
 
     def on_rings(self, rings: PolarGrid, device: str | Device | None = None) -> DeviceArray:
@@ -236,8 +243,6 @@ class Target:
         place = open_device(device)
         key = (place.name, rings)
         if key not in self._copies:
-            from vamgpu.targets.on_rings import averaged_on_rings, voxelized
-
             found = (voxelized(self.solid, rings, place) if self.solid is not None
                      else averaged_on_rings(self.numpy(), self.grid, rings))  # fmt: skip
             self._copies[key] = place.upload(found)
@@ -260,13 +265,13 @@ def _lengths(shift: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def _pitch_and_shape(
-    pitch: float | None, shape: tuple[int, int, int] | None, grid: Grid | PolarGrid | None
+    pitch: float | str | None, shape: tuple[int, int, int] | None, grid: Grid | PolarGrid | None
 ) -> tuple[float, tuple[int, int, int] | None]:
-    """Of a grid, or as given; the box of rings where the grid has some."""
+    """Pitch and shape of a grid, or as given; the box of rings where the grid has some."""
     if grid is None:
         if pitch is None:
             raise BadInput("got neither pitch nor grid; give one: pitch= [mm], or grid= of voxels or rings")
-        return positive("pitch [mm]", pitch), shape
+        return measured("pitch", pitch, Length), shape
     if pitch is not None or shape is not None:
         raise BadInput(f"got pitch={pitch!r} and shape={shape!r} beside a grid, which has both; leave them out")
     if not isinstance(grid, Grid | PolarGrid):
@@ -275,25 +280,38 @@ def _pitch_and_shape(
     return box.pitch, box.shape
 
 
-def _one_scale(height: float | None, factor: float | None) -> None:
+def _one_scale(height: float | str | None, factor: float | None) -> float | None:
+    """The height as a number, where it is given and no factor; else `BadInput`."""
     if height is None and factor is None:
         raise BadInput("got neither height nor factor; give one: height= [mm] along z, or factor=1 for the mesh's size")
     if height is not None and factor is not None:
         raise BadInput(f"got height={height} and factor={factor}; give one of them")
-    positive("height [mm]" if factor is None else "factor", height if factor is None else factor)  # type: ignore[arg-type]
+    if factor is not None:
+        positive("factor", factor)
+        return None
+    return measured("height", height, Length)
 
 
-def _solid(source: str | Path | Solid) -> Solid:
-    from vamgpu.targets.repair import repaired
-    from vamgpu.targets.solid import Solid
+def _solid(source: Any, name: str | None) -> Solid:
+    solid = solid_of(source, name or "solid")
+    if solid is None:
+        raise BadInput(f"got a {type(source).__name__}; expected the path of a mesh file, a Solid or a "
+                       "trimesh.Trimesh")  # fmt: skip
+    return solid
 
-    if isinstance(source, Solid):
-        return repaired(source)
-    if not isinstance(source, str | Path):
-        raise BadInput(f"got a {type(source).__name__}; expected the path of a mesh file, or a Solid")
-    from vamgpu.targets.mesh import load_mesh
 
-    return load_mesh(source, center=False)
+def _check_size(solid: Solid, height: float | None, factor: float | None) -> None:
+    """Ask for the unit of a part that is too small or too large to be printed by any machine. Raises `BadInput`."""
+    size = float(np.ptp(solid.bounds, axis=0).max())
+    if SMALLEST <= size <= LARGEST:
+        return
+    unit = meant(size, SMALLEST, LARGEST)
+    likely = ""
+    if unit is not None:
+        name, value = ("height", height) if height is not None else ("factor", factor)
+        likely = f"; if that was meant in {unit}, take {name}={value:g} * vamgpu.units.{unit}"
+    raise BadInput(f"{solid.name}: the part is {size:.3g} mm at its longest; expected {SMALLEST:g} to {LARGEST:g} mm: "
+                   f"check the unit{likely}")  # fmt: skip
 
 
 def _margin(margin: int) -> int:

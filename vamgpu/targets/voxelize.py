@@ -1,4 +1,4 @@
-"""From a closed surface to the fraction of every voxel that it fills, computed on a device."""
+"""Fraction of every voxel that a closed surface fills, computed on a device."""
 
 from __future__ import annotations
 
@@ -37,14 +37,8 @@ class Voxels(NamedTuple):
 
 
 def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Voxels:
-    """The part of each voxel of ``grid`` inside ``solid``, in the solid's own place, on ``device``.
-
-    Corners are rounded to 1/1024 of a voxel (coarser beyond 1024 voxels); the fraction is exact along z at 16 points of
-    each (x, y) column. All devices give the same numbers. A point is in the part where its winding number is 1 or more:
-    bodies that overlap or coincide count once, bodies wound inward are cavities. What lies outside the grid is cut off.
-
-    Raises TargetTooLarge where the solid or grid is more than 32768 voxels wide, OutOfMemory, DeviceError.
-    """
+    """The part of each voxel of ``grid`` inside ``solid``, in the solid's own place, on ``device``."""
+    # corners on 1/1024 of a voxel; exact along z at 16 points of a column; inside where the winding number is ≥ 1
     place = open_device(device)
     corners, bits = snapped(solid, grid)
     triangles = oriented(corners, solid.faces, grid.shape[2] << bits)
@@ -78,17 +72,7 @@ def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Vo
 
 
 def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[slice], npt.NDArray[np.int32], int]:
-    """How the lists of crossings of all columns share memory.
-
-    Args:
-        counts: crossings of every column, (x, y).
-        tile: columns along the side of a square.
-        room: entries that may be kept at once, unless a single row of squares has more.
-
-    Returns:
-        Bands of rows of squares that are worked on one after the other; where the list of each column begins within its
-        band, int32 (x, y): its length, then its crossings; entries of the longest band.
-    """
+    """Layout of the crossing lists of all columns in shared memory."""
     entries = counts.astype(np.int64).sum(axis=1) + counts.shape[1]
     rows = np.add.reduceat(entries, np.arange(0, len(entries), tile))
     cuts, held = [0], 0
@@ -129,10 +113,7 @@ def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
 
 
 def oriented(corners: Integers, faces: npt.NDArray[np.int32], top: int | None = None) -> npt.NDArray[np.int32]:
-    """Triangles counter-clockwise from above with a sign, int32 (m, 10); those seen edge-on are left out.
-
-    top: leave out those that lie at this height or higher, in units of the fine grid.
-    """
+    """Triangles counter-clockwise from above with a sign, int32 (m, 10); those seen edge-on are left out."""
     x, y, z = np.ascontiguousarray(corners.T)
     a, b, c = np.ascontiguousarray(faces.T)
     area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])

@@ -1,4 +1,4 @@
-"""What a folder remembers of a web, in plain values: enough to read its frames, and to tell it from another web."""
+"""Descriptions of a web in plain values, from which its frames are read and by which it is recognized."""
 
 from __future__ import annotations
 
@@ -30,11 +30,7 @@ def described(value: Any) -> dict[str, Any]:
 
 
 def described_wrap(wrap: Wrap) -> dict[str, Any]:
-    """A machine as plain values, arrays of its medium and all.
-
-    Raises:
-        BadInput: The medium of its film is a function, or larger than a folder keeps.
-    """
+    """A machine as plain values, the arrays of its medium included. Raises `BadInput` for a function."""
     index = getattr(wrap, "index", None)
     if not isinstance(index, FilmIndex):
         return described(wrap)
@@ -53,7 +49,7 @@ def described_wrap(wrap: Wrap) -> dict[str, Any]:
 
 
 def described_target(tiles: Any) -> dict[str, Any] | None:
-    """What a target says of itself, to tell it from another; None for tiles that come and go."""
+    """Description by which a target is recognized; None for tiles that come once only."""
     if isinstance(tiles, Repeated):
         return {"kind": "Repeated", "solid": tiles.solid.name, "period": tiles.period,
                 "sha256": digest(tiles.solid.vertices)}  # fmt: skip
@@ -82,7 +78,7 @@ def wrap_from(description: Mapping[str, Any]) -> Wrap:
     kind = description.get("kind")
     if kind not in ("Roller", "roller"):
         raise StorageError(f"the web was carried by a {kind}; expected a Roller: simulate it with its own wrap=")
-    kept = {**description}
+    kept = {"lit_share": 0.0, **description}  # what has no such key was written for a film at rest while it is lit
     arrays = kept.pop("arrays", {})
 
     def array(name: str) -> np.ndarray:
@@ -91,4 +87,4 @@ def wrap_from(description: Mapping[str, Any]) -> Wrap:
     try:
         return read("wrap", {**kept, "kind": "roller"}, units=False, arrays=array)
     except (TypeError, ValueError, KeyError) as error:
-        raise StorageError(f"the description of a Roller is garbled: {error}; write the web again") from error
+        raise StorageError(f"the description of a Roller is malformed: {error}; write the web again") from error

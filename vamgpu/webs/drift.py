@@ -1,4 +1,4 @@
-"""How the light on a web turned out to be, where it is not as planned."""
+"""Light on a web that differs from the planned one."""
 
 from __future__ import annotations
 

@@ -14,27 +14,22 @@ DENOMINATOR = 64
 
 
 @dataclass(frozen=True)
-class Layout:
-    """A web cut into segments of ``core`` frames, each solved with ``overlap`` more on either side.
+class SegmentLayout:
+    """A web cut into segments of ``core`` frames, each solved with ``overlap`` more on either side."""
 
-    window: columns the light of one pose reaches.  step: columns from one pose to the next.  All segments have the same
-    shape, wherever they lie, so that one projector serves them all: cores and overlaps are whole multiples of the poses
-    after which windows begin at whole columns again. Frame 0 is the first whose window can meet column 0.
-    """
-
-    window: int
-    step: Fraction
+    window: int  # columns the light of one pose reaches
+    step: Fraction  # columns from one pose to the next
     core: int
     overlap: int
 
     @classmethod
-    def of(cls, window: int, step: float, core: float = 2.0, overlap: float = 1.0) -> Layout:
-        """From lengths in windows of light. Raises `BadInput` for steps that never meet whole columns again."""
+    def of(cls, window: int, step: float, core: float = 2.0, overlap: float = 1.0) -> SegmentLayout:
+        """Make a layout of lengths in windows of light. Raises `BadInput` unless steps meet whole columns again."""
         exact = Fraction(step).limit_denominator(DENOMINATOR)
         if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:
             near = float(exact) or 1.0 / DENOMINATOR
             raise BadInput(
-                f"the web moves {step:.9g} columns a pose; expected a ratio of whole numbers up to {DENOMINATOR}, "
+                f"the web moves {step:.9g} columns an angle; expected a ratio of whole numbers up to {DENOMINATOR}, "
                 f"so that segments begin at whole columns: take a pitch along l of {step / near:.14g} times this one"
             )
         overlap = positive("overlap [windows]", overlap, zero=True)

@@ -1,4 +1,4 @@
-"""What a web machine can do, and what holds it back: sampling, speed, data, angles, flow. Formulas alone, no light.
+"""Limits of a web machine: sampling, speed, data, angles, flow. Formulas alone, no light.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", sections S10 to S14.
 """
@@ -35,23 +35,16 @@ class SpeedLimit:
 
 @dataclass(frozen=True)
 class WebLimits:
-    """A web machine at a speed, and what limits it.
+    """The limits of a web machine at one speed. Raises `BadInput`, also where the lens cannot reach the film."""
 
-    roller: with its film.  lens: with its depth bins and settling time.  display: the mirrors.  speed: of the web's
-    neutral line [mm/s].  length: of the web to print [mm].  depth_of_focus: of the projector [mm].  density: of the
-    uncured resin [mJ·s²/mm⁵]; write ``1100 * units.kg_m3``.  viscosity: its dynamic viscosity [mJ·s/mm³], written as
-    ``40 * units.Pa_s``; None for a gel, which does not flow.  Raises `BadInput`; also where the lens cannot reach the
-    film or has more bins than it needs.
-    """
-
-    roller: Roller
-    lens: TunableLens = TunableLens()
-    display: Display = Display()
-    speed: Speed = 0.8
-    length: Length = 600.0
-    depth_of_focus: Length = 3.8
-    density: Density = 1100.0 * kg_m3
-    viscosity: Viscosity | None = None
+    roller: Roller  # with its film
+    lens: TunableLens = TunableLens()  # with its depth bins and settling time
+    display: Display = Display()  # the mirrors
+    speed: Speed = 0.8  # of the web's neutral line [mm/s]
+    length: Length = 600.0  # of the web to print [mm]
+    depth_of_focus: Length = 3.8  # of the projector [mm]
+    density: Density = 1100.0 * kg_m3  # of the uncured resin [mJ·s²/mm⁵]; write ``1100 * units.kg_m3``
+    viscosity: Viscosity | None = None  # its dynamic viscosity [mJ·s/mm³], written as ``40 * units.Pa_s``
 
     def __post_init__(self) -> None:
         check(self)
@@ -71,12 +64,12 @@ class WebLimits:
 
     @property
     def advance(self) -> float:
-        """Way of the web from pose to pose [mm], along its neutral line."""
+        """Advance of the web per pose [mm], along its neutral line."""
         return self.roller.advance
 
     @property
     def tangential_sampling(self) -> float:
-        """Poses per way of the web [1/mm] (S18)."""
+        """Poses per length of the web [1/mm] (S18)."""
         return 1.0 / self.advance
 
     @property
@@ -86,7 +79,7 @@ class WebLimits:
 
     @property
     def frame_rate(self) -> float:
-        """Pictures a second: every pose has one for each depth bin."""
+        """Frames a second: every pose has one for each depth bin."""
         return self.lens.bins * self.pose_rate
 
     @property
@@ -106,7 +99,7 @@ class WebLimits:
 
     @property
     def frames(self) -> float:
-        """Pictures while the length passes one point."""
+        """Frames while the length passes one point."""
         return self.lens.bins * self.poses
 
     @property
@@ -121,7 +114,7 @@ class WebLimits:
 
     @property
     def smear(self) -> float:
-        """Way [mm] of the web while the slot of one frame lasts."""
+        """Advance [mm] of the web during one frame."""
         return self.speed * self.slot
 
     @property
@@ -131,7 +124,7 @@ class WebLimits:
         return 0 if bins == 1 else bins - 1 if self.display.turning else bins
 
     def sampling_limit(self, speed: float) -> float:
-        """Most poses per way of a web [1/mm] at a speed [mm/s] that the lens's settling allows: f/(M·v) (S20)."""
+        """Most poses per length of a web [1/mm] at a speed [mm/s] that the lens's settling allows: f/(M·v) (S20)."""
         busy = self.moves * self.lens.settle
         return inf if busy == 0 else 1.0 / (busy * positive("speed [mm/s]", speed))
 
@@ -145,14 +138,14 @@ class WebLimits:
         """The greatest speed that each part allows by itself, and that of all of them one after the other (S17–S20)."""
         shown, bins, moves = self.display, self.lens.bins, self.moves
         parts = {
-            "mirrors": (bins / shown.rate, f"{bins} frames a pose at {shown.rate:g} Hz"),
-            "lens": (moves * self.lens.settle, f"{moves} moves a pose of {1e3 * self.lens.settle:.3g} ms"),
-            "serial line": (moves * shown.wire, f"{moves} commands a pose of {1e3 * shown.wire:.3g} ms"),
+            "mirrors": (bins / shown.rate, f"{bins} frames an angle at {shown.rate:g} Hz"),
+            "lens": (moves * self.lens.settle, f"{moves} moves an angle of {1e3 * self.lens.settle:.3g} ms"),
+            "serial line": (moves * shown.wire, f"{moves} commands an angle of {1e3 * shown.wire:.3g} ms"),
         }
         longest = max(parts, key=lambda name: parts[name][0])
         share = f"{100 * parts[longest][0] / self.pose_time:.0f} % of them for the {longest}"
-        parts["all in turn"] = (self.pose_time, f"{1e3 * self.pose_time:.3g} ms a pose, {share}")
-        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} frames a pose of {shown.nbytes:,} bytes")
+        parts["all in turn"] = (self.pose_time, f"{1e3 * self.pose_time:.3g} ms an angle, {share}")
+        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} frames an angle of {shown.nbytes:,} bytes")
         return tuple(
             SpeedLimit(name, inf if time == 0 else self.advance / time, reason)
             for name, (time, reason) in parts.items()
@@ -172,7 +165,7 @@ class WebLimits:
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """What the machine cannot do at its speed, with numbers; empty where it can do all."""
+        """Limits that the machine exceeds at its speed, with numbers."""
         found = []
         if self.speed > self.limiting.speed:
             found.append(f"{self.speed:.4g} mm/s is above {self.limiting.speed:.4g} mm/s: {self.limiting.reason}")
@@ -187,7 +180,7 @@ class WebLimits:
 
     @property
     def lit_way(self) -> float:
-        """Way [mm] of a piece of the film through the light: half a turn and both legs."""
+        """Length [mm] of the film's path in the light: half a turn and both straight runs."""
         return pi * self.roller.neutral_radius + 2.0 * self.roller.leg
 
     @property
@@ -197,7 +190,7 @@ class WebLimits:
 
     @property
     def tolerable_flow(self) -> float:
-        """Speed [mm/s] at which resin flows the way between two poses while it is lit."""
+        """Speed [mm/s] at which lit resin flows the advance of one pose."""
         return self.advance / self.lit_time
 
     @property
@@ -211,7 +204,7 @@ class WebLimits:
 
     @property
     def window(self) -> float:
-        """Least length [mm] of a straight leg in the window, where light falls to 5 %: −ln(0.05)/α; inf without α."""
+        """Least length [mm] of a straight run in the window, where light falls to 5 %: −ln(0.05)/α; inf without α."""
         return self.roller.film.penetration
 
     @property
@@ -240,10 +233,7 @@ class WebLimits:
         return self.coverage / pi
 
     def k_space(self, samples: int) -> np.ndarray:
-        """Which spatial frequencies [l, rho] light reaches, bool (samples, samples), zero frequency in the middle.
-
-        A projection fills the line across its light, so what is missing is a wedge about the rho axis.
-        """
+        """Mask (samples, samples) of the frequencies [l, rho] that light reaches; a wedge about rho is missing."""
         k = np.arange(samples) - 0.5 * (samples - 1)
         angle = np.arctan2(np.abs(k)[None, :], np.abs(k)[:, None])
         return (angle <= 0.5 * self.coverage) & (np.hypot(k[:, None], k) <= 0.5 * samples)

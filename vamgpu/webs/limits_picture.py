@@ -1,4 +1,4 @@
-"""What a web machine can do, as a picture: speeds, time of a pose, flow, and the frequencies light reaches."""
+"""Figure of the limits of a web machine: speeds, time of a pose, flow, and the frequencies light reaches."""
 
 from __future__ import annotations
 

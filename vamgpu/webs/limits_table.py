@@ -20,10 +20,10 @@ def _expected(limits: WebLimits) -> tuple[Line, ...]:
     shown = limits.display
     return (
         Line("speed expected", speed(limits.speed), f"{limits.length:g} mm in {limits.length / limits.speed:,.0f} s"),
-        Line("way between poses", f"{1e3 * limits.advance:.1f} µm", f"{limits.tangential_sampling:.2f} poses per mm"),
-        Line("poses", f"{limits.pose_rate:.1f} /s", f"{limits.poses:,.0f} over the length"),
+        Line("advance per angle", f"{1e3 * limits.advance:.1f} µm", f"{limits.tangential_sampling:.2f} angles per mm"),
+        Line("angles", f"{limits.pose_rate:.1f} /s", f"{limits.poses:,.0f} over the length"),
         Line("frames", f"{limits.frame_rate:.1f} /s",
-             f"{limits.frames:,.0f} over the length, {limits.lens.bins} a pose"),
+             f"{limits.frames:,.0f} over the length, {limits.lens.bins} an angle"),
         Line("slot", f"{1e3 * limits.slot:.1f} ms",
              f"light can be on {100 * limits.duty:.0f} % of it; the web moves {1e3 * limits.smear:.0f} µm"),
         Line("data", f"{limits.data_rate / 1e6:.1f} MB/s",
@@ -38,7 +38,7 @@ def _speeds(limits: WebLimits) -> tuple[Line, ...]:
     return (
         *(Line(f"most by {limit.name}", speed(limit.speed), limit.reason) for limit in limits.speeds),
         Line("greatest speed", speed(limiting.speed), f"limited by {limiting.name}: {limiting.reason}"),
-        Line("sampling at 1 mm/s", sampling, "poses per mm for which the lens settles"),
+        Line("sampling at 1 mm/s", sampling, "angles per mm for which the lens settles"),
     )
 
 
@@ -46,7 +46,8 @@ def _film(limits: WebLimits) -> tuple[Line, ...]:
     window = "∞" if limits.window == inf else f"{limits.window:.2f} mm"
     flows = "does not flow" if limits.viscosity is None else f"{limits.viscosity / Pa_s:.4g} Pa·s at hand"
     return (
-        Line("window", window, f"least length of a leg, where light falls to 5 %; set to {limits.roller.leg:.2f} mm"),
+        Line("window", window,
+             f"least length of a straight run, where light falls to 5 %; set to {limits.roller.leg:.2f} mm"),
         Line("viscosity needed", f"{limits.viscosity_needed / Pa_s:,.4g} Pa·s",
              f"flow under {1e3 * limits.tolerable_flow:.2f} µm/s for {limits.lit_time:.0f} s in the light; {flows}"),
         Line("least speed", speed(limits.slowest), "slower, the resin flows off while it is lit"),

@@ -1,4 +1,4 @@
-"""What the frames of a web would print, computed from nothing but the folder, segment by segment."""
+"""Simulated print of a web, computed from nothing but its folder, segment by segment."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from vamgpu.operators.web import WebProjection
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.drift import clouded, drifts_of, gains
-from vamgpu.webs.layout import Layout
-from vamgpu.webs.shown import light_of
+from vamgpu.webs.frame_light import light_of
+from vamgpu.webs.layout import SegmentLayout
+from vamgpu.webs.section import lit_by
 from vamgpu.webs.store import WebFolder
 
 BINS = 2048
@@ -33,66 +34,52 @@ LEVEL = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """Simulated print of the columns of one segment.
+class WebPart:
+    """Simulated print of the columns of one segment."""
 
-    number: of the segment.  columns: first and one after the last.  dose: [l, rho, z] float32.  target: boolean
-    [l, rho, z].
-    """
-
-    number: int
-    columns: tuple[int, int]
-    dose: np.ndarray
-    target: np.ndarray
+    number: int  # of the segment
+    columns: tuple[int, int]  # first and one after the last
+    dose: np.ndarray  # [l, rho, z] float32
+    target: np.ndarray  # boolean [l, rho, z]
 
 
 @dataclass(frozen=True)
 class PieceScore:
-    """Scores of one segment's columns at the web's common threshold.
+    """Scores of one segment's columns at the web's common threshold."""
 
-    columns: first and one after the last.  iou: intersection over union.  window: strict process window, (least dose in
-    the part − greatest out of it) / greatest.  trimmed: the same without a hundredth of the voxels at either side.
-    missing, excess: voxels on the wrong side of the threshold.  loss: of the last iteration.  saturated: pixels at
-    full-on.
-    """
-
-    columns: tuple[int, int]
-    iou: float
-    window: float
-    trimmed: float
-    missing: int
-    excess: int
-    loss: float
-    saturated: int
+    columns: tuple[int, int]  # first and one after the last
+    iou: float  # intersection over union
+    window: float  # strict process window, (least dose in the part − greatest out of it) / greatest
+    trimmed: float  # the same without a hundredth of the voxels at either side
+    missing: int  # voxels on the wrong side of the threshold
+    excess: int  # voxels on the wrong side of the threshold
+    loss: float  # of the last iteration
+    saturated: int  # pixels at full-on
 
 
 @dataclass(frozen=True, eq=False)
 class WebProof:
-    """A simulated print of a web and its scores.
-
-    iou, threshold: over the whole web, at the dose that makes iou greatest.  counts: voxels by dose, (out of the part,
-    in it) × bins.  edges: of the bins, in doses.  wrap, gain: see `prove_web`.
-    """
+    """A simulated print of a web and its scores."""
 
     folder: WebFolder
     grid: WebGrid
     beam: Beam
     light: Propagation
     segments: tuple[PieceScore, ...]
-    iou: float
-    threshold: float
-    counts: np.ndarray
-    edges: np.ndarray
+    iou: float  # over the whole web, at the dose that makes iou greatest
+    threshold: float  # over the whole web, at the dose that makes iou greatest
+    counts: np.ndarray  # voxels by dose, (out of the part, in it) × bins
+    edges: np.ndarray  # of the bins, in doses
     device: Device
-    wrap: Wrap | None = None
-    gain: np.ndarray | None = None
+    wrap: Wrap | None = None  # see `prove_web`
+    gain: np.ndarray | None = None  # see `prove_web`
 
     @property
     def window(self) -> float:
         """The narrowest strict process window of any segment."""
         return min(score.window for score in self.segments)
 
-    def pieces(self, numbers: Sequence[int] | None = None) -> Iterator[Piece]:
+    def pieces(self, numbers: Sequence[int] | None = None) -> Iterator[WebPart]:
         """The simulated print again, segment by segment."""
         return _Simulation(self.folder, self.device, self.wrap, self.gain).pieces(numbers)
 
@@ -120,11 +107,13 @@ class _Simulation:
             self.gain = gains(drifts, 0, folder.frames) if gain is None else gain
             window, core = (int(details["layout"][name]) for name in ("window", "core"))
             section = WebGrid((1, rho, z), tuple(details["grid"]["pitch"]))
+            focus = details.get("focus")
+            wrap = lit_by(wrap, 1 if focus is None else len(focus["planes"]))
         except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(f"{str(folder.path)!r} garbles its details: {error}; write the web again") from error
+            raise StorageError(f"{str(folder.path)!r} has malformed details: {error}; write the web again") from error
         self.light = light_of_pose(wrap, section, self.beam, device)
         one = float(wrap.advance / section.edges[0])
-        layout = Layout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
+        layout = SegmentLayout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
         if (layout.window, layout.core) != (window, core):
             raise StorageError(f"{str(folder.path)!r} has a light that its wrap does not give; write the web again")
         self.layout = layout
@@ -140,13 +129,13 @@ class _Simulation:
         lit = int((folder.frames - layout.lead) * layout.step)
         return folder.columns if folder.complete else max(0, min(folder.columns, lit))
 
-    def pieces(self, numbers: Sequence[int] | None) -> Iterator[Piece]:
+    def pieces(self, numbers: Sequence[int] | None) -> Iterator[WebPart]:
         for number in range(len(self.folder.segments)) if numbers is None else numbers:
             start, stop = self.layout.printed(number, self.finished)
             if start < stop:
                 origin = self.layout.origin(number)
                 dose = self._dose(number, start - origin, stop - origin)
-                yield Piece(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
+                yield WebPart(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
 
     def _dose(self, number: int, start: int, stop: int) -> np.ndarray:
         """Dose of some of the columns around a segment, from the frames of all poses that reach its own."""
@@ -189,7 +178,7 @@ def prove_web(
         spans.append((piece.number, piece.columns))
     if not counts:
         raise BadInput(
-            f"{str(folder.path)!r} has {folder.frames} frames, and no column that all its poses have lit; resume it"
+            f"{str(folder.path)!r} has {folder.frames} frames, and no column that all its angles have lit; resume it"
         )
     total = np.sum(counts, axis=0)
     at = _best(total) if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))
@@ -214,7 +203,7 @@ def _counted(dose: np.ndarray, target: np.ndarray) -> np.ndarray:
     return sum(parts, np.zeros(2 * BINS, np.int64)).reshape(2, BINS)
 
 
-def _windows(piece: Piece) -> tuple[float, float]:
+def _windows(piece: WebPart) -> tuple[float, float]:
     """Strict and trimmed process window of a piece; 0 where it has no part."""
     found = segment_windows(piece.dose, piece.target, len(piece.dose))
     strict, trimmed = np.nan_to_num([found.strict[0], found.trimmed[0]])

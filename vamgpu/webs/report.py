@@ -16,7 +16,7 @@ from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Paper
 from vamgpu.webs import views
 
 if TYPE_CHECKING:
-    from vamgpu.webs.proof import Piece, WebProof
+    from vamgpu.webs.proof import WebPart, WebProof
 
 SHOWN = 9.0
 """Length [mm] of the piece of web that is shown in three dimensions."""
@@ -81,7 +81,7 @@ def _peak(proof: WebProof) -> float:
     return float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])
 
 
-def _solid(proof: WebProof, piece: Piece, peak: float) -> tuple[dict[str, Any], str]:
+def _solid(proof: WebProof, piece: WebPart, peak: float) -> tuple[dict[str, Any], str]:
     """Surfaces and slices of a stretch in the middle of a piece, as the page's script takes them."""
     edges = np.array(proof.grid.edges)
     count = min(len(piece.dose), round(SHOWN / edges[0]))

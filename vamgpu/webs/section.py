@@ -1,6 +1,8 @@
-"""What a machine and its light make of a web by default: voxels across it, and focus planes along it."""
+"""Defaults that follow from a machine and its light: voxels across a web, and focus planes along it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, counts
@@ -16,12 +18,7 @@ def one_column(
     section: tuple[int, int] | None = None,
     pitch: tuple[float, float, float] | None = None,
 ) -> WebGrid:
-    """One column of the web.
-
-    section: voxels along rho and z; None fills the film of ``wrap`` and the height of ``beam`` with as many as fit
-    best, and then voxels are the film's thickness over their count along rho.  pitch: voxel edges [mm] along l, rho, z;
-    None takes one pose along l and the beam's pitch.  Raises `BadInput` where no film tells the section.
-    """
+    """One column of the web; film and beam tell what is not given. Raises `BadInput` without a film."""
     edges = (wrap.advance, beam.pitch, beam.pitch) if pitch is None else pitch
     along, deep, across = WebGrid((1, 1, 1), edges).edges
     if section is not None:
@@ -33,12 +30,13 @@ def one_column(
     return WebGrid((1, layers, slices), (along, thickness / layers, across))
 
 
-def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -> FocusMasks | None:
-    """The focus planes of a lens about the roller that carries the film, or those that are given.
+def lit_by(wrap: Wrap, planes: int) -> Wrap:
+    """The machine where a lens shows each of some focus planes for its part of what is lit of a step."""
+    return replace(wrap, lit_share=wrap.lit_share / planes) if isinstance(wrap, Roller) else wrap
 
-    Raises `BadInput` for a lens that cannot reach its planes, for one beside a machine other than a `Roller`, and for
-    anything else; `ShapeMismatch` for masks of another beam.
-    """
+
+def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -> FocusMasks | None:
+    """Focus planes of a lens about the roller, or those given. Raises `BadInput`, `ShapeMismatch`."""
     if lens is None:
         return None
     if isinstance(lens, FocusMasks):

@@ -1,4 +1,4 @@
-"""What a stream gives: the frames and the target of one stretch of a web."""
+"""Frames and target of one segment of a web."""
 
 from __future__ import annotations
 
@@ -12,26 +12,19 @@ from vamgpu.printing.gray import GrayCurve
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One segment that is decided.
+    """One segment that is decided."""
 
-    number: counted from 0.  first: number of its first frame on the web.  images: uint8 [pose, row, column].
-    target: uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment.  scale: light of a
-    full-on pixel.  loss: of the first and last iteration, overlaps included.  saturated: pixels that needed more than
-    full-on.  seconds: it took.  last: whether the web ends here.  levels: least dose of the part and greatest outside,
-    over the greatest, that all segments keep apart; None where no window was maximized.
-    """
-
-    number: int
-    first: int
-    images: np.ndarray
-    target: np.ndarray
-    scale: float
-    loss: tuple[float, float]
-    saturated: int
-    seconds: float
-    last: bool
+    number: int  # counted from 0
+    first: int  # number of its first frame on the web
+    images: np.ndarray  # uint8 [pose, row, column]
+    target: np.ndarray  # uint8 [l, rho, z], fractions times 255, of the columns that are judged with this segment
+    scale: float  # light of a full-on pixel
+    loss: tuple[float, float]  # of the first and last iteration, overlaps included
+    saturated: int  # pixels that needed more than full-on
+    seconds: float  # it took
+    last: bool  # whether the web ends here
     gray: GrayCurve
-    levels: tuple[float, float] | None = None
+    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside
 
     @property
     def frames(self) -> Frames:

@@ -16,9 +16,10 @@ from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.update import linear
 from vamgpu.losses.loss import Loss
+from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.method import Method
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import Taps, bar, identity, ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.methods.trajectory import LossTrajectory
@@ -26,83 +27,73 @@ from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.web import WebProjection
 from vamgpu.web import Propagation, WebGrid
-from vamgpu.webs.layout import Layout
+from vamgpu.webs.layout import SegmentLayout
 
 LAST = "the light of the segment is its last"
-"""What a message of divergence says of it."""
+"""Words on it in messages of divergence."""
 TOGETHER = 1 << 26
 """Bytes of a field that are made at once before they are uploaded."""
+STABLE = 4 / 3
+"""Longest step of Nesterov's that is stable, over what the loss is curved at most: momentum comes near 1."""
 PACE = 5 / 6
-"""Length of a step over the longest at which accelerated steps are stable where the loss is most curved."""
+"""Length of a step over the longest that is stable."""
 
 
 @dataclass(frozen=True)
 class SegmentLosses:
-    """Losses of a segment, its overlaps included.
+    """Losses of a segment, its overlaps included."""
 
-    Attributes:
-        first: Of the first iteration.
-        last: Of the last one.
-        trajectory: Of all of them; None for a segment of nothing.
-    """
-
-    first: float
-    last: float
-    trajectory: LossTrajectory | None = None
+    first: float  # of the first iteration
+    last: float  # of the last one
+    trajectory: LossTrajectory | None = None  # of all of them; None for a segment of nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
-    """What a segment goes on from.
+class Start:
+    """The light and the dose that a segment starts from."""
 
-    Attributes:
-        light: To begin with, [pose, r, z] on the device.
-        planned: Of each pose, whether that light is meant; the others begin with the filtered target, (poses,).
-        most: Greatest light of a pixel.
-        decided: First poses whose light is decided already, and is not part of what is solved.
-        dose: Delivered by them and those before the segment, [l, rho, z]; NaN where nothing can be changed any more.
-            None where light before the segment is still to come.
-    """
-
-    light: DeviceArray
-    planned: np.ndarray
-    most: float
-    decided: int = 0
-    dose: np.ndarray | None = None
+    light: DeviceArray  # to begin with, [pose, r, z] on the device
+    planned: np.ndarray  # of each pose, whether that light is meant
+    most: float  # greatest light of a pixel
+    decided: int = 0  # first poses whose light is decided already, and is not part of what is solved
+    dose: np.ndarray | None = None  # delivered by them and those before the segment, [l, rho, z]
 
 
 class Solver:
-    """Descent of a loss on segments of one shape.
+    """Descent of a sum over voxels on segments of one shape; the light of a segment is its last."""
 
-    The light of a segment is its last: choosing the best of all iterations would make a place depend on the rest of the
-    segment. The step is short enough that the loss of p ≥ 2 falls; where it rises all the same, a warning says so.
+    # A place depends on what is near it, never on where a segment begins: the loss is a sum over voxels, and the step
+    # follows from one pose and the curvature. To choose the best of all iterations would couple the whole segment.
+    # Momentum is Nesterov's, whatever the method's own: half of it would need four times as many steps.
 
-    The loss is a sum over voxels, the step is fixed by the light of one pose and the loss's curvature alone, and the
-    first light is filtered and scaled likewise: what happens at a place depends on what is near it, never on where a
-    segment begins. An iteration carries influence one window further at most and weakens it, so that frames one window
-    inside a segment come out as they would from the whole web.
-
-    layout: shape of a segment.  section: voxels along rho and z.  edges: [mm].  light: of one pose.
-    """
-
-    layout: Layout
+    layout: SegmentLayout  # shape of a segment
     device: Device
 
     def __init__(
-        self, layout: Layout, grid: WebGrid, beam: Beam, light: Propagation, method: Method, device: Device
+        self, layout: SegmentLayout, grid: WebGrid, beam: Beam, light: Propagation, method: Method, device: Device
     ) -> None:
-        self.loss: Loss = local_loss(method)
+        self.norm: BCLP | None = _coupled_by_norm(method)
+        loss = local_loss(method if self.norm is None else self.norm.apart(0.0))
         self.layout, self.device = layout, device
         whole = WebGrid((layout.columns, *grid.shape[1:]), grid.pitch)
         self.operator: WebProjection = WebProjection.from_light(
             whole, light, float(layout.step), beam, device, poses=layout.poses, start=0.0
         )
-        momentum = getattr(method, "momentum", None)
-        steady = 1.0 if momentum is None else momentum  # Nesterov's comes near 1
-        stable = 2.0 * (1.0 + steady) / (1.0 + 2.0 * steady)
-        self.step: float = PACE * stable / (self._norm() * self.loss.curvature())
-        self.pace: Pace = Pace(self.step, momentum=momentum, fixed=True)
         self._fields: dict[str, DeviceArray] = {}
+        self._lower(loss)
+
+    def _lower(self, loss: Loss) -> None:
+        """Take steps down this loss."""
+        self.loss: Loss = loss
+        self.step: float = PACE * STABLE / (self._norm() * loss.curvature())
+        self.pace: StepRule = StepRule(self.step, fixed=True)
+
+    def settle(self, fractions: np.ndarray, columns: int, iterations: int) -> None:
+        """Find the number by which a norm couples the web, from the first segment's ``columns`` on the web."""
+        method, self.norm = self.norm, None
+        if method is not None and method.ridge:
+            _, losses = self.solve(fractions, iterations)
+            self._lower(method.apart(losses.last / (columns * fractions[0].size)).band())
 
     def _norm(self) -> float:
         """‖A‖², from the light of one pose: no entry is negative, so that a web that is even along l is the worst."""
@@ -112,7 +103,7 @@ class Solver:
         return rows * float(np.linalg.norm(sums, 2)) ** 2 / float(self.layout.step)
 
     def _rows_norm(self) -> float:
-        """What rows unlike slices add to ‖A‖²; 1 where each row is a slice."""
+        """Factor of ‖A‖² by rows unlike slices; 1 where each row is a slice."""
         grid, beam = self.operator.grid, self.operator.beam
         rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         if rows.same:
@@ -133,10 +124,7 @@ class Solver:
 
     @cached_property
     def _unlit(self) -> np.ndarray:
-        """Share of the light of an endless run of poses that columns lack near the ends of a segment; (l, rho, 1).
-
-        Poses beyond a segment are taken to do their share of what is asked, so that those near its ends need not.
-        """
+        """Share of an endless run's light that columns near the ends of a segment lack, (l, rho, 1)."""
         assert self.gain  # which leaves finite numbers in the light
         light, dose = self._field("light"), self._field("dose")
         self.device.launch(linear, a=0.0, x=light, b=0.0, y=light, floor=1.0, out=light)
@@ -168,16 +156,9 @@ class Solver:
         return light
 
     def solve(
-        self, fractions: np.ndarray, iterations: int, given: Given | None = None
+        self, fractions: np.ndarray, iterations: int, given: Start | None = None
     ) -> tuple[DeviceArray, SegmentLosses]:
-        """Light [pose, r, z] for fractions [l, rho, z] of the segment's columns; overwritten by the next call.
-
-        Raises:
-            Diverged: When the loss is no finite number any more.
-
-        Warns:
-            DivergenceWarning: When more than half of what the loss had fallen is lost again.
-        """
+        """Light [pose, r, z] for fractions [l, rho, z], overwritten by the next call. Raises `Diverged`."""
         state = OptimizerState(self.operator, self.device.upload(fractions), {})
         if not fractions.any():
             return self._dark(), SegmentLosses(0.0, 0.0)
@@ -204,10 +185,7 @@ class Solver:
         return state.buffer("light"), SegmentLosses(losses[0], losses[-1], trajectory)
 
     def _rest(self, fractions: np.ndarray, unlit: np.ndarray, given: np.ndarray | None) -> DeviceArray:
-        """Dose that light beyond the segment is taken to bring, or is known to have brought.
-
-        Made some columns at a time, for it is as large as the target.
-        """
+        """Dose of light beyond the segment, made some columns at a time."""
 
         def bring(here: slice) -> np.ndarray:
             if given is None:
@@ -220,14 +198,14 @@ class Solver:
         parts = (bring(slice(first, first + each)) for first in range(0, len(fractions), each))
         return self.device.gather(fractions.shape, parts)
 
-    def _planned(self, given: Given, light: DeviceArray) -> None:
+    def _planned(self, given: Start, light: DeviceArray) -> None:
         """``light`` = that of the plan, where there is one."""
         others = self.device.table((~given.planned).astype(np.float32))
         self.device.launch(weigh_poses, light=light, times=others, weighted=light)
         combine(1.0, light, 1.0, given.light, light)
         self._possible(given, light)
 
-    def _possible(self, given: Given, light: DeviceArray) -> None:
+    def _possible(self, given: Start, light: DeviceArray) -> None:
         """Keep light within what a pixel can show, and poses that are decided out of it."""
         capped(light, given.most)
         if given.decided:
@@ -250,12 +228,13 @@ class Solver:
         return self._fields[name]
 
 
-def local_loss(method: Method) -> Loss:
-    """The loss of a method, if it can be lowered piece by piece along a web.
+def _coupled_by_norm(method: Method) -> BCLP | None:
+    """The method, where nothing but the power of its norm couples the places of a web."""
+    return method if isinstance(method, BCLP) and method.coupling and not method.apart(0.0).coupling else None
 
-    Raises:
-        BadInput: Where a place would depend on the rest of the web.
-    """
+
+def local_loss(method: Method) -> Loss:
+    """The loss of a method that is a sum over voxels. Raises `BadInput` where a place depends on the whole web."""
     loss = getattr(method, "loss", None)
     if not isinstance(loss, Loss):
         raise BadInput(

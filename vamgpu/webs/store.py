@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -29,32 +30,23 @@ AXES = {"frames": ("pose", "row", "column"), "target": ("l", "rho", "z")}
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """What is kept of a segment: its frames, its columns of the target (fractions times 255), and their SHA-256.
+    """A segment in the folder's record: spans, losses, and SHA-256 of frames and target."""
 
-    frames, columns: first and one after the last.  loss: of the first and last iteration.  saturated: pixels that
-    needed more light than a full-on mirror gives.
-    """
-
-    frames: tuple[int, int]
-    columns: tuple[int, int]
-    loss: tuple[float, float]
-    saturated: int
+    frames: tuple[int, int]  # first and one after the last
+    columns: tuple[int, int]  # first and one after the last
+    loss: tuple[float, float]  # of the first and last iteration
+    saturated: int  # pixels that needed more light than a full-on mirror gives
     sha256: tuple[str, str]
 
 
 @dataclass(frozen=True)
 class WebFolder:
-    """A folder of a web that was opened: Zarr arrays ``frames`` and ``target``, one frame a chunk, one segment a file.
-
-    Only what ``segments`` counts is there, whatever else lies in the files: each segment is written, brought to the
-    disk, and only then counted, in a record that is replaced whole. details: what readers must know, by subject.
-    complete: whether the web has come to its end.
-    """
+    """An opened folder of a web: Zarr arrays ``frames`` and ``target``, of which only ``segments`` are whole."""
 
     path: Path
-    details: dict[str, Any]
+    details: dict[str, Any]  # what readers must know, by subject
     segments: tuple[SegmentRecord, ...] = ()
-    complete: bool = False
+    complete: bool = False  # whether the web has come to its end
 
     @classmethod
     def open(cls, path: str | Path) -> WebFolder:
@@ -78,8 +70,7 @@ class WebFolder:
         cls, path: str | Path, details: Mapping[str, Any], frame: tuple[int, int], section: tuple[int, int],
         lengths: tuple[int, int],
     ) -> WebFolder:  # fmt: skip
-        """Begin a folder. frame: rows and columns.  section: voxels along rho and z.  lengths: frames and columns of a
-        segment. Raises `StorageError` for a path that is taken and whatever the system refuses."""
+        """Begin a folder; lengths are frames and columns of a segment. Raises `StorageError`."""
         place = Path(path)
         empty = place.is_dir() and not place.is_symlink() and not any(place.iterdir())
         if os.path.lexists(place) and not empty:
@@ -129,7 +120,7 @@ class WebFolder:
                 kept = -(-length // _per_file(array))
                 for file in (self.path / name / "c").glob("*"):
                     if file.name.isdigit() and int(file.name) >= kept:
-                        _remove(file)
+                        shutil.rmtree(file)
             (self.path / (RECORD + PARTIAL)).unlink(missing_ok=True)
         except OSError as error:
             raise explained("clean", self.path, error) from error
@@ -232,9 +223,3 @@ def _write(place: Path, name: str, span: tuple[int, int], values: np.ndarray) ->
             continue  # darkness alone makes no file; should one be lost, its digest tells
         settle(path, path.parent, path.parent.parent, path.parent.parent.parent)
     settle(place / name / "zarr.json", place / name)
-
-
-def _remove(folder: Path) -> None:
-    import shutil
-
-    shutil.rmtree(folder)

@@ -14,17 +14,14 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import BadInput, StorageError, TileError
 from vamgpu.geometry import Beam, positive
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
-from vamgpu.methods.default import MANY, BestWindow
+from vamgpu.methods.choose import chosen
 from vamgpu.methods.method import Method
-from vamgpu.methods.run import chosen
-from vamgpu.methods.widest import WidestWindow
-from vamgpu.methods.window import ProcessWindow
+from vamgpu.methods.pdhg import PDHG
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames, flat_table
@@ -34,13 +31,13 @@ from vamgpu.printing.placement import Placement
 from vamgpu.storage.manifest import plain
 from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 from vamgpu.webs.describe import described, described_focus, described_target, described_wrap
-from vamgpu.webs.layout import Layout
-from vamgpu.webs.prices import Decided, PricedSolver
-from vamgpu.webs.section import focus_masks, one_column
+from vamgpu.webs.layout import SegmentLayout
+from vamgpu.webs.section import focus_masks, lit_by, one_column
 from vamgpu.webs.segment import Segment
-from vamgpu.webs.solver import Given, SegmentLosses, Solver
+from vamgpu.webs.solver import SegmentLosses, Solver, Start
 from vamgpu.webs.store import RECORD, WebFolder
 from vamgpu.webs.tiles import Columns
+from vamgpu.webs.window_solver import FixedFrames, WindowSolver
 
 QUANTILE = 0.9999
 """Share of the first segment's lit pixels that a full-on mirror reaches."""
@@ -48,22 +45,16 @@ QUANTILE = 0.9999
 Progress = Callable[[int, int | None], None]
 """Called after each segment with the segments done and their total (None where it is unknown)."""
 
-
-Spread = Callable[[range, float | None], Iterable[Segment]]
+SegmentSource = Callable[[range, float | None], Iterable[Segment]]
 """Segments of a range of numbers in order, by the scale that is known; the first one tells it where none is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What the segments of a web before one leave to it.
+    """State that earlier segments leave to the next one."""
 
-    Attributes:
-        frames: The last ones, at most those of an overlap, uint8 [pose, row, column].
-        levels: Least dose of the part and greatest outside that the first segment came to.
-    """
-
-    frames: np.ndarray
-    levels: tuple[float, float] | None = None
+    frames: np.ndarray  # the last ones, at most those of an overlap, uint8 [pose, row, column]
+    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, by the first segment
 
 
 @dataclass(eq=False)
@@ -77,9 +68,10 @@ class Stream:
         beam: Its light.
         lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` keeps
             them, and the folder says which plane shows which column.
-        method: Any whose loss is a sum over voxels (`BCLP` with q = p, CAL, penalty minimization, two thresholds), its
-            name, or such a loss. The length of steps is the `Solver`'s own. Or "widest" for the widest window, of which
-            a segment takes more memory and time; "best" takes it from 64 iterations on, and two thresholds before.
+        method: Any whose loss is a sum over voxels (`BCLP`, CAL, penalty minimization, two thresholds), its name, or
+            such a loss. The length of steps and their momentum are the `Solver`'s own. Of a norm whose q is not p, the
+            number that couples the web is found by its first segment, which is solved twice. Or "best" for the widest
+            window, of which a segment takes more memory and time.
         section: Voxels along rho and z; by default those of a film of ``wrap``, a slice a row, and as many layers as
             come nearest the pitch and fill the film.
         pitch: Voxel edges along l, rho, z [mm]; by default one pose along l and the beam's pitch.
@@ -109,7 +101,7 @@ class Stream:
     length: float | None = None
     iterations: int | None = None
     core: float = 2.0
-    overlap: float = 1.0
+    overlap: float = 1.25
     gray: GrayCurve | None = None
     scale: float | None = None
     device: str | Device | None = None
@@ -124,7 +116,7 @@ class Stream:
             self.scale = positive("scale", self.scale)
         if self.speed is not None:
             self.speed = positive("speed [mm/s]", self.speed)
-        self.method = chosen(self.method)
+        self.method = PDHG() if isinstance(self.method, str) and self.method.lower() == "best" else chosen(self.method)
         count = self.method.iterations if self.iterations is None else self.iterations
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise BadInput(f"iterations is {count!r}; expected a whole number ≥ 1")
@@ -135,12 +127,13 @@ class Stream:
         self.device = open_device(self.device)
         self.grid: WebGrid = one_column(self.wrap, self.beam, self.section, self.pitch)
         self.masks: FocusMasks | None = focus_masks(self.lens, self.wrap, self.beam)
-        self.light: Propagation = light_of_pose(self.wrap, self.grid, self.beam, self.device)
+        wrap = lit_by(self.wrap, 1 if self.masks is None else len(self.masks.planes))
+        self.light: Propagation = light_of_pose(wrap, self.grid, self.beam, self.device)
         step = self.wrap.advance / self.grid.edges[0]
-        self.layout: Layout = Layout.of(self.light.shape[2], step, self.core, self.overlap)
-        priced, how = _priced(self.method, self.iterations)
-        solver = PricedSolver if priced else Solver
-        self.solver: Solver | PricedSolver = solver(self.layout, self.grid, self.beam, self.light, how, self.device)
+        self.layout: SegmentLayout = SegmentLayout.of(self.light.shape[2], step, self.core, self.overlap)
+        solver: Any = WindowSolver if isinstance(self.method, PDHG) else Solver
+        given = (self.layout, self.grid, self.beam, self.light, self.method, self.device)
+        self.solver: Solver | WindowSolver = solver(*given)
         self._reader: tuple[Columns, int] | None = None
 
     def __iter__(self) -> Iterator[Segment]:
@@ -154,7 +147,7 @@ class Stream:
 
     def segments(
         self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None,
-        given: Callable[[int], Given] | None = None, past: Past | None = None,
+        given: Callable[[int], Start] | None = None, past: Past | None = None,
     ) -> Iterator[Segment]:  # fmt: skip
         """Solve segment after segment; what was yielded before an error stays valid.
 
@@ -171,9 +164,9 @@ class Stream:
         Raises:
             TileError: The tiles break off, do not fit, or differ from ``before``.
         """
-        columns, scale = self._columns(), scale or self.scale
+        columns, scale = self._settled(), scale or self.scale
         number, past = first, past or self._nothing
-        if given is not None and isinstance(self.solver, PricedSolver):
+        if given is not None and isinstance(self.solver, WindowSolver):
             raise BadInput(f"a web by {self.method!r} cannot be replanned; expected a loss that is a sum over voxels")
         if before is not None:
             self._check_same(columns, first, before)
@@ -203,10 +196,10 @@ class Stream:
                 segments go on from those before.
             TileError: As for `segments`.
         """
-        if reason := self.against_alone():
+        if reason := self.unsupported_alone():
             raise BadInput(f"segments cannot be solved alone: {reason}")
         if self._reader is None or self._reader[1] > number:
-            self._reader = self._columns(), number
+            self._reader = self._settled(), number
         columns = self._reader[0]
         self._reader = columns, number
         segment, _ = self._next(columns, number, scale or self.scale, self._nothing, None)
@@ -214,9 +207,9 @@ class Stream:
             raise BadInput(f"got segment {number}; expected one below {self.total}")
         return segment
 
-    def against_alone(self) -> str:
+    def unsupported_alone(self) -> str:
         """Why segments cannot be solved each for itself, or nothing."""
-        if isinstance(self.solver, PricedSolver):
+        if isinstance(self.solver, WindowSolver):
             return (f"{self.method!r} maximizes the window, and a segment goes on from the one before; expected a loss "
                     "that is a sum over voxels, such as the method bclp")  # fmt: skip
         if self.total is None or isinstance(self.tiles, Iterator):
@@ -226,12 +219,22 @@ class Stream:
     def _columns(self) -> Columns:
         return Columns(self.tiles, self.grid, self.length)
 
+    def _settled(self) -> Columns:
+        """Columns to be read from the beginning, once it is known what the first segment tells all of them."""
+        columns, solver, layout = self._columns(), self.solver, self.layout
+        if isinstance(solver, Solver) and solver.norm is not None:
+            first = layout.origin(0)
+            fractions = columns.take(first, first + layout.columns)
+            stop = min(first + layout.columns, columns.end or first + layout.columns)
+            solver.settle(fractions, stop - max(first, 0), self.iterations or 1)
+        return columns
+
     @property
     def _nothing(self) -> Past:
         return Past(np.zeros((0, *self.beam.pixels[::-1]), np.uint8))
 
     def _next(
-        self, columns: Columns, number: int, scale: float | None, past: Past, given: Callable[[int], Given] | None
+        self, columns: Columns, number: int, scale: float | None, past: Past, given: Callable[[int], Start] | None
     ) -> tuple[Segment | None, Past]:  # fmt: skip
         """A segment, and what it leaves to the next one; None beyond the end."""
         began = time.perf_counter()
@@ -243,12 +246,16 @@ class Stream:
         light, outcome, past = self._solve(fractions, number, columns.end, scale, past, given)
         here = slice(self.layout.overlap, self.layout.overlap + stop - start)
         scale = scale or self._first_scale(light, here)
-        images = self._pack(light, scale).part(here.start, here.stop)
+        packed = pack(Solved(light, self.solver.operator), gray=self.gray, scale=scale).images
+        images = packed.part(here.start, here.stop)
         past = Past(np.concatenate([past.frames, images])[-self.layout.overlap :], past.levels)
         low, high = (edge - origin for edge in self.layout.printed(number, columns.end))
         last = columns.end is not None and stop == self.layout.frames(columns.end)
-        fractions = fractions[low:high]
-        return self._segment(number, start, images, fractions, scale, outcome, began, last, past.levels), past
+        assert self.gray is not None
+        return Segment(
+            number, start, images, _bytes(fractions[low:high]), scale, (outcome.first, outcome.last),
+            int(np.count_nonzero(images == 255)), time.perf_counter() - began, last, self.gray, past.levels,
+        ), past  # fmt: skip
 
     def _check_same(self, columns: Columns, number: int, before: np.ndarray) -> None:
         """Refuse tiles that are not those the segment before ``number`` was made from."""
@@ -261,20 +268,9 @@ class Stream:
                 "resume it with the same tiles from the very beginning, or begin anew"
             )
 
-    def _segment(
-        self, number: int, start: int, images: np.ndarray, fractions: np.ndarray, scale: float, outcome: SegmentLosses,
-        began: float, last: bool, levels: tuple[float, float] | None,
-    ) -> Segment:  # fmt: skip
-        assert self.gray is not None
-        saturated = int(np.count_nonzero(images == 255))
-        target = _bytes(fractions)
-        loss = (outcome.first, outcome.last)
-        seconds = time.perf_counter() - began
-        return Segment(number, start, images, target, scale, loss, saturated, seconds, last, self.gray, levels)
-
     def _solve(
         self, fractions: np.ndarray, number: int, end: int | None, scale: float | None, past: Past,
-        given: Callable[[int], Given] | None,
+        given: Callable[[int], Start] | None,
     ) -> tuple[DeviceArray, SegmentLosses, Past]:  # fmt: skip
         """Light of a segment, its losses, and with them what is known to the segments after it."""
         count, solver, layout = self.iterations or 1, self.solver, self.layout
@@ -288,7 +284,7 @@ class Stream:
             light[-len(past.frames) :] = shown.irradiance().numpy()
         origin = layout.origin(number)
         span = max(0, -origin), len(fractions) if end is None else max(0, min(len(fractions), end - origin))
-        found, losses, levels = solver.solve(fractions, count, Decided(light, span, past.levels))
+        found, losses, levels = solver.solve(fractions, count, FixedFrames(light, span, past.levels))
         return found, losses, Past(past.frames, past.levels or levels)
 
     def _first_scale(self, light: DeviceArray, here: slice) -> float:
@@ -307,14 +303,10 @@ class Stream:
             )
         return scale
 
-    def _pack(self, light: DeviceArray, scale: float) -> DeviceArray:
-        return pack(Solved(light, self.solver.operator), 8, self.gray, scale=scale).images
-
     # ---- to a folder -----------------------------------------------------------------------------------------
-    @renamed_arguments(told="progress")
     def write(
         self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None,
-        spread: Spread | None = None,
+        spread: SegmentSource | None = None,
     ) -> WebFolder:  # fmt: skip
         """Write every segment to a folder as soon as it is decided. A killed run leaves a folder of whole segments
         only.
@@ -324,7 +316,7 @@ class Stream:
             resume: Go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
             overwrite: Begin anew.
             progress: Called after each segment.
-            spread: Solves segments elsewhere, each as `alone` does; see `Spread`. None solves them here.
+            spread: Solves segments elsewhere, each as `alone` does; see `SegmentSource`. None solves them here.
 
         Returns:
             The folder.
@@ -344,7 +336,7 @@ class Stream:
             frames = folder.read("frames", max(0, folder.frames - self.layout.overlap), folder.frames)
             past = Past(frames, None if levels is None else (float(levels[0]), float(levels[1])))
         first = len(folder.segments)
-        if spread is not None and (reason := self.against_alone()):
+        if spread is not None and (reason := self.unsupported_alone()):
             raise BadInput(f"segments cannot be spread over workers: {reason}")
         if spread is None:
             found = self.segments(first, known, before, past=past)
@@ -383,7 +375,7 @@ class Stream:
         return WebFolder.create(place, details, (rows, columns), section, lengths)
 
     def details(self) -> dict[str, Any]:
-        """What it takes to read the frames and to go on with them.
+        """Describe what readers and a resumed run need.
 
         Returns:
             Plain values by subject.
@@ -406,13 +398,6 @@ class Stream:
             "speed": self.speed,
             "target": described_target(self.tiles),
         }  # fmt: skip
-
-
-def _priced(method: Any, iterations: int) -> tuple[bool, Any]:
-    """Whether a method maximizes the window itself, and the method that solves segments."""
-    if isinstance(method, BestWindow):
-        method = WidestWindow() if iterations >= MANY else ProcessWindow()
-    return isinstance(method, WidestWindow), method
 
 
 def _bytes(fractions: np.ndarray) -> np.ndarray:

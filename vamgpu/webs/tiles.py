@@ -20,17 +20,11 @@ if TYPE_CHECKING:
 ALONG = 64
 """Columns of a tile that is sampled from a function or a mesh."""
 _END = object()
-"""What the iterator of tiles gives where it ends; a tile that is None is a mistake, not an end."""
+"""Mark of the end of the tiles; a tile that is None is a mistake, not an end."""
 
 
 class Columns:
-    """Columns of a target in the order they pass the light, fractions 0..1, float32 [l, rho, z].
-
-    source: tiles [l, rho, z] of any thickness along l, arrays or things with ``pitch`` and ``numpy()``; a function of
-    (l, rho, z) that is negative in the solid; or `Repeated`, a mesh tiled along l.  grid: section and pitches; its
-    extent along l does not count.  length: of the web [mm]; needed for functions and meshes, and where it is None
-    tiles may end when they like. Raises `BadInput`.
-    """
+    """Columns of a target in the order they pass the light, float32 [l, rho, z] in 0..1. Raises `BadInput`."""
 
     def __init__(self, source: Any, grid: WebGrid, length: float | None = None) -> None:
         self.grid = grid
@@ -51,10 +45,7 @@ class Columns:
         return self.limit if self.limit is not None else (self._read if self._ended else None)
 
     def take(self, start: int, stop: int) -> np.ndarray:
-        """Columns start to stop; the film before the web and behind it is clear. Earlier columns are forgotten.
-
-        Raises `TileError` for a tile that does not fit, and for a stream that ends before the length it was to have.
-        """
+        """Columns start to stop, 0 beyond the web; earlier ones are forgotten. Raises `TileError`."""
         while not self._ended and self._read <= stop:  # one more than asked tells whether it ends
             self._advance(start)
         out = np.zeros((stop - start, *self.grid.shape[1:]), np.float32)

@@ -21,25 +21,15 @@ TICK = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Times [s] of every frame of some poses, (poses, bins), from the start of pose 0 of the web.
+    """Times [s] of every frame of some poses, (poses, bins), from the start of pose 0 of the web."""
 
-    Attributes:
-        plane: Which focus plane is shown.
-        power: Of the lens [dpt].
-        command: When the command for the lens goes out; NaN where it keeps its power.
-        trigger: Of the mirrors. A frame in the plane of the one before is triggered while that one is still lit.
-        start: From when on light is on.
-        stop: Until when; equally long for all frames.
-        delay: From trigger to light [s], set once in the mirrors.
-    """
-
-    plane: np.ndarray
-    power: np.ndarray
-    command: np.ndarray
-    trigger: np.ndarray
-    start: np.ndarray
-    stop: np.ndarray
-    delay: float
+    plane: np.ndarray  # which focus plane is shown
+    power: np.ndarray  # of the lens [dpt]
+    command: np.ndarray  # when the command for the lens goes out; NaN where it keeps its power
+    trigger: np.ndarray  # of the mirrors
+    start: np.ndarray  # from when on light is on
+    stop: np.ndarray  # until when; equally long for all frames
+    delay: float  # from trigger to light [s], set once in the mirrors
 
 
 def timetable(limits: WebLimits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
@@ -59,7 +49,7 @@ def timetable(limits: WebLimits, poses: int, first: int = 0, tick: float = TICK)
     """
     count, tick = counts("poses", (poses,), 1)[0], positive("tick [s]", tick)
     if isinstance(first, bool) or not isinstance(first, int) or first < 0:
-        raise BadInput(f"first is {first!r}; expected the number of a pose, 0 or more")
+        raise BadInput(f"first is {first!r}; expected the number of an angle, 0 or more")
     shown, bins = limits.display, limits.lens.bins
     period, busy = 1.0 / limits.pose_rate, shown.wire + limits.lens.settle
     lit = (period - limits.moves * busy) / bins

@@ -50,10 +50,7 @@ class Strips:
 
 
 def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.ndarray, whole: np.ndarray) -> str:
-    """Power absorbed per volume about the roller: by a beam that is fully on, and by one frame.
-
-    frame: light of the middle slice over the beam's columns (columns,).  whole: the same of a full-on beam.
-    """
+    """Power absorbed about the roller: by a full-on beam, and by one frame (columns,)."""
     map_ = roller.map(grid)
     n_rho, n_l = light.shape[1:]
     l, rho = np.arange(n_l + 1) * grid.edges[0], np.arange(n_rho + 1) * grid.edges[1]  # noqa: E741 - the web's axis

@@ -41,7 +41,7 @@ NUMBER = 1  # of the play
 
 @dataclass
 class Edges:
-    """What was recorded [s]. triggers: rises.  lights: when it was on, from and to.  lens: begins of its frames."""
+    """Recorded times [s]: rises of triggers, light from and to, begins of the lens's frames."""
 
     triggers: list[float] = field(default_factory=list)
     lights: list[tuple[float, float]] = field(default_factory=list)
@@ -71,7 +71,7 @@ def play(controller: Controller, clock: Clock) -> None:
 
 
 def emulated() -> Edges:
-    """What the emulated controller does."""
+    """Edges of the emulated controller."""
     clock, machine, edges = VirtualClock(), EmulatedController(), Edges()
     lit: list[float] = []
 
@@ -89,18 +89,7 @@ def emulated() -> Edges:
 
 
 def recorded(path: Path, columns: Sequence[int] = (1, 2, 3)) -> Edges:
-    """Read a recording.
-
-    Args:
-        path: CSV whose first column is the time [s]; lines that do not begin with a number are skipped.
-        columns: Numbers of those of trigger, photodiode and lens line, the first after the time being 1.
-
-    Returns:
-        Edges where each signal crosses the middle between its least and greatest level.
-
-    Raises:
-        BadInput: The file has no such columns, or a signal does not change.
-    """
+    """Read edges from columns of a CSV, whose first is the time [s]: crossings of each signal's middle level."""
     rows = []
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.reader(file):
@@ -132,7 +121,7 @@ def _edges(times: np.ndarray, level: np.ndarray, name: str) -> tuple[np.ndarray,
 
 
 def measures(edges: Edges) -> dict[str, list[float]]:
-    """What is compared, each value [s]. Raises `BadInput` for a recording that misses some of it."""
+    """Intervals to compare [s]. Raises `BadInput` for a recording that misses some of them."""
     found = (len(edges.triggers), len(edges.lights), len(edges.lens))
     if found != (ROWS, ROWS + 1, ROWS):
         raise BadInput(
@@ -191,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measured(given: argparse.Namespace) -> Edges:
-    """What the board does; a person starts and saves the recording."""
+    """Edges of the board; a person starts and saves the recording."""
     with Controller.open(given.port) as controller:  # first: a wrong port costs no recording
         input("Start the recording, then press Enter.")
         play(controller, RealClock())

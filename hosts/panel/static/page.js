@@ -14,7 +14,7 @@ const SHAPES = {
   lost: "M3 5l2-2 7 7 7-7 2 2-7 7 7 7-2 2-7-7-7 7-2-2 7-7z",
 };
 const at = (id) => document.getElementById(id);
-const values = {}, pictures = {}, buttons = {};
+const values = {}, images = {}, buttons = {};
 let heard = 0, wait = 0.25, lost = true, name = "lost", last = null, readings = -1, ended = null, pastDue = 0, prints = [], explained = null;
 let timer = 0, looking = false, again = false;
 
@@ -115,12 +115,12 @@ function show(now) {
     buttons[key].title = why || "";
   }
   if (now.ended && at("ask").open) at("ask").close();
-  for (const [key, number] of Object.entries(now.pictures)) {
-    picture(key, number);
+  for (const [key, number] of Object.entries(now.images)) {
+    showImage(key, number);
     const text = now.light || !key.startsWith("projector") ? key : `${key}: last frame; the light is off`;
-    if (pictures[key].caption.textContent !== text) pictures[key].caption.textContent = text;
+    if (images[key].caption.textContent !== text) images[key].caption.textContent = text;
   }
-  for (const key of Object.keys(pictures)) if (!(key in now.pictures)) { pictures[key].figure.remove(); delete pictures[key]; }
+  for (const key of Object.keys(images)) if (!(key in now.images)) { images[key].figure.remove(); delete images[key]; }
   if (now.readings !== readings) { readings = now.readings; scatter(); }
   const changed = now.ended !== ended; // at first the server may still tell what it read before the end
   if (changed || Date.now() > pastDue) { ended = now.ended; pastDue = Date.now() + (changed ? 6000 : 15000); past(); }
@@ -147,19 +147,19 @@ function explain(text, now) {
   for (const each of pages) made("a", at("message"), "report ").href = `runs/${encodeURIComponent(own.name)}/${each}`;
 }
 
-function picture(key, number) {
-  if (!pictures[key]) {
-    const figure = made("figure", at("pictures")), image = made("img", figure);
+function showImage(key, number) {
+  if (!images[key]) {
+    const figure = made("figure", at("images")), image = made("img", figure);
     image.alt = key.startsWith("projector") ? `frame of ${key}` : key;
     image.dataset.testid = key;
-    pictures[key] = { figure, image, caption: made("figcaption", figure), number: 0, loading: false };
-    image.onload = image.onerror = () => { pictures[key] && (pictures[key].loading = false); };
+    images[key] = { figure, image, caption: made("figcaption", figure), number: 0, loading: false };
+    image.onload = image.onerror = () => { images[key] && (images[key].loading = false); };
   }
-  const kept = pictures[key];
+  const kept = images[key];
   if (kept.number === number || kept.loading) return; // a slow reader skips frames
   kept.number = number;
   kept.loading = true;
-  kept.image.src = `picture/${encodeURIComponent(key)}?${number}`;
+  kept.image.src = `image/${encodeURIComponent(key)}?${number}`;
 }
 
 async function scatter() {

@@ -1,4 +1,4 @@
-"""What light passes on its way to the resin: glasses and liquids."""
+"""Glasses and liquids that light passes on its way to the resin."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.library import Absorbing
-from vamgpu.chemistry.materials.sourced import Density
+from vamgpu.chemistry.materials.source import Density
 
 
 class Clear(Absorbing):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from vamgpu.chemistry.materials.sourced import Numbers, Source, Sourced, Wavelengths
+from vamgpu.chemistry.materials.source import Numbers, Source, Sourced, Wavelengths
 from vamgpu.errors import OutsideData
 from vamgpu.geometry import positive
 from vamgpu.schema.section import Listed
@@ -30,15 +30,10 @@ def within(name: str, wavelength: float, low: float, high: float) -> float:
 
 
 class Spectrum(Sourced):
-    """Numbers against wavelength.
+    """Numbers against wavelength."""
 
-    Args:
-        wavelength: In vacuum [mm], ascending.
-        source: Where the numbers are from.
-    """
-
-    wavelength: Wavelengths
-    source: Source
+    wavelength: Wavelengths  # in vacuum [mm], ascending
+    source: Source  # where the numbers are from
 
     @field_validator("wavelength")
     @classmethod

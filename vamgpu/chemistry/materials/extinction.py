@@ -20,7 +20,7 @@ def _absorptions(values: Any) -> Any:
 
 
 class Extinction(Spectrum):
-    """What light loses on its way, at measured wavelengths and linear between them; either absorption or k is given.
+    """Absorption at measured wavelengths and linear between them; either absorption or k is given.
 
     Args:
         wavelength: In vacuum [mm], ascending.

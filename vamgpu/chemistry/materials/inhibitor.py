@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from vamgpu.chemistry.materials.library import Material
-from vamgpu.chemistry.materials.sourced import Density, Duration, MolarMass
+from vamgpu.chemistry.materials.source import Density, Duration, MolarMass
 
 
 class Inhibitor(Material):

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 from pydantic import ValidationError
 
 from vamgpu.chemistry.materials.extinction import Extinction
-from vamgpu.chemistry.materials.sourced import Sourced
+from vamgpu.chemistry.materials.source import Sourced
 from vamgpu.errors import MaterialError, OutsideData
 from vamgpu.schema.registry import nearest_of
 from vamgpu.storage.reading import load_toml

@@ -8,7 +8,7 @@ from vamgpu.chemistry.diffusivity import wilke_chang
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.inhibitor import Inhibitor
 from vamgpu.chemistry.materials.library import Absorbing
-from vamgpu.chemistry.materials.sourced import (
+from vamgpu.chemistry.materials.source import (
     Concentration,
     CriticalDose,
     MolarMass,
@@ -23,7 +23,7 @@ from vamgpu.schema.section import Listed
 
 
 class Component(Sourced):
-    """What a resin is mixed from. At most one of share and concentration is given: the one that the source gives.
+    """A component of a resin. At most one of share and concentration is given: the one that the source gives.
 
     Args:
         name: What it is called.

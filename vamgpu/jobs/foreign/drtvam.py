@@ -10,52 +10,45 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, EmptyMesh, StorageError
-from vamgpu.geometry import Grid, Turntable
-from vamgpu.jobs.foreign.found import Found
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import Turntable
+from vamgpu.jobs.build import pitch_of
+from vamgpu.jobs.foreign.patterns import STEPPED, ForeignPatterns
+from vamgpu.jobs.foreign.pictures import images_of
 from vamgpu.jobs.model import JobFile
 from vamgpu.methods.saved import target_of as known_target
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import direct
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
-from vamgpu.printing.export import check_folder
 from vamgpu.printing.frames import Frames
-from vamgpu.storage.atomic import replacing
+from vamgpu.scene.body import Body
+from vamgpu.scene.scene import Scene
+from vamgpu.storage.atomic import check_folder, replacing
 from vamgpu.storage.images import write_exr
 from vamgpu.storage.numpy_files import map_npy, read_npz
 from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.targets.mesh import load_mesh
+from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
-
-if TYPE_CHECKING:
-    from vamgpu.targets.solid import Solid
 
 PATTERNS = ("patterns.npz", "patterns", "patterns_normalized_uint8.npz")
 """Where its patterns are, beside the configuration or in its output folder, the best first."""
+ORIGIN = (0.0, 0.0, 0.0)
+"""Point of the part's frame that lies on the axis."""
 
 
-def read_drtvam(path: Path, patterns: Path | None = None) -> Found:
-    """Patterns of a configuration.
-
-    Args:
-        path: The JSON file, such as ``opt_config.json`` of an output folder.
-        patterns: NPZ, NPY or a folder of EXR images; what lies beside the file by default.
-
-    Raises:
-        StorageError: A file is missing or damaged.
-        BadInput: It describes a set-up that this library has no model of.
-    """
-    from vamgpu.jobs.foreign.pictures import images_of
-
+def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
+    """Patterns of a configuration. Raises `StorageError`, `BadInput`."""
     with _explaining(path):
         said = parse_json(read_text(path))
         setup = _set_up(path, said)
@@ -69,30 +62,18 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> Found:
     found = np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1))
     if setup.clockwise:  # the same light in the order in which our turntable turns
         found = np.roll(found[::-1], 1, axis=0)
-    return Found("Dr.TVAM", found, Turntable(angles), tables, setup.part, notes=setup.notes)
+    return ForeignPatterns("Dr.TVAM", found, Turntable(angles, lit_share=0), tables, setup.part, notes=setup.notes)
 
 
 def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
-    """What a configuration asks for, to be solved here.
-
-    Args:
-        path: The JSON file.
-
-    Returns:
-        Tables of a job file but for the part's mesh, the part where Dr.TVAM puts it, and what was left out.
-
-    Raises:
-        StorageError: A file is missing or damaged.
-        BadInput: It describes a set-up that this library has no model of.
-        MeshError: The mesh cannot be used.
-    """
+    """Task of a configuration, to be solved here. Raises `StorageError`, `BadInput`, `MeshError`."""
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]
         pixels = _count(projector, "resx"), _count(projector, "resy")
         tables = setup.tables(_count(projector, "n_patterns"), pixels)
         own = [name for name in ("loss", "optimizer", "n_steps") if name in said]
-    tables["target"]["origin"] = [0.0, 0.0, 0.0]
+    tables["target"]["origin"] = list(ORIGIN)
     notes = (f"its {', '.join(own)} left out: `vam solve` has methods of its own",) if own else ()
     return tables, setup.part.placed(), (*setup.notes, *notes)
 
@@ -102,7 +83,7 @@ def _explaining(path: Path) -> Iterator[None]:
     """Say of a configuration that cannot be read what was expected."""
     try:
         yield
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         if isinstance(error, StorageError):
             raise
         raise StorageError(f"cannot read {str(path)!r}: {error}; expected a configuration of Dr.TVAM") from error
@@ -110,7 +91,8 @@ def _explaining(path: Path) -> Iterator[None]:
         if isinstance(error, BadInput):
             raise
         expected = "" if "expected" in str(error) else "; expected a configuration of Dr.TVAM in JSON"
-        raise BadInput(f"{str(path)!r} lacks or garbles {error}{expected}: correct it") from error
+        problem = f"lacks {error}" if isinstance(error, KeyError) else f"has a malformed value: {error}"
+        raise BadInput(f"{str(path)!r} {problem}{expected}: correct it") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +111,7 @@ class _SetUp:
         return {
             "target": {"pitch": _mm(self.voxel)},
             "beam": {"pitch": _mm(self.pitch), "pixels": list(pixels), "spread": "0 mm"},
-            "turntable": {"angles": angles},
+            "turntable": {"angles": angles, "lit_share": 0.0},
             **self.vessel,
         }
 
@@ -138,13 +120,15 @@ def _set_up(path: Path, said: Any) -> _SetUp:
     projector, sensor, target = (_table(said, name) for name in ("projector", "sensor", "target"))
     vessel, vial_notes = _vessel(_table(said, "vial"))
     pitch = _number(projector, "pixel_size")
-    notes = [*_projector(projector), *vial_notes]
+    notes = [STEPPED, *_projector(projector), *vial_notes]
     if "diffusion" in said:
         notes.append("its diffusion is left out; add [resin.diffusion] to the job")
     film = _table(sensor, "film")
     voxel = min(_number(sensor, f"scale{axis}", 1.0) / _count(film, f"res{axis}", 256) for axis in "xyz")
     _number(target, "size", 1.0)
-    part = _Part(path.parent / str(target["filename"]), target)
+    width = 2.0 * _number(said["vial"], "r" if "vat" in vessel else "r_int")
+    box = tuple(min(_number(sensor, f"scale{axis}", 1.0), width if axis != "z" else inf) for axis in "xyz")
+    part = _Part(path.parent / str(target["filename"]), target, box)
     clockwise = bool(projector.get("clockwise", False))
     return _SetUp(pitch, voxel, vessel, clockwise, part, tuple(notes))
 
@@ -152,13 +136,11 @@ def _set_up(path: Path, said: Any) -> _SetUp:
 class _Part:
     """The part where Dr.TVAM puts it: its bounding box, not its circle, is centered, and scaled by its longest edge."""
 
-    def __init__(self, mesh: Path, said: Mapping[str, Any]) -> None:
-        self.mesh, self.said = mesh, said
+    def __init__(self, mesh: Path, said: Mapping[str, Any], box: tuple[float, ...]) -> None:
+        self.mesh, self.said, self.box = mesh, said, box
 
     def placed(self) -> Solid:
         """The part, centered on nothing but what the configuration says. Raises `MeshError`."""
-        from vamgpu.targets.mesh import load_mesh
-
         solid = load_mesh(self.mesh, center=False)
         if not self.said.get("scale_and_center", True):
             return solid
@@ -168,19 +150,13 @@ class _Part:
         return solid.translated(-0.5 * (low + high)).scaled(size).translated(middle)
 
     def __call__(self, file: JobFile, device: Device) -> Target:
-        from vamgpu.targets.voxelize import voxelize
-
-        solid = self.placed()
-        solid = solid.scaled(file.target.factor or 1.0)
-        pitch, (low, high) = file.target.pitch, solid.bounds
-        across = 2 * ceil(solid.radius / pitch + file.target.margin) + 2
-        along = 2 * ceil(max(abs(low[2]), abs(high[2])) / pitch) + 2
-        grid = Grid((across, across, along), pitch)
-        fraction, volume = voxelize(solid, grid, device)
-        if volume <= 0.0:
-            raise EmptyMesh(f"{solid.name}: no voxel of {pitch:g} mm is filled; expected a part not much thinner than "
-                            "a voxel: check its size, or use a smaller target.pitch")  # fmt: skip
-        return Target(grid, solid.name, fraction, solid.radius, volume, solid.height, solid)
+        """On voxels that hold the part, as a job of it has them, and the sensor, which says what resin was judged."""
+        pitch, margin, solid = pitch_of(file), file.target.margin, self.placed()
+        scene = Scene([Body(solid)], factor=file.target.factor or 1.0, origin=ORIGIN)
+        needed = scene.grid(pitch, margin=margin).shape
+        nx, ny, nz = (max(n, ceil(length / pitch - 1e-6)) for n, length in zip(needed, self.box, strict=True))
+        target = scene.target(pitch=pitch, margin=margin, shape=(nx, ny, nz), device=device, name=solid.name)
+        return replace(target, height=scene.factor * solid.height)
 
 
 def write_drtvam(light: np.ndarray, path: Path) -> None:
@@ -191,28 +167,15 @@ def write_drtvam(light: np.ndarray, path: Path) -> None:
 
 
 def export_drtvam(frames: Frames, path: str | Path) -> Path:
-    """Write a folder that Dr.TVAM reads: ``config.json``, ``patterns.npz`` and ``target.ply``.
-
-    It takes ``config.json`` as it is, and the patterns with ``--forward_mode --patterns patterns.npz``. Where OpenEXR
-    is installed, they are in ``patterns/`` as EXR images too.
-
-    Args:
-        frames: Frames whose plan is known, such as those of a job folder.
-        path: The new folder.
-
-    Returns:
-        The path.
-
-    Raises:
-        BadInput: Dr.TVAM has no model of the set-up, or nobody knows the plan.
-        StorageError: The folder exists, or cannot be written.
-    """
+    """Write a folder that Dr.TVAM reads: ``config.json``, ``patterns.npz`` and ``target.ply``."""
     plan, place = frames.plan, Path(path)
     A, target = direct(getattr(plan, "operator", None)), None if plan is None else known_target(plan)
     if plan is None or not isinstance(A, Projection):
         raise BadInput(f"got {frames!r} of {'no plan' if plan is None else repr(A)}; expected frames of a Projection: "
                        "export those of a job that `vam solve` wrote")  # fmt: skip
     said = _configuration(A, target)
+    if place.is_dir():
+        raise StorageError(f"{str(path)!r} is a folder, which is never replaced; remove it or choose another path")
     check_folder(place)
     with replacing(place) as draft:
         draft.mkdir()
@@ -291,7 +254,7 @@ def _mm(value: float) -> str:
 
 
 def _projector(said: Mapping[str, Any]) -> list[str]:
-    """What is left out of a projector. Raises `BadInput` for one whose light is not parallel."""
+    """Parts of a projector that are ignored. Raises `BadInput` for one whose light is not parallel."""
     kind, motion = said.get("type"), said.get("motion", "circular")
     if kind not in ("collimated", "telecentric") or motion != "circular" or said.get("tilt"):
         raise BadInput(

@@ -12,17 +12,21 @@ import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.errors import BadInput, JobError, StorageError
+from vamgpu.geometry import Turntable
 from vamgpu.jobs.build import motion_of, packing_of, projection_of, target_of, with_diffusion
 from vamgpu.jobs.foreign.drtvam import read_drtvam, read_task
-from vamgpu.jobs.foreign.found import Found
+from vamgpu.jobs.foreign.patterns import ForeignPatterns
 from vamgpu.jobs.foreign.pictures import Layout, read_pictures
 from vamgpu.jobs.foreign.vamtoolbox import ENDINGS, read_vamtoolbox
 from vamgpu.jobs.keys import toml_text
+from vamgpu.jobs.model import JobFile
 from vamgpu.jobs.read import Job, read_text
-from vamgpu.jobs.run import StageProgress, _quietly
+from vamgpu.jobs.run import StageProgress, quiet
+from vamgpu.printing.folder import save_frames
+from vamgpu.printing.pack import Solved, pack
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.films import FORMATS
-from vamgpu.storage.folder import Folder
+from vamgpu.storage.folder import Folder, check_place
 from vamgpu.storage.reading import load_toml
 
 VESSELS = ("vial", "vat", "vessel", "light")
@@ -30,13 +34,7 @@ VESSELS = ("vial", "vat", "vessel", "light")
 
 @dataclass(frozen=True)
 class Imported:
-    """A job that was imported.
-
-    Args:
-        folder: Its folder.
-        program: Whose patterns they are.
-        notes: What was left out or assumed.
-    """
+    """A job that was imported."""
 
     folder: Folder
     program: str
@@ -54,39 +52,11 @@ def import_patterns(
     layout: Layout = Layout(),
     device: str | None = None,
     overwrite: bool = False,
-    progress: StageProgress = _quietly,
+    progress: StageProgress = quiet,
 ) -> Imported:
-    """Make a job of another program's patterns, whose folder ``vam prove`` judges by this library's proof.
-
-    Args:
-        source: A configuration of Dr.TVAM in JSON, a sinogram of VAMToolbox (``.sino``, or an array [r, angle, z] as
-            ``.npy``), a folder of PNG, TIFF or EXR images, or a film, as OpenCAL plays them.
-        path: The folder to write.
-        job: TOML file of what the source does not say, such as part, vessel and pixels; it goes before what the source
-            says.
-        settings: ``key=value`` that go before both.
-        patterns: Of Dr.TVAM, where they are not beside the configuration.
-        target: Voxels that VAMToolbox solved for (``.target``, or an array [y, x, z]), in place of a mesh in the job.
-        layout: How images lie that do not say it themselves.
-        device: Where to compute; the best one here by default.
-        overwrite: Replace a job folder that stands there.
-        progress: Is told the stage and its share that is done.
-
-    Returns:
-        The job.
-
-    Raises:
-        StorageError: A file is missing or damaged, or would run code.
-        BadInput: A file says what this library has no model of, or source and job do not go together.
-        JobError: A key of the job is missing or wrong.
-        MeshError: The mesh cannot be used.
-    """
-    from vamgpu.printing.folder import save_frames
-    from vamgpu.printing.pack import Solved, pack
-
+    """Make a job of another program's patterns, whose folder ``vam prove`` judges by this library's proof."""
     place, origin = Path(path), Path(source)
-    if os.path.lexists(place) and not overwrite:
-        raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it (--overwrite)")
+    check_place(place, overwrite=overwrite)
     progress("patterns", 0.0)
     found = found_in(origin, None if patterns is None else Path(patterns), None if target is None else Path(target),
                      layout)  # fmt: skip
@@ -95,56 +65,60 @@ def import_patterns(
     if job is not None:
         read_text(job)  # raises what a missing job file raises
         own = load_toml(job, "the job file", missing=JobError, wrong=JobError)
-    wanted = Job.of(_merged(found.tables, own), settings, folder=folder, name=origin.stem)
-    file, there = wanted.file, open_device(device or wanted.file.solve.device)
-    count, columns, rows = found.light.shape
-    motion = (
-        motion_of(file.turntable, folder)
-        if found.motion is None or "range" in own.get("turntable", {})
-        else found.motion
-    )
-    if motion.angles != count:
-        raise BadInput(f"{str(source)!r} has patterns for {count} angles, the job {motion.angles}; expected as many: "
-                       "leave [turntable] out, or name the angles of each")  # fmt: skip
-    if file.beam.pixels not in (None, (columns, rows)):
-        raise BadInput(f"{str(source)!r} has patterns of {columns} × {rows} pixels, the job's beam {file.beam.pixels}; "
-                       "leave beam.pixels out")  # fmt: skip
-    beam = file.beam.model_copy(update={"pixels": (columns, rows)})
-    file = file.model_copy(update={"beam": beam})
+    try:
+        checked = Job.of(_merged(found.tables, own), settings, folder=folder, name=origin.stem)
+    except JobError as error:
+        if job is not None:
+            raise
+        raise JobError(f"{str(source)!r} does not say all that a job says; give a job file beside it, with part and "
+                       f"pixels: --job job.toml\n{error}") from error  # fmt: skip
+    there = open_device(device or checked.file.solve.device)
+    motion = _motion(checked.file, found, own, folder, source)
+    file = _with_pixels(checked.file, found, source)
     progress("voxels", 0.0)
-    part = target_of(wanted, there) if found.target is None or "target" in own else found.target(file, there)
+    part = target_of(checked, there) if found.target is None or "target" in own else found.target(file, there)
     A = with_diffusion(file, projection_of(file, part, there, folder, motion), folder)
     progress("frames", 0.0)
     most = float(np.max(found.light))
     if not most > 0.0:
         raise BadInput(f"every pattern of {str(source)!r} is dark; expected some light")
     packing: dict[str, Any] = packing_of(file.frames, folder) | {"scale": most if found.full is None else found.full}
+    packing["dither"] = packing["dither"] or "round"  # as the other program shows it
     frames = pack(Solved(there.upload(found.light), A, part), **packing)
     progress("folder", 0.0)
     inputs = {
-        "job": wanted.given,
+        "job": checked.given,
         "print": None if file.print is None else file.print.model_dump(),
         "imported": {"program": found.program, "source": origin.name, "notes": list(found.notes)},
     }
     return Imported(save_frames(place, frames, inputs=inputs, overwrite=overwrite), found.program, found.notes)
 
 
+def _with_pixels(file: JobFile, found: ForeignPatterns, source: str | Path) -> JobFile:
+    """A job with the pixels of patterns. Raises `BadInput` where the job says others."""
+    _, columns, rows = found.light.shape
+    if file.beam.pixels not in (None, (columns, rows)):
+        raise BadInput(f"{str(source)!r} has patterns of {columns} × {rows} pixels, the job's beam {file.beam.pixels}; "
+                       "leave beam.pixels out")  # fmt: skip
+    return file.model_copy(update={"beam": file.beam.model_copy(update={"pixels": (columns, rows)})})
+
+
+def _motion(file: JobFile, found: ForeignPatterns, own: dict[str, Any], folder: Path, source: str | Path) -> Turntable:
+    """Angles of patterns; those of the job's ``own`` tables take precedence. Raises `BadInput`, `JobError`."""
+    count = found.light.shape[0]
+    motion = motion_of(file.turntable.model_copy(update={"angles": file.turntable.angles or count}), folder)
+    if motion.angles != count:
+        raise BadInput(f"{str(source)!r} has patterns for {count} angles, the job {motion.angles}; expected as many: "
+                       "leave [turntable] out, or name the angles of each")  # fmt: skip
+    if found.motion is None or "range" in own.get("turntable", {}) or isinstance(file.turntable.angles, str):
+        return motion
+    if "lit_share" not in own.get("turntable", {}):
+        return found.motion
+    return Turntable(found.motion.theta or found.motion.angles, found.motion.dwell, file.turntable.lit_share)
+
+
 def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Make a job file of what another program was to solve, for ``vam solve``; the part is written beside it.
-
-    Args:
-        source: A configuration of Dr.TVAM in JSON; patterns are not needed.
-        path: The job file, ending in .toml; ``boat.toml`` gets its part in ``boat-part.ply``.
-        overwrite: Replace both.
-
-    Returns:
-        What was left out.
-
-    Raises:
-        StorageError: A file is missing or damaged, or one of those to be written exists.
-        BadInput: The source says what this library has no model of, or is no configuration.
-        MeshError: The mesh cannot be used.
-    """
+    """Make a job file of what another program was to solve, for ``vam solve``; the part is written beside it."""
     origin, place = Path(source), Path(path)
     if origin.suffix.lower() != ".json":
         raise BadInput(f"a job file is made of a configuration of Dr.TVAM in JSON, and {str(source)!r} is none; import "
@@ -163,8 +137,8 @@ def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False
 
 def found_in(
     source: Path, patterns: Path | None = None, target: Path | None = None, layout: Layout = Layout()
-) -> Found:
-    """What a file or folder of another program holds; arguments and errors as for `import_patterns`."""
+) -> ForeignPatterns:
+    """Patterns in a file or folder of another program; arguments and errors as for `import_patterns`."""
     ending = source.suffix.lower()
     if target is not None and ending not in ENDINGS:
         raise BadInput(

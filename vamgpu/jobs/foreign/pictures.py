@@ -11,7 +11,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Turntable
-from vamgpu.jobs.foreign.found import Found
+from vamgpu.jobs.foreign.patterns import ForeignPatterns
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
@@ -29,38 +29,19 @@ DESCRIPTION = "frames.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """How light lies in pictures that do not say it themselves.
+    """Orientation of images without a description; None takes the middle, every image, and linear gray levels."""
 
-    Args:
-        flip_r: Column 0 is the largest r.
-        flip_z: Row 0 is the smallest z, as in VAMToolbox's films, which OpenCAL plays.
-        reverse: Pictures are in the order of falling angles.
-        axis: Column of the axis, counted from 0 [pixels]; the middle by default.
-        level: Row of the part's middle, counted from 0 [pixels]; the middle by default.
-        angles: Pictures of a turn, where there are several turns; all by default.
-        gray: Light of the gray levels; in proportion by default.
-    """
-
-    flip_r: bool = False
-    flip_z: bool = False
-    reverse: bool = False
-    axis: float | None = None
-    level: float | None = None
-    angles: int | None = None
+    flip_r: bool = False  # column 0 is the largest r
+    flip_z: bool = False  # row 0 is the smallest z, as in films of VAMToolbox
+    reverse: bool = False  # in the order of falling angles
+    axis: float | None = None  # column of the axis, from 0
+    level: float | None = None  # row of the part's middle, from 0
+    angles: int | None = None  # images of a turn
     gray: GrayCurve | None = None
 
 
-def read_pictures(path: Path, layout: Layout) -> Found:
-    """Light of a folder of images, or of a film.
-
-    Args:
-        path: The folder or the film.
-        layout: How they lie, where they do not say so.
-
-    Raises:
-        StorageError: It cannot be read.
-        BadInput: Pictures differ in size, or nothing of them is lit.
-    """
+def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
+    """Light of a folder of images, or of a film. Raises `StorageError`, `BadInput`."""
     if path.is_dir():
         levels, remark = images_of(path)
     else:
@@ -86,16 +67,12 @@ def read_pictures(path: Path, layout: Layout) -> Found:
         light = np.roll(light[::-1], 1, axis=0)
     full = 1.0 if levels.dtype.name in TOP else None
     tables = {"turntable": {"angles": turn}}
-    return Found("pictures", np.ascontiguousarray(light.transpose(0, 2, 1)), None, tables, full=full)
+    return ForeignPatterns("pictures", np.ascontiguousarray(light.transpose(0, 2, 1)), None, tables, full=full)
 
 
 def images_of(folder: Path) -> tuple[np.ndarray, str]:
     """The images of a folder [image, row, column] in the order of their numbers, and what ``frames.json`` says there.
-
-    Raises:
-        StorageError: One cannot be read.
-        BadInput: There are none, or they differ in size.
-    """
+    The images of a folder [image, row, column] in the order of their numbers, and what ``frames.json`` says there."""
     names = [each for each in folder.iterdir() if each.suffix.lower() in IMAGES and is_file(each)]
     kinds = {each.suffix.lower() for each in names}
     if len(kinds) != 1:
@@ -152,7 +129,7 @@ def _around(lit: np.ndarray, middle: float, path: Path) -> slice:
     return slice(round(middle - reach), round(middle + reach) + 1)
 
 
-def _ours(levels: np.ndarray, remark: str, path: Path) -> Found:
+def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
     """Light of what this library exported, which says how it lies. Raises `StorageError`, `BadInput`."""
     try:
         said = parse_json(remark)
@@ -172,7 +149,7 @@ def _ours(levels: np.ndarray, remark: str, path: Path) -> Found:
     except BadInput:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StorageError(f"{str(path)!r} garbles what it says of itself: {error}; export it again") from error
+        raise StorageError(f"the description of {str(path)!r} is malformed: {error}; export it again") from error
     tables: dict[str, Any] = {"turntable": {"angles": levels.shape[0]}}
     light = frames.irradiance().numpy().astype(np.float32)
-    return Found("vamgpu", light, motion, tables, full=frames.scale)
+    return ForeignPatterns("vamgpu", light, motion, tables, full=frames.scale)

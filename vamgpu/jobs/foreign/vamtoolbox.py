@@ -14,7 +14,8 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Turntable
-from vamgpu.jobs.foreign.found import Found
+from vamgpu.jobs.build import pitch_of
+from vamgpu.jobs.foreign.patterns import STEPPED, ForeignPatterns
 from vamgpu.jobs.model import JobFile
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.pickled import Bag, read_pickle
@@ -25,17 +26,8 @@ PACKAGES = ("vamtoolbox",)
 ENDINGS = (".sino", ".npy", ".pkl", ".pickle")
 
 
-def read_vamtoolbox(path: Path, target: Path | None = None) -> Found:
-    """Light of a sinogram.
-
-    Args:
-        path: What ``Sinogram.save`` wrote, or an array [r, angle, z] as NPY.
-        target: What ``TargetGeometry.save`` wrote, or an array [y, x, z]; a job says the part where it is None.
-
-    Raises:
-        StorageError: A file is missing or damaged, or would run code.
-        BadInput: It is no sinogram.
-    """
+def read_vamtoolbox(path: Path, target: Path | None = None) -> ForeignPatterns:
+    """Light of a sinogram. Raises `StorageError`, `BadInput`."""
     array, geometry = _volume(path, "a sinogram [r, angle, z]")
     said = geometry.get("angles") if geometry is not None else None
     even = np.arange(array.shape[1]) * 360.0 / array.shape[1]
@@ -44,7 +36,7 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> Found:
         raise BadInput(f"{str(path)!r} has {array.shape[1]} angles and {theirs.size} of them named; expected as many")
     poses = np.mod(-(theirs + 90.0), 360.0)
     order = np.argsort(poses, kind="stable")  # the same light in the order in which our turntable turns
-    tables: dict[str, Any] = {"turntable": {"angles": int(array.shape[1])}}
+    tables: dict[str, Any] = {"turntable": {"angles": int(array.shape[1]), "lit_share": 0.0}}
     notes = ["a sinogram has no vessel: light is taken for straight unless the job has one"]
     if geometry is not None:
         pixel, absorption = (_number(geometry.get(name)) for name in ("projector_pixel_size", "absorption_coeff"))
@@ -55,7 +47,7 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> Found:
         if radius is not None and absorption is not None:
             tables["vat"] = {"width": f"{2 * radius * cm!r} mm", "radius": f"{radius * cm!r} mm",
                              "absorption": f"{absorption / cm!r} 1/mm"}  # fmt: skip
-            notes = []
+            notes.clear()
         odd = [name for name in ("index_model", "occlusion", "attenuation_field", "inclination_angle")
                if geometry.get(name) is not None]  # fmt: skip
         if odd:
@@ -70,7 +62,8 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> Found:
         notes.append(f"it reaches down to {least:g}: what is below 0 is taken for dark")
     light = np.ascontiguousarray(np.maximum(array, 0.0)[:, order].transpose(1, 0, 2))
     part = None if target is None else _Part(*_volume(target, "a target [y, x, z]")[:1], target.stem)
-    return Found("VAMToolbox", light, Turntable(poses[order] * deg), tables, part, notes=tuple(notes))
+    motion = Turntable(poses[order] * deg, lit_share=0)
+    return ForeignPatterns("VAMToolbox", light, motion, tables, part, notes=(STEPPED, *notes))
 
 
 class _Part:
@@ -81,7 +74,7 @@ class _Part:
 
     def __call__(self, file: JobFile, device: Device) -> Target:
         shares = np.clip(np.asarray(self.values, np.float64), 0.0, 1.0).transpose(1, 0, 2)
-        return Target.from_array(np.ascontiguousarray(shares), file.target.pitch, self.name)
+        return Target.from_array(np.ascontiguousarray(shares), pitch_of(file), self.name)
 
 
 def _volume(path: Path, what: str) -> tuple[np.ndarray, Bag | None]:

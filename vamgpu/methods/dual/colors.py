@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 
 
-@renamed_arguments(painter="projector")
+class Pair(NamedTuple):
+    """A field of each color.
+
+    Args:
+        visible, ultraviolet: Sinograms [angle, r, z], or volumes [x, y, z].
+    """
+
+    visible: DeviceArray
+    ultraviolet: DeviceArray
+
+
+def subtracted(operators: tuple[Any, Any], gains: tuple[float, float], light: Pair) -> DeviceArray:
+    """Dose a·A_visᵀ light + b·A_uvᵀ light [x, y, z] for gains (a, b)."""
+    dose, undone = (A.T(part) for A, part in zip(operators, light, strict=True))
+    return combine(gains[0], dose, gains[1], undone, dose)
+
+
+def subtracted_gradient(operators: tuple[Any, Any], gains: tuple[float, float], slope: DeviceArray) -> Pair:
+    """Derivatives by the light of `subtracted` from those by its dose."""
+    slopes = [A(slope) for A in operators]
+    return Pair(*(combine(gain, values, 0.0, values, values) for gain, values in zip(gains, slopes, strict=True)))
+
+
 @dataclass(frozen=True, eq=False)
 class Colors:
     """One volume, seen by light that cures (visible) and by light that undoes it (UV).
@@ -36,7 +57,6 @@ class Colors:
     projector: LinearOperator | None = None
     strength: float = 1.0
     whole: bool = False
-    painter: ClassVar[Renamed] = Renamed("projector")
 
     def __post_init__(self) -> None:
         for name, other in (("uv", self.uv), ("projector", self.projector or self.visible)):
@@ -62,10 +82,29 @@ class Colors:
         Returns:
             Visible dose − strength · UV dose [x, y, z], on the device.
         """
-        dose = self.visible.T(visible)
-        if uv is not None:
-            combine(1.0, dose, -self.strength, self.uv.T(uv), dose)
-        return dose
+        return self.visible.T(visible) if uv is None else self.expose(Pair(visible, uv))
+
+    def expose(self, light: Pair) -> DeviceArray:
+        """Compute the dose of both colors, as `dose` does.
+
+        Args:
+            light: Sinograms [angle, r, z] of both colors.
+
+        Returns:
+            Dose [x, y, z].
+        """
+        return subtracted((self.visible, self.uv), (1.0, -self.strength), light)
+
+    def gradient(self, slope: DeviceArray) -> Pair:
+        """Compute derivatives by the light from those by the dose.
+
+        Args:
+            slope: Derivatives by the dose [x, y, z].
+
+        Returns:
+            Derivatives by the light [angle, r, z] of both colors.
+        """
+        return subtracted_gradient((self.visible, self.uv), (1.0, -self.strength), slope)
 
 
 @dataclass(frozen=True)
@@ -82,7 +121,6 @@ class Pass:
     evaluations: float
     undersupply: float
     oversupply: float
-    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
     @property
     def error(self) -> float:

@@ -1,4 +1,4 @@
-"""How far apart the doses in and out of a part are."""
+"""Contrast of the doses in and out of a part."""
 
 from __future__ import annotations
 
@@ -13,26 +13,18 @@ from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 
 @dataclass(frozen=True)
 class Contrast:
-    """Doses in the part (design ≥ ½) and out of it, all over the greatest dose in the part, D_in,max.
+    """Doses in the part (design ≥ ½) and out of it, over the greatest in the part, D_in,max."""
 
-    Args:
-        in_least, in_mean, in_spread: Least and mean dose and its standard deviation in the part.
-        out_least, out_mean, out_most: Least, mean and greatest dose out of it.
-        undersupply, oversupply: Root mean square of what lacks and of what exceeds the design, all voxels.
-        half, three_quarters: Ratio of the intersection to the union of design and print, where the print is what has at
-            least 0.5 or 0.75.
-    """
-
-    in_least: float
+    in_least: float  # least and mean dose and standard deviation in the part
     in_mean: float
     in_spread: float
-    out_least: float
+    out_least: float  # least, mean and greatest dose out of it
     out_mean: float
     out_most: float
-    undersupply: float
+    undersupply: float  # root mean squares of missing and of excess dose, all voxels
     oversupply: float
-    half: float
-    three_quarters: float
+    half: float  # intersection over union of the design and the voxels of dose ½ or more
+    three_quarters: float  # likewise of dose ¾ or more
 
     @property
     def window(self) -> float:
@@ -46,33 +38,20 @@ class Contrast:
 
     @classmethod
     def of(cls, dose: Any, design: Any, counted: npt.ArrayLike | None = None) -> Contrast:
-        """Compare a dose with a design.
-
-        Args:
-            dose, design: Dose and gray values 0..1, both [x, y, z], NumPy or on a device.
-            counted: Boolean [x, y, z] or broadcast to it; None for every voxel.
-
-        Returns:
-            The contrast.
-
-        Raises:
-            ShapeMismatch: The shapes differ.
-            EmptyMesh: Nothing is in the part, or nothing out of it.
-            BadInput: There is no dose in the part.
-        """
-        got, wanted = (np.asarray(v.numpy() if hasattr(v, "numpy") else v, np.float64) for v in (dose, design))
-        if got.shape != wanted.shape:
-            raise ShapeMismatch(f"the dose has shape {got.shape}, the design {wanted.shape}; expected the same")
+        """Compare a dose with a design [x, y, z] where ``counted``. Raises `ShapeMismatch`, `EmptyMesh`, `BadInput`."""
+        got, target = (np.asarray(v.numpy() if hasattr(v, "numpy") else v, np.float64) for v in (dose, design))
+        if got.shape != target.shape:
+            raise ShapeMismatch(f"the dose has shape {got.shape}, the design {target.shape}; expected the same")
         chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(np.asarray(counted, bool), got.shape)
-        got, wanted = got[chosen], wanted[chosen]
-        inside = wanted >= 0.5
+        got, target = got[chosen], target[chosen]
+        inside = target >= 0.5
         if not inside.any() or inside.all():
             raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
         most = got[inside].max()
         if not most > 0:
             raise BadInput(f"the greatest dose in the part is {most:g}; expected one above 0")
         got = got / most
-        gap = got - wanted / wanted.max()
+        gap = got - target / target.max()
         part, rest = got[inside], got[~inside]
         return cls(
             *map(float, (part.min(), part.mean(), part.std(), rest.min(), rest.mean(), rest.max())),

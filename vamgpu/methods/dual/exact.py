@@ -17,29 +17,18 @@ from vamgpu.geometry import centers, counts, positive
 
 Floats = npt.NDArray[np.floating]
 _CHUNK = 4096
-"""Points looked at together when a buildup is evaluated."""
+"""Points of a buildup that are evaluated together."""
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A square slice of points whose diagonal is the diameter of the curing volume, and the light around it.
+    """A square slice of points, its diagonal the diameter of the curing volume [pixels]. Raises `BadInput`."""
 
-    Args:
-        pixels: Points along x and y.
-        angles: How many, even over a full turn.
-        width: Of a bin along r, in pixels of the slice.
-        extinction, subtraction: Beer–Lambert extinction of positive and of negative light, times the radius (μR,
-            dimensionless; None for ``subtraction`` takes the same). Lengths are in pixels.
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
-
-    pixels: int
-    angles: int = 360
-    width: float = 0.02
-    extinction: float = 1.0
-    subtraction: float | None = None
+    pixels: int  # points along x and y
+    angles: int = 360  # how many, even over a full turn
+    width: float = 0.02  # of a bin along r, in pixels of the slice
+    extinction: float = 1.0  # μR of positive light, Beer–Lambert extinction times the radius
+    subtraction: float | None = None  # μR of negative light; None for the same
 
     def __post_init__(self) -> None:
         for name in ("pixels", "angles"):
@@ -69,27 +58,13 @@ class Slice:
         return 2.0 * pi / self.angles
 
     def points(self, factor: int = 1) -> tuple[Floats, Floats]:
-        """List the points in raster order.
-
-        Args:
-            factor: Points along each side of a pixel.
-
-        Returns:
-            Coordinates x and y [pixels], each (points,).
-        """
+        """Coordinates x and y [pixels] of the points in raster order, ``factor`` along each side of a pixel."""
         place = centers(self.pixels * factor, 1.0 / factor)
         x, y = np.meshgrid(place, place, indexing="ij")
         return x.ravel(), y.ravel()
 
     def rays(self, x: Floats, y: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Find the bin of each point at each angle, and the path of the light to it.
-
-        Args:
-            x, y: Coordinates [pixels], (points,).
-
-        Returns:
-            Bins and paths [pixels], both (points, angles).
-        """
+        """Bin of each point at each angle, and the light's path to it [pixels], both (points, angles)."""
         theta = self.step * np.arange(self.angles)
         cosine, sine = np.cos(theta), np.sin(theta)
         across = y[:, None] * cosine - x[:, None] * sine
@@ -101,18 +76,11 @@ class Slice:
 
 @dataclass(frozen=True, eq=False)
 class ExactPlan:
-    """Light of the exact reconstruction and what became of the points.
+    """Light of the exact reconstruction, and the points that it leaves wrong."""
 
-    Args:
-        slice: Its geometry.
-        light: I′ [angle, bin], dose per rad at the wall of the curing volume, negative where dose is subtracted; units
-            of the design.
-        blocked: Boolean [x, y], points left without a free angle.
-    """
-
-    slice: Slice
-    light: Floats
-    blocked: npt.NDArray[np.bool_]
+    slice: Slice  # its geometry
+    light: Floats  # I′ [angle, bin], dose per rad at the wall of the curing volume, negative where dose is subtracted
+    blocked: npt.NDArray[np.bool_]  # boolean [x, y], points left without a free angle
 
     @property
     def positive(self) -> Floats:
@@ -125,14 +93,7 @@ class ExactPlan:
         return np.maximum(-self.light, 0.0)
 
     def buildup(self, factor: int = 1) -> Floats:
-        """Compute the absolute dose at the points, never rescaled.
-
-        Args:
-            factor: Places along each side of a pixel.
-
-        Returns:
-            Dose [x, y].
-        """
+        """Absolute dose [x, y] at ``factor`` places along each side of a pixel, never rescaled."""
         at, angle = self.slice, np.arange(self.slice.angles)
         x, y = at.points(factor)
         dose = np.empty(x.size, self.light.dtype)
@@ -143,17 +104,9 @@ class ExactPlan:
         return dose.reshape(at.pixels * factor, -1)
 
     def error(self, design: npt.ArrayLike, factor: int = 1) -> float:
-        """Compare the buildup with the design, with a factor between the points too.
-
-        Args:
-            design: Gray values [x, y].
-            factor: Places along each side of a pixel.
-
-        Returns:
-            Root mean square of the difference, a dose in units of the design.
-        """
-        wanted = np.kron(np.asarray(design, np.float64), np.ones((factor, factor)))
-        return float(np.sqrt(np.mean((self.buildup(factor).astype(np.float64) - wanted) ** 2)))
+        """Root mean square of buildup − design [x, y], between the points too for a factor above 1."""
+        target = np.kron(np.asarray(design, np.float64), np.ones((factor, factor)))
+        return float(np.sqrt(np.mean((self.buildup(factor).astype(np.float64) - target) ** 2)))
 
 
 def reconstruct(
@@ -166,45 +119,29 @@ def reconstruct(
     dtype: npt.DTypeLike = np.float64,
     progress: Callable[[float], None] | None = None,
 ) -> ExactPlan:
-    """Find light, positive and negative, whose buildup is the design at every point that keeps a free angle.
-
-    Points go in raster order; each gets what it lacks, or loses what it has too much, spread evenly over all angles at
-    which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I. Bins that an earlier point passes stay as
-    they are, lit or not, so its dose never changes again. A point without a free angle keeps its error. Exact up to
-    rounding where none is left without: only narrow bins do that.
-
-    Args:
-        design: Gray values [x, y], square.
-        angles, width, extinction, subtraction: As for `Slice`; the width in pixels, the others dimensionless.
-        dtype: float64 or float32, of the light and all sums.
-        progress: Notified of the share done.
-
-    Returns:
-        The light and what became of the points.
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
-    wanted = np.asarray(design, dtype)
-    if wanted.ndim != 2 or wanted.shape[0] != wanted.shape[1] or not np.isfinite(wanted).all():
-        raise BadInput(f"the design has shape {wanted.shape}; expected a square of finite grey values [x, y]")
-    if wanted.dtype not in (np.float32, np.float64):
-        raise BadInput(f"dtype is {wanted.dtype}; expected float64 or float32")
-    at = Slice(wanted.shape[0], angles, width, extinction, subtraction)
-    light, taken = np.zeros((at.angles, at.bins), wanted.dtype), np.zeros((at.angles, at.bins), bool)
-    blocked, (x, y), angle = np.zeros(wanted.size, bool), at.points(), np.arange(at.angles)
-    for start in range(0, wanted.size, at.pixels):
+    """Light of two signs whose buildup is the design [x, y] where points keep a free angle. Raises `BadInput`."""
+    # Points go in raster order. Each gets what it lacks, or loses what it has too much, spread evenly over the angles
+    # at which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I; such bins never change again.
+    target = np.asarray(design, dtype)
+    if target.ndim != 2 or target.shape[0] != target.shape[1] or not np.isfinite(target).all():
+        raise BadInput(f"the design has shape {target.shape}; expected a square of finite grey values [x, y]")
+    if target.dtype not in (np.float32, np.float64):
+        raise BadInput(f"dtype is {target.dtype}; expected float64 or float32")
+    at = Slice(target.shape[0], angles, width, extinction, subtraction)
+    light, taken = np.zeros((at.angles, at.bins), target.dtype), np.zeros((at.angles, at.bins), bool)
+    blocked, (x, y), angle = np.zeros(target.size, bool), at.points(), np.arange(at.angles)
+    for start in range(0, target.size, at.pixels):
         row = np.s_[start : start + at.pixels]
         for n, bins, path in zip(range(start, start + at.pixels), *at.rays(x[row], y[row]), strict=True):
-            lacking = wanted.flat[n] - _received(at, light[angle, bins], path).sum()
+            lacking = target.flat[n] - _received(at, light[angle, bins], path).sum()
             free = ~taken[angle, bins]
             taken[angle, bins] = True
             blocked[n] = not free.any()
             if free.any() and lacking != 0:
                 _spread(at, light, angle[free], bins[free], path[free], lacking)
         if progress is not None:
-            progress((start + at.pixels) / wanted.size)
-    return ExactPlan(at, light, blocked.reshape(wanted.shape))
+            progress((start + at.pixels) / target.size)
+    return ExactPlan(at, light, blocked.reshape(target.shape))
 
 
 def _received(at: Slice, light: Floats, path: Floats) -> Floats:
@@ -221,21 +158,8 @@ def _spread(at: Slice, light: Floats, angle: npt.NDArray[np.intp], bins: npt.NDA
 
 
 def sufficient(pixels: int, spacing: float = 1.0) -> tuple[int, float]:
-    """Tell how many angles, and what width of a bin, surely leave every point a free angle; far fewer can do.
-
-    More than 2N angles, N = pixels² points, since two trajectories cross twice; and bins narrower than spacing·sin Δθ,
-    so that neighbors part within one angle. Source: "Angular Resolution".
-
-    Args:
-        pixels: Points along x and y.
-        spacing: Distance of neighbors [pixels].
-
-    Returns:
-        Angles, and the width of a bin [pixels].
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
+    """Angles, and width of a bin [pixels], that surely leave every point a free angle. Raises `BadInput`."""
+    # More than 2N angles, N = pixels², as two trajectories cross twice; bins narrower than spacing·sin Δθ.
     (across,) = counts("pixels", (pixels,), 1)
     angles = 2 * across**2 + 1
     return angles, positive("spacing [pixels]", spacing) * float(np.sin(2.0 * pi / angles))

@@ -6,18 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
-from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
-from vamgpu.losses.loss import Loss
-from vamgpu.methods.dual.colors import Pass, constant
+from vamgpu.methods.dual.colors import Pair, Pass, constant
+from vamgpu.methods.dual.objective import ColorObjective
 from vamgpu.methods.dual.passes import DualState, Rule
-from vamgpu.methods.minimize import Channel, Pace, minimize
+from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
 from vamgpu.methods.ramp import capped_ramp, identity
 from vamgpu.methods.state import OptimizerState
-from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
@@ -33,8 +31,8 @@ ROUNDS = 8
 class LeastSquares(Rule):
     """Least ½‖visible dose − strength·UV dose − design‖² over light ≥ 0, by accelerated projected gradients.
 
-    Each color has its own operator and its exact transpose; a capped ramp along r preconditions both, as in
-    `ProcessWindow`, where the operator is a `Projection`. An iteration is two projector evaluations.
+    Each color has its own operator and its exact transpose; a capped ramp along r preconditions both
+    where the operator is a `Projection`. An iteration is two projector evaluations.
 
     Args:
         iterations: In all.
@@ -60,51 +58,45 @@ class LeastSquares(Rule):
 
     def steps(self, state: DualState) -> Iterator[Pass]:
         difference = _Difference(state, self)
+        state.evaluations += ROUNDS * len(difference.channels)
+        signs = (1.0, state.colors.strength)
+        gain = sum(each.gain(ROUNDS) * sign**2 for each, sign in zip(difference.channels, signs, strict=True))
         # half of what the gains allow: gradients held at dark light have gaps, which the ramp turns into coarse light
-        pace = Pace(0.5 / difference.gain(), soon=3.0, possible=True)
+        pace = StepRule(0.5 / gain, soon=3.0, possible=True)
         for _ in zip(range(self.iterations), minimize(difference, difference.channels, pace)):  # noqa: B905
-            state.light, state.uv = (channel.state.memory.get("best", channel.light) for channel in difference.channels)
+            state.light, state.uv = difference.light
             yield difference.record
 
 
-class _Difference:
-    """The square error of the difference of two doses, and what the light of both costs."""
+class _Difference(ColorObjective):
+    """The square error of the difference of two doses, and the cost of the light of both."""
 
     def __init__(self, state: DualState, method: LeastSquares) -> None:
-        self.state, self.cost, colors = state, method.cost, state.colors
-        self.loss: Loss = Band((-0.5 * method.below, 1.0), (0.5 * method.below, 0.0), (0.5, 0.5))
-        self.channels = tuple(self._channel(operator, method.cap) for operator in (colors.visible, colors.uv))
-        self.signs = (1.0, -colors.strength)
-        self.dose, self.under, self.over = state.volume(), state.volume(), state.volume()
-        self.gradients = (state.sinogram(), state.sinogram())
-
-    def _channel(self, operator: LinearOperator, cap: float) -> Channel:
-        design, projector = self.state.design, cast(Any, operator)
-        state = OptimizerState(projector, design, {"light": constant(0.0, operator.range.shape, design)}, "loss")
-        if self.state.colors.whole:
-            state.reach = EVERYWHERE
-        ramped = isinstance(operator, Projection | RingProjection)
-        return Channel(state, capped_ramp(projector, cap, SPAN) if ramped else identity(projector))
-
-    def gain(self) -> float:
-        """Of both colors together."""
-        self.state.evaluations += ROUNDS * len(self.channels)
-        gains = (channel.gain(ROUNDS) * sign**2 for channel, sign in zip(self.channels, self.signs, strict=True))
-        return sum(gains)
+        loss = Band((-0.5 * method.below, 1.0), (0.5 * method.below, 0.0), (0.5, 0.5))
+        operators = (state.colors.visible, state.colors.uv)
+        super().__init__(state.colors, tuple(_channel(state, A, method.cap) for A in operators), loss)
+        self.run, self.cost = state, method.cost
+        self.under, self.over = state.volume(), state.volume()
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
-        state, lead = self.state, self.channels[0].state
-        for channel, dose in zip(self.channels, (self.dose, self.under), strict=True):
-            state.expose(channel.state.operator, channel.ahead, dose)
-        combine(1.0, self.dose, self.signs[1], self.under, self.dose)
-        self.record = state.compare(self.dose, state.design, self.under, self.over)
-        loss = lead.loss(self.dose, self.loss)
-        for channel, sign, gradient in zip(self.channels, self.signs, self.gradients, strict=True):
-            channel.state.operator(self.dose, out=gradient)
-            state.evaluations += 0.5
-            combine(sign, gradient, 0.0, gradient, gradient)
-            loss += lead.apply_penalty(channel.ahead, gradient, self.cost, hold=False)
+        dose = self.model.expose(self.ahead)
+        self.run.evaluations += 1.0
+        self.record = self.run.compare(dose, self.run.target, self.under, self.over)
+        loss = self.state.loss(dose, self.loss)
+        self.slopes = self.model.gradient(dose)
+        self.run.evaluations += 1.0
+        for light, slope in zip(self.ahead, self.slopes, strict=True):
+            loss += self.state.apply_penalty(light, slope, self.cost, hold=False)
         return loss, 0.0
 
-    def gradient(self) -> tuple[DeviceArray, DeviceArray]:
-        return self.gradients
+    def gradient(self) -> Pair:
+        return self.slopes
+
+
+def _channel(run: DualState, operator: LinearOperator, cap: float) -> Channel:
+    projector = cast(Any, operator)
+    state = OptimizerState(projector, run.target, {"light": constant(0.0, operator.range.shape, run.target)}, "loss")
+    if run.colors.whole:
+        state.reach = EVERYWHERE
+    ramped = isinstance(operator, Projection | RingProjection)
+    return Channel(state, capped_ramp(projector, cap, SPAN) if ramped else identity(projector))

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod, sqrt
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, cast
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
 from vamgpu.errors import BadInput
 from vamgpu.methods.dual.colors import Colors, Pass, constant
-from vamgpu.methods.projector import Projector
+from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.reductions import dot, extent
@@ -27,63 +26,54 @@ ENOUGH = 1e-6
 """Root mean square of undersupply at which the paper stops; not expected to be reached."""
 
 
-class DualState:
-    """Fields and sinograms of one run, and the steps the rules share."""
+class DualState(OptimizerState):
+    """One run of a rule: the light of both colors, and the steps that the rules share."""
 
-    colors: Colors
-    design: DeviceArray
-    device: Device
+    evaluations: float
 
     def __init__(self, colors: Colors, design: DeviceArray) -> None:
-        self.colors, self.design, self.device = colors, design, design.device
+        super().__init__(cast(Any, colors.visible), design, {}, "loss")
+        self.colors = colors
         self.light: DeviceArray = self.sinogram()
         self.uv: DeviceArray | None = None
-        self.evaluations: float = 0.0
         self.count: int = 0
 
-    def volume(self) -> DeviceArray:
-        return self.device.empty(self.design.shape)
-
-    def sinogram(self) -> DeviceArray:
-        return self.device.empty(self.colors.visible.range.shape)
-
-    def project(self, pattern: DeviceArray, operator: LinearOperator, out: DeviceArray) -> None:
-        """A pattern of dose as light, by the projector or by the color's own operator."""
+    def light_of(self, pattern: DeviceArray, operator: LinearOperator, out: DeviceArray) -> None:
+        """out = a pattern of dose as light, by the projector or by the color's own operator; half an evaluation."""
         (self.colors.projector or operator)(pattern, out=out)
         self.evaluations += 0.5
 
-    def expose(self, operator: LinearOperator | Projector, light: DeviceArray, out: DeviceArray) -> None:
+    def dose_of(self, light: DeviceArray, operator: LinearOperator, out: DeviceArray) -> None:
+        """out = the dose of light of a color; half an evaluation."""
         operator.T(light, out=out)
         self.evaluations += 0.5
 
     def greatest(self, field: DeviceArray) -> float:
         return max(extent(field)[1], 1e-30)
 
-    def scale(self, factor: float, field: DeviceArray) -> None:
-        combine(factor, field, 0.0, field, field)
-
     def start(self, dose: DeviceArray) -> None:
         """Light projected from the design and its buildup, both scaled so that the greatest dose is the design's."""
-        self.project(self.design, self.colors.visible, self.light)
-        self.expose(self.colors.visible, self.light, dose)
-        factor = self.greatest(self.design) / self.greatest(dose)
-        self.scale(factor, self.light)
-        self.scale(factor, dose)
+        self.light_of(self.target, self.colors.visible, self.light)
+        self.dose_of(self.light, self.colors.visible, dose)
+        factor = self.greatest(self.target) / self.greatest(dose)
+        self.scale(factor, self.light, self.light)
+        self.scale(factor, dose, dose)
 
     def gain(self, operator: LinearOperator) -> float:
         """A bound of the greatest eigenvalue of projecting and exposing: the greatest dose of a projected 1."""
-        one, light = constant(1.0, self.colors.visible.domain.shape, self.design), self.sinogram()
-        self.project(one, operator, light)
-        self.expose(operator, light, one)
+        nx, ny, nz = self.target.shape
+        one, light = constant(1.0, (nx, ny, nz), self.target), self.sinogram()
+        self.light_of(one, operator, light)
+        self.dose_of(light, operator, one)
         return self.greatest(one)
 
-    def step(self, operator: LinearOperator) -> float:
+    def descent_step(self, operator: LinearOperator) -> float:
         """Length of a step that is sure to descend."""
         return 1.5 / self.gain(operator)
 
     def compare(self, dose: DeviceArray, most: DeviceArray, under: DeviceArray, over: DeviceArray) -> Pass:
         """under = max(0, design − dose), over = max(0, dose − most)."""
-        combine(1.0, self.design, -1.0, dose, under, 0.0)
+        combine(1.0, self.target, -1.0, dose, under, 0.0)
         combine(1.0, dose, -1.0, most, over, 0.0)
         self.count += 1
         rms = (sqrt(dot(field, field) / prod(field.shape)) for field in (under, over))
@@ -96,13 +86,13 @@ class Rule(Protocol):
     papers: ClassVar[tuple[str, ...]]
 
     def steps(self, state: DualState) -> Iterator[Pass]:
-        """Improve ``state.light`` and ``state.uv``; both are in units of the design whenever it yields.
+        """Improve ``state.light`` and ``state.uv``.
 
         Args:
-            state: Of the run.
+            state: Of the run; its light is in units of the design whenever a pass is yielded.
 
-        Yields:
-            The record of a pass.
+        Returns:
+            The records of the passes, one after each.
         """
         ...
 
@@ -116,7 +106,7 @@ class SingleColor(Rule):
     def steps(self, state: DualState) -> Iterator[Pass]:
         dose = state.volume()
         state.start(dose)
-        yield state.compare(dose, state.design, state.volume(), state.volume())
+        yield state.compare(dose, state.target, state.volume(), state.volume())
 
 
 @dataclass(frozen=True)
@@ -147,17 +137,17 @@ class Tolerant(Rule):
     def steps(self, state: DualState) -> Iterator[Pass]:
         dose, under, over, change = state.volume(), state.volume(), state.volume(), state.sinogram()
         state.start(dose)
-        most, step = state.volume(), state.step(state.colors.visible)
-        combine(1.0, state.design, 0.0, state.design, most, self.tolerance * state.greatest(state.design))
+        most, step = state.volume(), state.descent_step(state.colors.visible)
+        combine(1.0, state.target, 0.0, state.target, most, self.tolerance * state.greatest(state.target))
         while True:
             record = state.compare(dose, most, under, over)
             yield record
             if record.number >= self.passes or record.error < self.enough:
                 return
             combine(1.0, under, -1.0, over, under)
-            state.project(under, state.colors.visible, change)
+            state.light_of(under, state.colors.visible, change)
             combine(1.0, state.light, step, change, state.light, 0.0)
-            state.expose(state.colors.visible, state.light, dose)
+            state.dose_of(state.light, state.colors.visible, dose)
 
 
 @dataclass(frozen=True)
@@ -194,47 +184,47 @@ class DualColor(Rule):
         yield from self._text(state) if self.recompute else self._kept(state)
 
     def _text(self, state: DualState) -> Iterator[Pass]:
-        uv, colors, peak = state.uv, state.colors, state.greatest(state.design)
+        uv, colors, peak = state.uv, state.colors, state.greatest(state.target)
         assert uv is not None
         dose, undone, under, over = (state.volume() for _ in range(4))
         light, change, scaled = state.sinogram(), state.sinogram(), state.sinogram()
         gain = state.gain(colors.uv) * colors.strength
-        state.project(state.design, colors.visible, light)
+        state.light_of(state.target, colors.visible, light)
         while True:
-            state.expose(colors.visible, light, dose)
+            state.dose_of(light, colors.visible, dose)
             scale = peak / state.greatest(dose)
-            combine(scale, dose, -1.0, state.design, over, 0.0)
-            state.scale(min(1.0, 1.0 / (scale * gain)), over)
-            state.project(over, colors.uv, scaled)
-            state.expose(colors.uv, scaled, undone)
+            combine(scale, dose, -1.0, state.target, over, 0.0)
+            state.scale(min(1.0, 1.0 / (scale * gain)), over, over)
+            state.light_of(over, colors.uv, scaled)
+            state.dose_of(scaled, colors.uv, undone)
             combine(1.0, dose, -colors.strength, undone, dose)
             factor = peak / state.greatest(dose)
-            state.scale(factor, dose)
+            state.scale(factor, dose, dose)
             combine(factor, scaled, 0.0, scaled, uv)
             combine(factor, light, 0.0, light, state.light)
-            record = state.compare(dose, state.design, under, over)
+            record = state.compare(dose, state.target, under, over)
             yield record
             if record.number >= self.passes or record.undersupply < self.enough:
                 return
-            state.project(under, colors.visible, change)
+            state.light_of(under, colors.visible, change)
             combine(1.0, light, 1.0, change, light)
 
     def _kept(self, state: DualState) -> Iterator[Pass]:
         uv, colors = state.uv, state.colors
         assert uv is not None
         dose, undone, under, over = (state.volume() for _ in range(4))
-        change, step, uv_step = state.sinogram(), state.step(colors.visible), state.step(colors.uv)
+        change, step, uv_step = state.sinogram(), state.descent_step(colors.visible), state.descent_step(colors.uv)
         state.start(dose)
         state.uv = uv = constant(0.0, colors.uv.range.shape, uv)  # not 0·uv: it may hold NaN
         while True:
-            record = state.compare(dose, state.design, under, over)
+            record = state.compare(dose, state.target, under, over)
             yield record
             if record.number >= self.passes or record.undersupply < self.enough:
                 return
-            state.project(under, colors.visible, change)
+            state.light_of(under, colors.visible, change)
             combine(1.0, state.light, step, change, state.light)
-            state.project(over, colors.uv, change)
+            state.light_of(over, colors.uv, change)
             combine(1.0, uv, uv_step / colors.strength, change, uv)
-            state.expose(colors.visible, state.light, dose)
-            state.expose(colors.uv, uv, undone)
+            state.dose_of(state.light, colors.visible, dose)
+            state.dose_of(uv, colors.uv, undone)
             combine(1.0, dose, -colors.strength, undone, dose)

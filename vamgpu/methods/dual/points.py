@@ -23,24 +23,13 @@ from vamgpu.operators.space import SinogramSpace, VolumeSpace
 
 @final
 class PointProjection(LinearOperator):
-    """One slice of points and one row of bins, on the ``numpy`` device; for the resolutions of a page, not of a part.
+    """One slice of points and one row of bins on the ``numpy`` device. Raises `BadInput`."""
 
-    ``A(slice)`` [angle, bin, 1] sums the points in each bin, ``A.T(light)`` [x, y, 1] is what reaches each point; both
-    weigh a point by exp(−absorption·l), l the path [mm] from the wall of a volume whose diameter is the diagonal, and
-    by the angle's time over the mean. Bins narrower than a pixel may stay empty between points, as in the paper.
+    # A point weighs exp(−absorption·l) times its angle's time over the mean, l the path [mm] from the wall of a volume
+    # whose diameter is the diagonal; the slice stands still while an angle is lit, as in the paper.
 
-    Args:
-        grid: A slice, one voxel along z.
-        motion: The angles.
-        width: Of a bin, in pixels of the slice.
-        absorption: Of the light [1/mm].
-
-    Raises:
-        BadInput: A value is out of its range.
-    """
-
-    grid: Grid
-    motion: Turntable
+    grid: Grid  # a slice, one voxel along z
+    motion: Turntable  # the angles
     beam: Beam
     domain: VolumeSpace
     range: SinogramSpace
@@ -53,9 +42,9 @@ class PointProjection(LinearOperator):
         self.absorption: float = positive("absorption [1/mm]", absorption, zero=True)
         self.radius: float = 0.5 * hypot(*grid.shape[:2]) * grid.pitch
         bins = ceil(2.0 * self.radius / self.width * (1.0 - 1e-12))
-        self.grid, self.motion, self.beam = grid, motion, Beam((bins, 1), self.width)
+        self.grid, self.motion, self.beam = grid, motion.stepped, Beam((bins, 1), self.width)
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
-        self.range = SinogramSpace(self.beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.range = SinogramSpace(self.beam, self.motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device("numpy")
 
     def _rays(self) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]]:

@@ -13,6 +13,7 @@ from vamgpu.methods.dual.least import LeastSquares
 from vamgpu.methods.dual.passes import DualColor, DualState, Rule, SingleColor, Tolerant
 from vamgpu.methods.part import on_device, one_limit
 from vamgpu.operators.reductions import extent
+from vamgpu.schema.registry import as_known, nearest
 
 METHODS: dict[str, Callable[[], Any]] = {
     "sc": SingleColor,
@@ -78,8 +79,10 @@ def _checked(colors: Colors, design: Any) -> DeviceArray:
 
 def _rule(method: str | Rule) -> Rule:
     if isinstance(method, str):
+        method = as_known(method, METHODS)
         if method not in METHODS:
-            raise BadInput(f"no rule {method!r}; there are {', '.join(METHODS)}, or give an instance")
+            near = nearest(method, METHODS)
+            raise BadInput(f"no rule {method!r}; there are {', '.join(METHODS)}, or give an instance{near}")
         return METHODS[method]()
     if isinstance(method, type) or not hasattr(method, "steps"):
         raise BadInput(f"got {method!r} as rule; expected a name ({', '.join(METHODS)}) or e.g. Tolerant()")

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-from vamgpu.deprecated import renamed
-from vamgpu.methods.joint.contrast import EffectiveContrast
-from vamgpu.methods.joint.models import KineticModel, LinearModel, Pair, SpeciesFields
-from vamgpu.methods.joint.poses import PoseRuns
+from vamgpu.methods.dual.colors import Pair
+from vamgpu.methods.joint.models import KineticModel, LinearModel, SpeciesFields
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.methods.joint.run import ColorPlan, LossWeights, optimize_colors
 
 __all__ = [
-    "LossWeights",
     "ColorPlan",
-    "EffectiveContrast",
     "KineticModel",
     "LinearModel",
+    "LossWeights",
     "Pair",
-    "PoseRuns",
     "SpeciesFields",
     "TwoColorResin",
     "optimize_colors",
 ]
-
-__getattr__: Callable[[str], Any] = renamed(__name__, {"Aims": "LossWeights"})

@@ -1,4 +1,4 @@
-"""What an effective dose prints, and how far in and out of the part are apart."""
+"""Contrast of the effective doses in and out of a part."""
 
 from __future__ import annotations
 
@@ -12,22 +12,15 @@ from vamgpu.errors import EmptyMesh
 
 @dataclass(frozen=True)
 class EffectiveContrast:
-    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it.
-
-    Args:
-        in_least, in_most, out_most: Least and greatest dose in the part, and the greatest out of it.
-        in_low, out_high: Dose at the fifth percentile in the part, and at the ninety-fifth out of it.
-        uncured: Share of the part below 1.
-        overcured: Share of the rest at 1 or above.
-    """
+    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it."""
 
     in_least: float
     in_most: float
     out_most: float
-    in_low: float
-    out_high: float
-    uncured: float
-    overcured: float
+    in_low: float  # fifth percentile in the part
+    out_high: float  # ninety-fifth percentile out of it
+    uncured: float  # share of the part below 1
+    overcured: float  # share of the rest at 1 or above
 
     @property
     def window(self) -> float:
@@ -41,21 +34,10 @@ class EffectiveContrast:
 
     @classmethod
     def of(cls, dose: Any, target: Any, counted: np.ndarray | None = None) -> EffectiveContrast:
-        """Compare a dose with a target.
-
-        Args:
-            dose, target: Effective dose and fractions [x, y, z], NumPy or on a device.
-            counted: Boolean [x, y, z]; None for all voxels.
-
-        Returns:
-            The contrast.
-
-        Raises:
-            EmptyMesh: Where nothing is in the part, or nothing out of it.
-        """
-        got, wanted = (np.asarray(value, np.float64) for value in (dose, target))
+        """Compare a dose with a target's fractions [x, y, z] where ``counted``. Raises `EmptyMesh`."""
+        got, fraction = (np.asarray(value, np.float64) for value in (dose, target))
         chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(counted, got.shape)
-        part, rest = got[chosen & (wanted >= 0.5)], got[chosen & (wanted < 0.5)]
+        part, rest = got[chosen & (fraction >= 0.5)], got[chosen & (fraction < 0.5)]
         if not part.size or not rest.size:
             raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
         numbers = (part.min(), part.max(), rest.max(), np.percentile(part, 5), np.percentile(rest, 95),

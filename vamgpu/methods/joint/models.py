@@ -11,23 +11,13 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
 from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
 from vamgpu.kernels.update import fill_background
+from vamgpu.methods.dual.colors import Pair, subtracted, subtracted_gradient
 from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.space import require
-
-
-class Pair(NamedTuple):
-    """Something of each color.
-
-    Args:
-        visible, ultraviolet: Sinograms [angle, r, z], or volumes [x, y, z].
-    """
-
-    visible: DeviceArray
-    ultraviolet: DeviceArray
 
 
 class SpeciesFields(NamedTuple):
@@ -116,16 +106,13 @@ class LinearModel(Model):
     def __init__(self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3) -> None:
         self.operators: tuple[Projection, Projection] = (visible, ultraviolet)
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
+        self.gains: tuple[float, float] = (self.turns * resin.visible, -self.turns * resin.subtraction)
 
     def expose(self, light: Pair) -> DeviceArray:
-        doses = [A.T(part) for A, part in zip(self.operators, light, strict=True)]
-        a, b = self.turns * self.resin.visible, -self.turns * self.resin.subtraction
-        return combine(a, doses[0], b, doses[1], doses[0])
+        return subtracted(self.operators, self.gains, light)
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        gains = (self.turns * self.resin.visible, -self.turns * self.resin.subtraction)
-        slopes = [A(slope) for A in self.operators]
-        return Pair(*(combine(gain, values, 0.0, values, values) for gain, values in zip(gains, slopes, strict=True)))
+        return subtracted_gradient(self.operators, self.gains, slope)
 
 
 class KineticModel(Model):
@@ -167,7 +154,7 @@ class KineticModel(Model):
             raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; expected period > 0")
         if resin.pairing and visible.motion.dwell is not None:
             raise BadInput(f"the resin's B pairs up while {visible.motion} angles are lit for unequal times; expected "
-                           "equal times, as runs of poses last alike: leave dwell out of Turntable")  # fmt: skip
+                           "equal times, as runs of angles last alike: leave dwell out of Turntable")  # fmt: skip
         self.steps: int = counts("steps", (steps,), 1)[0]
         self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
         self.shape: tuple[int, int, int] = visible.domain.shape
@@ -215,14 +202,11 @@ class KineticModel(Model):
         return SpeciesFields(*self._through(light))
 
     def expose(self, light: Pair) -> DeviceArray:
-        a, b, _, x = self._through(light)
-        combine(1.0, x, -1.0, a, x)
-        combine(1.0, x, -1.0 / self.resin.alpha, b, x)
-        return x
+        return self.state(light).effective_dose(self.resin)
 
     def _through(self, light: Pair) -> tuple[DeviceArray, ...]:
         self._light_up(light)
-        state, spare = self._rest(), self._volumes(4)
+        state, spare = self._start(), self._volumes(4)
         for turn in range(self.turns):
             self._keep(turn, state)
             for sub in range(len(self._doses) * self.steps):
@@ -249,7 +233,6 @@ class KineticModel(Model):
                 self._back(sub, states[sub], (a, b, c), slope, slopes)
         return self._gathered(slopes)
 
-    # ---- pieces ----------------------------------------------------------------------------------------------
     def _light_up(self, light: Pair) -> None:
         """Doses of every run of a turn; the same in every turn."""
         runs = len(self.runs[0])
@@ -289,7 +272,7 @@ class KineticModel(Model):
         by_light = {"visible_slope": pair.visible, "ultraviolet_slope": pair.ultraviolet}
         self.device.launch(inhibition_adjoint, **self._given(sub), **states, **ends, **by_light)
 
-    def _rest(self) -> tuple[DeviceArray, ...]:
+    def _start(self) -> tuple[DeviceArray, ...]:
         """The state before the first turn; x of fresh resin begins at the 1 that the effective dose adds."""
         if self.start is not None:
             return tuple(combine(1.0, part, 0.0, part, self.device.empty(self.shape)) for part in self.start)
@@ -305,10 +288,6 @@ class KineticModel(Model):
         return tuple(self.device.empty(self.shape) for _ in range(count))
 
     def _constant(self, value: float) -> DeviceArray:
-        filled, finite = self.device.empty(self.shape), self._finite()
+        filled, finite = self.device.empty(self.shape), self._doses[0].visible
         self.device.launch(fill_background, target=finite, low=value, high=value, reach=EVERYWHERE, model=filled)
         return filled
-
-    def _finite(self) -> DeviceArray:
-        """Any volume without NaN."""
-        return self._doses[0].visible

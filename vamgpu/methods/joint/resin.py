@@ -1,4 +1,4 @@
-"""What a resin of two inhibitors does with light of two colors, in shares of its induction."""
+"""Response of a resin of two inhibitors to light of two colors, in shares of its induction."""
 
 from __future__ import annotations
 

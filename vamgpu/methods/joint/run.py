@@ -11,12 +11,13 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
-from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, Cancelled
+from vamgpu.geometry import counts
 from vamgpu.losses.band import Band
+from vamgpu.methods.dual.colors import Pair
 from vamgpu.methods.joint.contrast import EffectiveContrast
 from vamgpu.methods.joint.descent import ColorDescent
-from vamgpu.methods.joint.models import LinearModel, Model, Pair
+from vamgpu.methods.joint.models import LinearModel, Model
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.methods.papers import NESTEROV, RAMP, RESTART, TWO_METRIC
 from vamgpu.methods.part import fractions_of, one_limit
@@ -77,7 +78,7 @@ class ColorPlan:
         history: One `Step` an iteration; an evaluation is one forward and one back projection of both colors.
         papers: What the method relies on.
         seconds: How long the run took [s].
-        best_iteration: That which looked at this light, counted from 1; 0 where none looked at any.
+        best_iteration: The iteration that evaluated this light, counted from 1; 0 before any.
         state: What resuming needs, by color; a resumed run goes on from its last light, not from the best.
     """
 
@@ -91,7 +92,6 @@ class ColorPlan:
     seconds: float
     best_iteration: int = 0
     state: tuple[dict[str, Any], ...] = field(default=(), repr=False)
-    aims: ClassVar[Renamed] = Renamed("weights")
 
     @property
     def light(self) -> Pair:
@@ -109,11 +109,6 @@ class ColorPlan:
         """
         return (model or self.model).expose(self.light)
 
-    def linear_dose(self) -> DeviceArray:
-        """What the linear model visible − k·ultraviolet makes of the light, to be reported beside."""
-        model = self.model
-        return LinearModel(*model.operators, model.resin, model.turns).expose(self.light)
-
     def contrast(self, model: Model | None = None) -> EffectiveContrast:
         """Tell the contrast of the effective dose.
 
@@ -127,7 +122,6 @@ class ColorPlan:
         return EffectiveContrast.of(self.effective_dose(model), self.target, reach[:, :, None])
 
 
-@renamed_arguments(aims="weights")
 def optimize_colors(
     model: Model, target: Any, weights: LossWeights = LossWeights(), iterations: int | None = None, *,
     start: Pair | ColorPlan | None = None, warm: int = 10, progress: Callable[[Step], None] | None = None,
@@ -155,13 +149,13 @@ def optimize_colors(
         Cancelled: ``cancel`` says so, or Ctrl-C; carries the plan so far.
     """
     begun = time.perf_counter()
-    count = _whole("iterations", LossWeights.iterations if iterations is None else iterations)
+    (count,) = counts("iterations", (LossWeights.iterations if iterations is None else iterations,), 1)
     fractions = fractions_of(model.operators[0], one_limit(target))
     if resume is not None:
         memories, history = _resumed(model, weights, start, resume), list(resume.history)
         begun -= resume.seconds
     else:
-        light = _warm(model, fractions, weights, _whole("warm", warm)) if start is None else _copied(model, start)
+        light = _warm(model, fractions, weights, warm) if start is None else _copied(model, start)
         memories, history = _memories(light), []
     descent = ColorDescent(model, fractions, weights.band(model.resin), memories, weights.share)
     descent.state.iteration = len(history)
@@ -171,7 +165,7 @@ def optimize_colors(
         seconds = time.perf_counter() - begun
         found = descent.light
         return ColorPlan(
-            *found, model, weights, fractions, tuple(history), papers, seconds, descent.best_iteration,
+            *found, model, weights, fractions, tuple(history), papers, seconds, descent.state.best.iteration,
             tuple(dict(memory) for memory in memories),
         )  # fmt: skip
 
@@ -195,7 +189,7 @@ def optimize_colors(
 
 
 def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
-    """Of the colors, before any step."""
+    """Memories of both colors, before any step."""
     return tuple({"light": part} for part in light)
 
 
@@ -209,15 +203,9 @@ def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) ->
     return copied(plan.state)
 
 
-def _whole(name: str, value: Any) -> int:
-    if isinstance(value, bool) or int(value) != value or value < 1:
-        raise BadInput(f"{name} is {value!r}; expected a whole number ≥ 1")
-    return int(value)
-
-
 def _warm(model: Model, target: DeviceArray, weights: LossWeights, iterations: int) -> Pair:
-    """Visible light that brings the part to the middle of what is wanted, and what the linear model makes of it."""
-    visible, ultraviolet = model.operators
+    """Visible light that brings the part to the middle of its band, improved by the linear model in both colors."""
+    (iterations,), (visible, ultraviolet) = counts("warm", (iterations,), 1), model.operators
     found = optimize(visible, target, iterations=iterations, progress=False)
     device, light = visible.device, found.sinogram
     dose = found.dose().numpy()[target.numpy() >= 0.5]

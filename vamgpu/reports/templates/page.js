@@ -58,6 +58,7 @@
     return [c, -s, 0, s * e, c * e, d, s * d, c * d, -e];
   };
   const color = (shade, by) => {
+    if (shade > 0.995) return [0.95, 0.55, 0.1];
     if (by !== "both") return by === "target" ? [0.62, 0.67, 0.73] : [0.38, 0.56, 0.78];
     const ends = shade < 0 ? [0.77, 0.2, 0.26] : [0.18, 0.4, 0.71], k = Math.min(1, Math.abs(shade));
     return [0.85, 0.84, 0.84].map((v, i) => v + (ends[i] - v) * k);

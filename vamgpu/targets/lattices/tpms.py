@@ -44,7 +44,7 @@ class _Periodic(ABC):
 
     @abstractmethod
     def _sampled(self, x: Array, y: Array, z: Array, *, slopes: bool) -> Sampled:
-        """The function at phases, and the norm of its gradient (its own value where slopes are not wanted)."""
+        """The function at phases, and the norm of its gradient (its own value where slopes are not needed)."""
 
     @property
     def _scale(self) -> float:

@@ -93,10 +93,7 @@ def hexagon(flats: float) -> CrossSection:
 
 
 def threaded_rod(low: float, high: float, clearance: float = 0.0) -> Manifold:
-    """A right-handed 1/4-20 UNC rod between two heights [mm], its radius larger by clearance [mm].
-
-    The vertices follow the helix, so crests and roots are exact lines. Rods of different height have the same phase.
-    """
+    """A right-handed 1/4-20 UNC rod between two heights [mm], its radius larger by clearance [mm]."""
     turns = range(int(np.floor(low / PITCH)) - 2, int(np.ceil(high / PITCH)) + 2)
     rows = np.array([(turn + z, r) for turn in turns for z, r in _PROFILE])
     minor = 0.5 * (MAJOR - 1.0825 * PITCH)

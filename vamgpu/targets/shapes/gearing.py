@@ -62,10 +62,7 @@ def gear_base(thickness: float = 1.5, pin_height: float = 4.5) -> Solid:
 
 
 def gear_outline(backlash: float = 0.0) -> CrossSection:
-    """One gear in the plane, without bore; the pair together has the given backlash at the pitch circle [mm].
-
-    Tooth 0 points along +x. The flanks are involutes of the base circle, then radial down to the root.
-    """
+    """One gear in the plane, without bore; the pair together has the given backlash at the pitch circle [mm]."""
     pitch_radius = 0.5 * TEETH * MODULE
     base, tip, root = pitch_radius * np.cos(PRESSURE_ANGLE), pitch_radius + MODULE, pitch_radius - 1.25 * MODULE
     tooth = 0.5 * np.pi * MODULE - 0.5 * backlash

@@ -1,0 +1,234 @@
+"""Dose in the resin: recorded from mirrors, lamp, lens and motion as they truly were, and compared with the frames.
+
+A frame's light goes to the pose that the motion was in, and to the focus plane that the lens was at, while the lamp
+shone; light from a lens under way goes astray.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.hosts.emulators.array import DisplayedFrame
+from vamgpu.hosts.frames.sources import MirrorArray
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+
+MARGIN = 0.005  # share of a pose by which light may come too early, from where the first light fell
+NEAR = 0.02  # within how much of a plane's power [1/m] the lens is at it
+
+
+class DoseRecorder:
+    """Light in the resin, by engine, plane and pose: seconds of full drive on each mirror."""
+
+    # position: of the motion [poses] at a time [ns]; power: of the lens [1/m]; first: where pose 0 begins, None for
+    # where the first light falls; drive: share of full of an engine's lamp; turn: poses come round again.
+
+    mirrors: tuple[int, int]
+    engines: int
+
+    def __init__(
+        self, position: Callable[[int], float], mirrors: tuple[int, int], engines: int = 1,
+        power: Callable[[int], float] | None = None, planes: Sequence[float] = (0.0,), first: float | None = None,
+        drive: Callable[[int], float] | None = None,
+    ) -> None:  # fmt: skip
+        self._drive = drive or (lambda engine: 1.0)
+        self._position, self._power, self._planes = position, power, np.asarray(planes, float)
+        self.mirrors, self.engines = mirrors, engines
+        self.light: dict[tuple[int, int, int], np.ndarray] = {}
+        self.astray: float = 0.0
+        self.listeners: list[Callable[[np.ndarray, int, int], None]] = []
+        self.first = first
+        self.turn: int | None = None
+        self._begins: np.ndarray | None = None
+        self._times, self._channels, self._drives = [0], [0], [(1.0,) * engines]
+
+    def scan(self, schedule: Schedule) -> None:
+        """Poses of a vial come round again. Each reaches to the next, wherever measured angles put it."""
+        self.turn, turn = schedule.frames, schedule.position[: schedule.frames]
+        if schedule.advance * schedule.frames != 360:
+            self._begins = np.append(turn - turn[0], 360.0) / float(schedule.advance)
+
+    def lamp(self, channels: int, now: int) -> None:
+        """The lamp changes."""
+        if channels and self.first is None:
+            self.first = self._position(now)
+        self._times.append(now)
+        self._channels.append(channels)
+        self._drives.append(tuple(map(self._drive, range(self.engines))))
+        if len(self._times) > 4000:
+            del self._times[:2000], self._channels[:2000], self._drives[:2000]
+
+    def shown(self, engine: int, shown: DisplayedFrame) -> None:
+        """Mirrors have shown a frame."""
+        for plane, (start, end) in enumerate(zip(shown.starts, shown.ends, strict=True)):
+            self.lit(engine, shown.mirrors(plane, self.mirrors[1]), start, end)
+
+    def lit(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        """Mirrors [row, column] were on, or on for a share of the time, from one time to another [ns]."""
+        for begin, stop, drive in self._lit(engine, start, end):
+            light = mirrors if drive == 1.0 else drive * mirrors
+            self._add(engine, light, begin, stop)
+            for listen in self.listeners:
+                listen(light, begin, stop)
+
+    def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int, float]]:
+        """When the engine's lamp shone between two times, and its drive."""
+        times = self._times
+        found, place = [], max(bisect_right(times, start) - 1, 0)
+        while place < len(times) and times[place] < end:
+            stop = times[place + 1] if place + 1 < len(times) else end
+            low, high = max(start, times[place]), min(end, stop)
+            if self._channels[place] >> engine & 1 and high > low:
+                found.append((low, high, self._drives[place][engine]))
+            place += 1
+        return found
+
+    def pose(self, now: int) -> float:
+        """The pose that light goes to at a time [ns], turns running on."""
+        pose = self._position(now) - (self.first or 0.0) + MARGIN
+        if self._begins is None:
+            return pose
+        turns, rest = divmod(pose, self._begins[-1])
+        around = len(self._begins) - 1
+        return turns * around + float(np.interp(rest, self._begins, np.arange(around + 1)))
+
+    def _add(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        low, high = self.pose(start), self.pose(end)
+        cuts = [start, end]
+        for edge in range(int(np.floor(min(low, high))) + 1, int(np.ceil(max(low, high)))):
+            cuts.append(round(start + (edge - low) / (high - low) * (end - start)))
+        cuts.sort()
+        for begin, stop in zip(cuts[:-1], cuts[1:], strict=True):
+            if stop > begin:
+                self._add_within(engine, mirrors, begin, stop)
+
+    def _add_within(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
+        seconds = (end - start) * 1e-9
+        plane = self._plane(start, end)
+        if plane is None:
+            self.astray += seconds * float(mirrors.sum())
+            return
+        pose = int(np.floor(self.pose((start + end) // 2)))
+        key = (engine, plane, pose if self.turn is None else pose % self.turn)
+        if key not in self.light:
+            self.light[key] = np.zeros(self.mirrors, np.float32)
+        self.light[key] += seconds * mirrors[: self.mirrors[0]]
+
+    def _plane(self, start: int, end: int) -> int | None:
+        if self._power is None:
+            return 0
+        nearest = {self._nearest(self._power(time)) for time in (start, (start + end) // 2, end)}
+        return nearest.pop() if len(nearest) == 1 else None
+
+    def _nearest(self, power: float) -> int | None:
+        plane = int(np.argmin(np.abs(self._planes - power)))
+        return plane if abs(float(self._planes[plane]) - power) <= NEAR else None
+
+    def seconds(self, engine: int, poses: int, turn: int | None = None) -> np.ndarray:
+        """Seconds of light [plane, pose, row, column]; with ``turn`` poses are counted modulo a turn."""
+        total = np.zeros((len(self._planes), poses, *self.mirrors))
+        for (which, plane, pose), light in self.light.items():
+            place = pose if turn is None else pose % turn
+            if which == engine and 0 <= place < poses:
+                total[plane, place] += light
+        return total
+
+
+def full_light(schedule: Schedule, engine: int) -> float:
+    """Seconds of full drive that a full-on pixel of a slot gets; machines light for whole microseconds."""
+    return int(schedule.on[0]) // 1000 * 1e-6 * float(schedule.power[0, engine])
+
+
+BEHIND = 2  # poses after which no light falls into one any more
+FULL = 255
+
+
+class Leveled(Protocol):
+    """Frames that tell their levels."""
+
+    def levels(self, numbers: np.ndarray) -> np.ndarray: ...  # of frames, uint8 [frame, row, column], 255 full on
+
+
+@dataclass(frozen=True)
+class DoseComparison:
+    """Dose in the resin against that of the frames."""
+
+    greatest: float  # difference of any pixel, over full on
+    frames: int  # that were compared
+    beside: float  # light outside of all frames, or while the lens moved [s of full-on pixels]
+
+    def __str__(self) -> str:
+        return (
+            f"{self.frames} frames differ in the resin from the job by {self.greatest:.2g} of full on at most; "
+            f"{self.beside:.2g} s of a pixel's light beside them"
+        )
+
+
+class DoseMonitor:
+    """Watches a recorder; attached to its clock, it compares once a second. sources: of each engine.  planes: focus."""
+
+    def __init__(
+        self, recorder: DoseRecorder, schedule: Schedule, sources: Sequence[Leveled], mirrors: MirrorArray,
+        planes: int = 1,
+    ) -> None:  # fmt: skip
+        self._recorder, self._schedule, self._sources, self._mirrors = recorder, schedule, tuple(sources), mirrors
+        self._planes, self._turn = planes, schedule.unit == "deg"
+        self._poses = schedule.frames // planes
+        self._light, self._next, self._at = recorder.light, 0, SECOND
+        self._greatest, self._count, self._beside = 0.0, 0, 0.0
+        turns = len(schedule) // schedule.frames if self._turn else 1
+        self._times, self._cut = np.full(self._poses, turns), set[int]()
+
+    def due(self) -> int | None:
+        """When it compares next [ns]."""
+        return None if self._turn else self._at
+
+    def advance(self, now: int) -> None:
+        """Compare the poses that are over, and forget them."""
+        self._at = now + SECOND
+        if self._light:
+            newest = max(pose for _, _, pose in self._light)
+            self._compare(min(newest - BEHIND, self._poses))
+
+    def verdict(self, shown: Sequence[int] | None = None) -> DoseComparison:
+        """Compare what is left, once the print is over. shown: frames of a vial that was stopped, in order."""
+        if shown is not None:
+            self._times = np.bincount(np.asarray(shown, int), minlength=self._poses)
+            last = int(shown[-1]) if len(shown) else 0
+            self._cut = {last, (last + 1) % self._poses}
+        if self._turn:
+            self._light = {}
+            for (engine, plane, pose), seconds in self._recorder.light.items():
+                place = (engine, plane, pose % self._poses)
+                before = self._light.get(place)
+                self._light[place] = seconds if before is None else before + seconds
+        self._compare(self._poses)
+        self._beside += sum(float(light.sum()) for light in self._light.values())
+        return DoseComparison(self._greatest, self._count, self._beside + self._recorder.astray)
+
+    def _compare(self, stop: int) -> None:
+        if stop <= self._next:
+            return
+        numbers = np.arange(self._next * self._planes, stop * self._planes)
+        for engine, source in enumerate(self._sources):
+            once = full_light(self._schedule, engine)
+            levels = source.levels(numbers)
+            down, across = self._mirrors.place(*levels.shape[1:])
+            for number, expected in zip(numbers.tolist(), levels, strict=True):
+                pose, plane = divmod(number, self._planes)
+                seconds = self._light.pop((engine, plane, pose), None)
+                if pose in self._cut:
+                    continue
+                full, right = max(int(self._times[pose]), 1) * once, expected / FULL * (self._times[pose] > 0)
+                got = np.zeros(expected.shape) if seconds is None else seconds[down, across] / full
+                self._greatest = max(self._greatest, float(np.abs(got - right).max()))
+                if seconds is not None:
+                    whole, own = (each.sum(dtype=np.float64) for each in (seconds, seconds[down, across]))
+                    self._beside += max(0.0, float(whole - own))
+            self._count += len(numbers) - len(self._cut & set((numbers // self._planes).tolist())) * self._planes
+        self._next = stop

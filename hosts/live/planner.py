@@ -1,0 +1,173 @@
+"""The planning function of a watched print: a `LiveLoop` in the planning process, and the record of its decisions.
+
+Images of turn t tell what the turns before it did. They are looked at late in turn t, so that what is decided can be
+shown from turn t + 1 on.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.live.worker import PlannerClient
+from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live.maps import BRIGHT, cuts
+from vamgpu.live.prior import NAMES
+from vamgpu.operators.projection import Projection
+from vamgpu.printing.folder import load_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.pack import pack
+from vamgpu.printing.placement import FIT
+from vamgpu.storage.folder import Folder
+
+PLACE = "live"
+"""The folder of the record in that of the run."""
+SEEN = 0.6
+"""Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
+
+
+def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:
+    """Light of one of ``planned`` turns of frames, in units of the resin's dose, [angle, r, z]."""
+    return (np.asarray(frames.irradiance().numpy(), float) * (dose / planned)).astype(np.float32)
+
+
+def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Projection, dose: float = 1.0) -> np.ndarray:
+    """Levels that show the light of a turn on the projector of a job's frames, [frame, row, column]."""
+    if not light.any():
+        return np.zeros(frames.shape, np.uint8)
+    plan: Any = SimpleNamespace(
+        sinogram=operator.device.upload((planned / dose * light).astype(np.float32)), operator=operator
+    )  # fmt: skip
+    placed = frames.settings
+    other = "error-diffusion" if frames.bits == 1 else "round"
+    dither = other if placed.dither == FIT else placed.dither  # choosing by dose takes longer than a turn
+    return pack(
+        plan, bits=frames.bits, gray=frames.gray, flat_field=frames.flat_field, flip_r=placed.flip_r,
+        flip_z=placed.flip_z, shift=placed.shift, dither=dither, scale=frames.scale,
+    ).levels()  # fmt: skip
+
+
+def follow(planner: PlannerClient) -> None:
+    """Plan every turn of a print as the `LiveSetup` in the order's settings says, and record why."""
+    Following(planner).run()
+
+
+class Following:
+    """One print that is followed; the planner's settings are those of a `LiveSetup`."""
+
+    def __init__(self, planner: PlannerClient) -> None:
+        self._planner, task = planner, planner.task
+        self._setup = LiveSetup.of(dict(task["settings"]))
+        job = task["jobs"][0]
+        self._frames = load_frames(job, "numpy")
+        light = light_of(self._frames, self._setup.planned, self._setup.dose)
+        self._part = part = np.array(Folder.open(job).array("target"), np.float32)
+        self._record = LiveRecord(Path(task["folder"]) / PLACE)
+        self._loop = self._record.begin(self._setup, part, light)
+        self._state = self._loop.start()
+        self._lights = {0: light}
+        self._own = {0: 0}  # the version of the loop that each version of the print is
+        self._proposed: list[tuple[int, int, float]] = []  # version of the loop, turn and time of each proposal
+        self._unseen: dict[int, int] = {}  # the turn after which each version of the print was decided
+        self._showed: dict[int, int] = {}  # version of the print that each turn showed
+        self._turn, self._stop, self._over = 0, 0, False
+
+    def run(self) -> None:
+        """Until the print is over."""
+        first = self._state
+        self._propose(0, first.light, 1, self._setup.planned)
+        stack, first = self._blank(), 0
+        for told in self._planner:
+            if "answer" in told:
+                self._answered(told["answer"])
+            elif "shown" in told:
+                for slot, version in zip(told["shown"]["slot"], told["shown"]["version"], strict=True):
+                    self._saw(int(slot) // self._planner.task["frames"], int(version))
+            elif "image" in told and not self._over:
+                turn, rest = divmod(float(told["angle"]) / 360.0, 1.0)
+                if turn != self._turn:
+                    self._turn, stack, first = int(turn), self._blank(), told["at"]
+                if self._turn == self._state.turn + 1:
+                    if told["image"].shape != stack.shape[1:]:
+                        raise BadInput(f"the camera's images are {told['image'].shape}; expected {stack.shape[1:]}, "
+                                       "the pixels of the beam: crop and bin them so")  # fmt: skip
+                    stack[int(rest * len(stack))] = told["image"]
+                    if rest >= SEEN:
+                        self._decide(stack, 1e-9 * (told["at"] - first))
+                elif self._turn > self._state.turn + 1:  # a turn went by while nobody looked
+                    self._decide(self._blank(), 0.0)
+
+    def _blank(self) -> np.ndarray:
+        return np.full((self._setup.angles, self._setup.pixels[1], self._setup.pixels[0]), np.nan, np.float32)
+
+    def _saw(self, turn: int, version: int) -> None:
+        self._showed[turn] = version
+        if (decided := self._unseen.pop(version, 0)) > 0:
+            self._record.note(decided, effective=turn)
+
+    def _decide(self, stack: np.ndarray, sense: float) -> None:
+        began, state, turn = time.perf_counter(), self._state, self._state.turn + 1
+        shown = [self._own.get(self._showed.get(each, 0), 0) for each in (turn - 1, turn)]
+        state = self._loop.corrected(state, self._lights, shown)
+        self._state, decision = self._loop.decide(state, stack)
+        self._lights[decision.version] = decision.light
+        decided = time.perf_counter()
+        self._told(decision)
+        packed = time.perf_counter()
+        decision = replace(decision, stages={"sense": sense} | decision.stages | {"pack": packed - decided})
+        effective = None if decision.action == "swap" else turn + 1  # of a swap it is known when it is shown
+        self._record.add(stack, decision, showed=shown, effective=effective, seconds=round(packed - began, 3))
+
+    def _told(self, decision: Decision) -> None:
+        begin = decision.turn + 1
+        self._over = decision.action == "stop"  # for good: resin that is dark does not tell whether to go on
+        if not (self._over and self._stop == begin) and begin < self._planner.task["turns"]:
+            stop = min(begin + max(decision.turns, 1), self._planner.task["turns"])
+            light = decision.light if decision.turns else np.zeros_like(decision.light)
+            if decision.action != "keep" or stop != self._stop:
+                self._propose(decision.version, light, begin, stop)
+        if decision.parameters:
+            self._planner.estimate(self._found(decision), self._maps(decision))
+
+    def _found(self, decision: Decision) -> list[Any]:
+        """Parameters with their deviations, and two of the prior's on either side of what was planned; facts."""
+        prior, induction = self._loop.prior, self._setup.resin.induction
+        usual = [(mean - 2.0 * s, mean + 2.0 * s) for mean, s in zip(prior.mean, np.sqrt(np.diag(prior.covariance)),
+                                                                     strict=True)]  # fmt: skip
+        found = [(name, *pair, *usual[NAMES.index(name)]) for name, pair in decision.parameters.items()]
+        less, more = (1.0 - each / induction for each in usual[NAMES.index("initial_dose")])
+        error = decision.parameters["initial_dose"][1] / induction
+        facts = ("estimated after turn", decision.turn), ("expected stop [turn]", decision.turn + 1 + decision.turns)
+        return [
+            *found, ("inhibitor", decision.inhibitor, error, min(less, more), max(less, more)),
+            *((name, value, 0.0) for name, value in facts),
+        ]  # fmt: skip
+
+    def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
+        drawn = {}
+        if decision.dose is not None:
+            drawn[f"dose; brightest is {BRIGHT:g} times what turns solid"] = cuts(decision.dose, self._part, BRIGHT)
+        if decision.conversion is not None:
+            drawn["conversion seen"] = cuts(decision.conversion, self._part, 1.0, "viridis")
+        return drawn
+
+    def _propose(self, version: int, light: np.ndarray, turn: int, stop: int) -> None:
+        setup, operator = self._setup, self._loop.estimator.operator
+        levels = levels_of(light, self._frames, setup.planned, operator, setup.dose)
+        self._proposed.append((version, turn - 1, time.perf_counter()))
+        self._planner.propose([levels], turn, stop)
+        self._stop = stop
+
+    def _answered(self, answer: dict[str, Any]) -> None:
+        version, turn, began = self._proposed.pop(0) if self._proposed else (0, 0, 0.0)
+        if "number" in answer:
+            self._own[number := int(answer["number"])] = version
+            self._unseen[number] = turn
+            if turn:
+                self._record.note(turn, {"upload": time.perf_counter() - began})

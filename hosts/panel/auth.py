@@ -1,0 +1,155 @@
+"""Who may see the page and press its buttons."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import time
+from collections import deque
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+WRONG = 10  # wrong tokens of one address in `WINDOW` before none of its tokens is looked at
+WINDOW = 60.0  # [s]
+REMEMBERED = 1000  # browsers, and addresses with wrong tokens
+HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "x-frame-options": "DENY",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+"""Headers of every answer that does not set its own. Nothing of the page is inline."""
+# Who follows a link from another site brings no strict cookie along a redirect; a page that goes on by itself does.
+ENTER = b'<!doctype html><meta http-equiv="refresh" content="0;url=/"><title>vamgpu</title><a href="/">The page</a>'
+REFUSED = "open this page with the address that was printed when it was started, token included"
+LOCKED = "too many wrong tokens came from this address; wait a minute, then open the address that was printed"
+
+
+def loopback(host: str) -> bool:
+    """Tell whether only this machine can reach a server.
+
+    Args:
+        host: The name or address that it serves at.
+
+    Returns:
+        Whether that is a loopback address or localhost.
+    """
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _name(host: str) -> str:
+    """A header's host without its port."""
+    before, colon, after = host.rpartition(":")
+    return (before if colon and after.isdigit() else host).lower()
+
+
+def _number(name: str) -> bool:
+    """Whether a name is an address, which no other site can be made to point to."""
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True
+
+
+class TokenAuth:
+    """Lets in requests to this machine's own names that bring the token, or a browser's cookie made for it."""
+
+    app: Any
+    token: str | None
+    cookie: str
+
+    def __init__(self, app: Any, token: str | None, host: str = "localhost", port: int = 0) -> None:
+        self.app, self.token, self.cookie = app, token, f"vam-{port}"
+        own = socket.gethostname().lower()
+        self._names = {host.lower(), "localhost", own, f"{own}.local", socket.getfqdn().lower()}
+        self._browsers: deque[str] = deque(maxlen=REMEMBERED)
+        self._wrong: dict[str, deque[float]] = {}
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on, or answer it."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await self._request(scope, receive, self._guarded(send))
+
+    async def _request(self, scope: Any, receive: Any, send: Any) -> None:
+        headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
+        if not self._addressed(headers):
+            return await _answer(send, 403, REFUSED.encode())
+        if self.token is None or self._known(headers):
+            return await self.app(scope, receive, send)
+        entering = scope["method"] == "GET" and scope["path"] == "/"
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1")) if entering else {}
+        bearer = headers.get(b"authorization", "").removeprefix("Bearer ")
+        given = query.get("token", [bearer])[0]
+        if not given:
+            return await _answer(send, 403, REFUSED.encode())
+        wrong = self._recent(scope)
+        if len(wrong) >= WRONG:
+            return await _answer(send, 429, LOCKED.encode(), (b"retry-after", b"%d" % WINDOW))
+        if not secrets.compare_digest(given.encode(), self.token.encode()):
+            wrong.append(time.monotonic())
+            return await _answer(send, 403, REFUSED.encode())
+        if not query:
+            return await self.app(scope, receive, send)
+        self._browsers.append(made := secrets.token_urlsafe(32))
+        cookie = f"{self.cookie}={made}; HttpOnly; SameSite=Strict; Path=/".encode()
+        return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")
+
+    def _addressed(self, headers: dict[bytes, str]) -> bool:
+        """Whether a request names this machine, and comes from no page of another."""
+        host, origin = headers.get(b"host", ""), headers.get(b"origin")
+        name = _name(host)
+        meant = loopback(name) if self.token is None else name in self._names or _number(name)
+        return meant and (origin is None or origin.partition("//")[2] == host)
+
+    def _known(self, headers: dict[bytes, str]) -> bool:
+        try:
+            cookie = SimpleCookie(headers.get(b"cookie", "")).get(self.cookie)
+        except CookieError:
+            return False
+        given = "" if cookie is None else cookie.value
+        return any([secrets.compare_digest(given.encode(), each.encode()) for each in self._browsers])
+
+    def _recent(self, scope: Any) -> deque[float]:
+        """When the client's address last gave wrong tokens."""
+        address = (scope.get("client") or ("?", 0))[0]
+        if address not in self._wrong and len(self._wrong) >= REMEMBERED:
+            del self._wrong[next(iter(self._wrong))]
+        wrong = self._wrong.setdefault(address, deque())
+        while wrong and time.monotonic() - wrong[0] > WINDOW:
+            wrong.popleft()
+        return wrong
+
+    @staticmethod
+    def _guarded(send: Any) -> Any:
+        async def answer(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                given = list(message.get("headers", []))
+                names = {name.lower() for name, _ in given}
+                more = [(n.encode(), v.encode()) for n, v in HEADERS.items() if n.encode() not in names]
+                message = {**message, "headers": [*given, *more]}
+            await send(message)
+
+        return answer
+
+
+async def _answer(
+    send: Any, status: int, body: bytes, more: tuple[bytes, bytes] | None = None, kind: bytes = b"text/plain"
+) -> None:
+    headers = [(b"content-type", kind), *([] if more is None else [more])]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,224 @@
+"""The calibrations of a rig: each measurement a folder beside the rig's file, the newest of each kind in force."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.calibration.runout import Runout
+from vamgpu.errors import BadInput, JobError, StorageError
+from vamgpu.geometry import Turntable
+from vamgpu.hosts.rigs.config import RigConfig
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import repack
+from vamgpu.storage.numpy_files import read_npz
+from vamgpu.storage.reading import parse_toml, read_text
+
+KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout")
+SUFFIX = ".calibration"  # of the folder beside the rig's file
+STAMP = "%Y-%m-%dT%H%M%S"
+NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4}}-\d\d-\d\dT\d{{6}})(?:-\d+)?")
+DAY = 86400.0
+MEASURED = "measured"  # table of a result that holds its numbers
+NONE = "none"  # in [calibration]: do not apply this kind
+
+
+def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
+    """The tables of a result. Raises `StorageError` for none, `BadInput` for a calibration of another kind."""
+    file = Path(folder) / "result.toml" if Path(folder).is_dir() else Path(folder)
+    try:
+        data = parse_toml(read_text(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise StorageError(f"cannot read the calibration {str(folder)!r}: {error}; check the path") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
+    if "calibration" not in data or (kind is not None and data["calibration"] != kind):
+        raise BadInput(
+            f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; expected one of {kind or 'any'}"
+        )
+    return data
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One measurement of a rig. kind: one of `KINDS`.  taken: when, local time.  path: of its folder."""
+
+    kind: str
+    taken: datetime
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """Name of its folder, by which a rig's file may choose it."""
+        return self.path.name
+
+    def days(self, now: datetime | None = None) -> float:
+        """Since it was taken [days]."""
+        return ((now or datetime.now()) - self.taken).total_seconds() / DAY
+
+    def tables(self) -> dict[str, Any]:
+        """All that it found. Raises `StorageError`, `BadInput` where its file is damaged."""
+        return read(self.path, self.kind)
+
+
+def folder_of(rig: RigConfig) -> Path | None:
+    """Where a rig's calibrations are; None for a rig that has no file."""
+    return Path(rig.source).with_suffix(SUFFIX) if Path(rig.source).suffix == ".toml" else None
+
+
+def place_of(rig: RigConfig) -> Path:
+    """Where a rig's calibrations are. Raises `BadInput` for a rig that has no file."""
+    if (place := folder_of(rig)) is None:
+        raise BadInput(
+            f"the rig {rig.source!r} is no file ending in .toml, beside which its calibrations would be; give such a "
+            "file, or --out for a result of its own"
+        )
+    return place
+
+
+def taken_of(rig: RigConfig) -> tuple[Calibration, ...]:
+    """All calibrations of a rig, the newest first; what has another name in their folder is none."""
+    place = folder_of(rig)
+    if place is None or not place.is_dir():
+        return ()
+    found = [
+        Calibration(match[1], datetime.strptime(match[2], STAMP), entry)
+        for entry in place.iterdir()
+        if (match := NAME.fullmatch(entry.name)) and (entry / "result.toml").is_file()
+    ]
+    return tuple(sorted(found, key=lambda each: (each.taken, each.name), reverse=True))
+
+
+def in_force(rig: RigConfig) -> dict[str, Calibration]:
+    """Kind → the calibration that is applied: the newest, or the one that ``[calibration]`` names."""
+    chosen: dict[str, Calibration] = {}
+    taken, section = taken_of(rig), rig.setup.calibration
+    for kind in KINDS:
+        own = [each for each in taken if each.kind == kind]
+        wish = getattr(section, kind)
+        if wish is not None and wish != NONE:
+            own = [each for each in own if each.name.removeprefix(f"{kind}-").startswith(wish)]
+            if not own:
+                raise JobError(
+                    f'calibration.{kind} is "{wish}", and {str(folder_of(rig))!r} has none of that date; expected a '
+                    f'date that `vam calibrate list` shows, or "{NONE}"'
+                )
+        if own and wish != NONE:
+            chosen[kind] = own[0]
+    return chosen
+
+
+@dataclass(frozen=True)
+class MeasuredRunout:
+    """A vial's runout, with the projector and the number of its columns that it was measured with."""
+
+    found: Runout
+    projector: int
+    columns: int
+
+    def shift(self, frames: Frames) -> float:
+        """Columns along r by which frames move, so that their axis is where the turntable's is."""
+        off = self.found.axis - 0.5 * (self.columns - 1)
+        return -off if frames.settings.flip_r else off
+
+    def moves(self, frames: Frames, turning: bool) -> np.ndarray:
+        """Columns [frame, row] by which rows move besides."""
+        count, rows, _ = frames.shape
+        angles = Turntable(count).poses if frames.motion is None else frames.motion.poses
+        return self.found.columns(np.tile(angles, count // angles.size), rows, turning=turning)
+
+
+@dataclass(frozen=True, eq=False)
+class MachineCalibration:
+    """A rig's calibrations as prints apply them."""
+
+    gray: tuple[GrayCurve | None, ...] = ()  # of each projector; None where it was not measured
+    flat: tuple[np.ndarray | None, ...] = ()
+    shift: float | None = None  # of the axis [columns]
+    lens: tuple[float, float] | None = None  # power on the axis [dpt], focus over power [mm/dpt]
+    runout: MeasuredRunout | None = None
+    turning: bool = False  # prints know the turntable's angle
+    used: Mapping[str, str] = field(default_factory=dict)  # kind → name of what is applied
+    notes: tuple[str, ...] = ()  # warnings for people
+
+    def __bool__(self) -> bool:
+        return bool(self.used)
+
+    def frames(self, frames: Frames, projector: int = 0, *, vial: bool = True) -> Frames:
+        """The light of a job's frames as a projector of this machine shows it. Raises `BadInput`, `ShapeMismatch`."""
+        seen = self.runout if vial and self.runout is not None and self.runout.projector == projector else None
+        gray = self.gray[projector] if projector < len(self.gray) else None
+        flat = self.flat[projector] if projector < len(self.flat) else None
+        across = self.shift if self.shift is not None or seen is None else seen.shift(frames)
+        if gray is None and flat is None and across is None:
+            return frames
+        shift = None if across is None else (across, frames.settings.shift[1])
+        moves = None if seen is None else seen.moves(frames, self.turning)
+        flat = None if flat is None else _middle(flat, frames)
+        return repack(frames, gray=gray, flat_field=flat, shift=shift, moves=moves)
+
+
+def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibration:
+    """The calibration of every job on a rig. Raises `JobError`, `StorageError`, `BadInput` for damaged results."""
+    chosen = in_force(rig)
+    tables = {kind: each.tables() for kind, each in chosen.items()}
+    count, limit = len(rig.setup.display), rig.setup.calibration.warn_after / DAY
+    notes = [
+        f"the calibration {each.name} is {each.days(now):.0f} days old; expected {limit:.0f} at most: measure again, "
+        "or raise warn_after in [calibration]"
+        for each in chosen.values() if each.days(now) > limit
+    ]  # fmt: skip
+    gray: list[GrayCurve | None] = [None] * count
+    flat: list[np.ndarray | None] = [None] * count
+    for projector in range(count):
+        if table := tables.get("gray", {}).get("gray" if projector == 0 else f"gray_{projector}"):
+            gray[projector] = GrayCurve.parse(table)
+        if "flat" in chosen:
+            flat[projector] = _flat(chosen["flat"], projector)
+    measured = {kind: each[MEASURED] for kind, each in tables.items()}
+    lens = (measured["focus"]["axis_dpt"], measured["focus"]["slope_mm_dpt"]) if "focus" in measured else None
+    shift = measured["axis"]["shift_columns"] if "axis" in measured else None
+    used = {kind: each.name for kind, each in chosen.items()}
+    turning = driver_of(rig.setup.clock) == "stage"
+    runout = _runout(chosen["runout"], measured["runout"]) if "runout" in measured else None
+    if runout is not None and not turning:
+        notes.append(
+            f"the runout {chosen['runout'].name} is applied as far as it is the same at every angle; prints on this "
+            "clock do not know the turntable's angle, so that the pin's eccentricity of "
+            f'{runout.found.eccentricity:.2g} columns stays: center the vial, or take [clock] driver = "stage"'
+        )
+    return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turning, used, tuple(notes))
+
+
+def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:
+    try:
+        return MeasuredRunout(Runout.read(numbers), int(numbers["projector"]), int(numbers["columns"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(f"{str(found.path)!r} has malformed numbers: {error}; measure the runout again") from error
+
+
+def _flat(found: Calibration, projector: int) -> np.ndarray | None:
+    """The flat field [row, column] of a projector's mirrors; None where it was not measured."""
+    field = read_npz(found.path / "readings.npz").get(f"flat_{projector}")
+    return None if field is None else np.asarray(field, np.float64)
+
+
+def _middle(flat: np.ndarray, frames: Frames) -> np.ndarray:
+    """The part of a projector's flat field that frames in its middle lie on."""
+    rows, columns = frames.shape[1:]
+    top, left = (flat.shape[0] - rows) // 2, (flat.shape[1] - columns) // 2
+    if top < 0 or left < 0:
+        raise BadInput(
+            f"the flat field has {flat.shape[0]} × {flat.shape[1]} mirrors, the job's frames {rows} × {columns}; "
+            "measure it on this projector again"
+        )
+    return flat[top : top + rows, left : left + columns]

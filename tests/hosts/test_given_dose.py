@@ -1,0 +1,291 @@
+"""A print gives the dose that was proved: what emulated machines showed, summed by rays of this test."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from vamgpu.cli import main
+from vamgpu.cli.print import _begun as begun
+from vamgpu.errors import BadInput, DoseWarning, StorageError
+from vamgpu.hosts.proof import prove_run
+from vamgpu.hosts.record import read_run
+from vamgpu.hosts.rig import carry_out, may_go_on, plan, read_rig, rehearsal
+from vamgpu.hosts.rigs.config import parse_rig
+from vamgpu.hosts.rigs.rehearsing import Rehearsal
+from vamgpu.hosts.state import PrintState
+from vamgpu.jobs.run import prove
+from vamgpu.printing.folder import load_frames
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.printing.proof import Proof
+
+PART = """
+[target]
+mesh = "part.stl"
+height = "8 mm"
+pitch = "1 mm"
+[beam]
+pitch = "1 mm"
+spread = "1 um"
+[vial]
+radius = "12 mm"
+wall = "1 mm"
+resin_index = 1.0
+wall_index = 1.0
+bath_index = 1.0
+absorption = "{absorption} 1/mm"
+[turntable]
+angles = {angles}
+[solve]
+method = "lbfgs"
+iterations = 4
+device = "cpu"
+[frames]
+bits = {bits}
+[print]
+irradiance = "{irradiance} mW/cm2"
+critical_dose = "{dose} mJ/cm3"
+"""
+CABLE = """
+[rig]
+name = "cable"
+machine = "vial"
+[controller]
+port = "/dev/does-not-exist"
+[motion]
+driver = "zaber"
+port = "/dev/does-not-exist"
+[display]
+driver = "video"
+[light]
+driver = "controller"
+power = 0.8
+irradiance = "30 mW/cm2"
+"""
+STAGE = (Path(__file__).parents[2] / "docs" / "rigs" / "vialux_zaber.toml").read_text(encoding="utf-8")
+PI = (Path(__file__).parents[2] / "docs" / "rigs" / "pi_video_stepper.toml").read_text(encoding="utf-8")
+USUAL: dict[str, Any] = {
+    "radius": 3.0, "absorption": 0.05, "angles": 36, "bits": 8, "irradiance": 65, "dose": 50,
+}  # fmt: skip
+JOBS: dict[str, tuple[dict[str, Any], str, tuple[str, ...]]] = {
+    "cylinder": ({}, "emulated", ()),
+    "one bit": ({"bits": 1, "absorption": 0.03}, "emulated", ("--speed", "60")),
+    "shorter than a turn": ({"radius": 2.5, "dose": 5, "angles": 30}, "emulated", ()),
+    "drive on a cable": ({"dose": 40}, CABLE, ("--speed", "40")),
+    "stage, laser at 0.7": ({"irradiance": 40, "angles": 40}, STAGE.replace('"laser"', '"laser"\npower = 0.7'), ()),
+}
+"""What is printed, on which rig, with which words."""
+RARE = ("shorter than a turn", "stage, laser at 0.7")
+
+
+def solved(folder: Path, **other: Any) -> Path:
+    file = folder / "part.toml"
+    values = USUAL | other
+    trimesh.creation.cylinder(values["radius"], 6.0).export(folder / "part.stl")
+    file.write_text(PART.format(**values))
+    assert main(["solve", str(file)]) == 0
+    return file.with_suffix(".vam")
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The job of a cylinder."""
+    return solved(tmp_path_factory.mktemp("job"))
+
+
+@pytest.fixture(scope="module")
+def proof(part: Path) -> Proof:
+    """Of the cylinder."""
+    return prove(part, "cpu").proof
+
+
+class Recorder:
+    """Keeps what emulated mirrors showed: seconds of full drive of each pixel at each angle."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seconds: dict[int, np.ndarray] = {}
+        monkeypatch.setattr("vamgpu.hosts.rig.rehearsal", self._rehearsed)
+
+    def _rehearsed(self, *planned: Any, **options: Any) -> Rehearsal:
+        stand = rehearsal(*planned, **options)
+        recorder = stand.emulated.recorder
+
+        def heard(mirrors: np.ndarray, begin: int, end: int) -> None:
+            angle = int(recorder.pose((begin + end) // 2)) % planned[0].schedule.frames
+            shone = np.asarray(mirrors, float)[: recorder.mirrors[0]] * (end - begin) * 1e-9
+            self.seconds[angle] = self.seconds.get(angle, 0.0) + shone
+
+        recorder.listeners.append(heard)
+        return stand
+
+    def light(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Seconds [angle, row, column] of the pixels of frames, which are in the middle of the mirrors."""
+        images, rows, columns = shape
+        whole = np.stack([self.seconds[angle] for angle in range(images)])
+        top, left = (whole.shape[1] - rows) // 2, (whole.shape[2] - columns) // 2
+        return whole[:, top : top + rows, left : left + columns]
+
+
+def levels(job: Path) -> np.ndarray:
+    """Of a job's frames, 0 to 1, decoded here."""
+    frames = load_frames(job, "cpu")
+    images = frames.images.numpy()
+    return images / 255.0 if frames.bits == 8 else np.unpackbits(images, axis=2)[:, :, : frames.columns].astype(float)
+
+
+def exposed(light: np.ndarray, irradiance: float, absorption: float, proof: Proof) -> float:
+    """Mean dose of the part [mJ/mm³], by straight rays through 64 points of each voxel.
+
+    light: seconds of each pixel [angle, row, column].  irradiance: [mW/mm²].
+    """
+    grid, beam = proof.operator.grid, proof.operator.beam
+    inside = proof.target.numpy() >= 0.5
+    middles = np.stack([axis[inside] for axis in np.meshgrid(*grid.axes(), indexing="ij")], axis=1)
+    parts = (np.stack(np.meshgrid(*3 * [range(4)]), axis=-1).reshape(-1, 1, 3) - 1.5) / 4 * grid.pitch
+    x, y, z = np.moveaxis(middles + parts, -1, 0)
+    total, (columns, rows) = np.zeros(x.shape), beam.pixels
+    for angle, part in product(range(len(light)), (-1 / 3, 0, 1 / 3)):  # the vial turns while a frame is lit
+        image, theta = light[angle] / 3, 2 * np.pi * (angle + part) / len(light)
+        r, towards = y * np.cos(theta) - x * np.sin(theta), x * np.cos(theta) + y * np.sin(theta)
+        depth = np.sqrt(11.0**2 - r**2) - towards
+        column, row = np.rint(r / beam.pitch + (columns - 1) / 2), np.rint((rows - 1) / 2 - z / beam.pitch)
+        shone = image[row.astype(int), column.astype(int)]
+        total += shone * irradiance * absorption * np.exp(-absorption * depth)
+    return float(total.mean())
+
+
+def printed(job: Path, rig: str, run: Path, *words: str) -> int:
+    """Rehearse a job on a rig, or on the text of its file."""
+    if rig != "emulated":
+        file = run.with_suffix(".toml")
+        file.write_text(rig)
+        return main(["print", str(job), "--rig", str(file), "--dry-run", "--out", str(run), *words])
+    return main(["print", str(job), "--rig", rig, "--out", str(run), *words])
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in RARE)) for name in JOBS])
+def test_the_dose_is_the_one_that_was_proved(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (other, rig, words), record = JOBS[name], Recorder(monkeypatch)
+    values, job = USUAL | other, solved(tmp_path, **other)
+    monkeypatch.setattr("vamgpu.cli.print._report", lambda *_: None)
+    capsys.readouterr()
+    assert printed(job, rig, tmp_path / "run", *words) == 0
+    told, proof = capsys.readouterr().out, prove(job, "cpu").proof
+    assert proof.exposure is not None
+    full = 0.8 * 0.3 / 0.8 if rig == CABLE else values["irradiance"] / 100  # the drive is in what was recorded
+    given = exposed(record.light(levels(job).shape), full, values["absorption"], proof)
+    angles, job_light = values["angles"], values["irradiance"] / 100
+    wanted = exposed(levels(job) * proof.exposure.seconds / angles, job_light, values["absorption"], proof)
+    critical = values["dose"] / 1000 * proof.scores.total_in / proof.scores.in_voxels / proof.scores.threshold
+    assert wanted == pytest.approx(critical, rel=0.02), "the proof's seconds give its threshold the critical dose"
+    assert given == pytest.approx(wanted, rel=2e-3)
+    dose = GivenDose.read(read_run(tmp_path / "run").asked["dose"])
+    assert dose is not None and dose.share == pytest.approx(given / wanted, rel=2e-3)
+    turns = len(read_run(tmp_path / "run").shown) // angles
+    assert dose.turns == turns and not dose.asked and dose.keeps
+    assert f"{turns} turn{'s' * (turns > 1)} in {dose.seconds:.2f} s" in told and "×1.000 of what was proved" in told
+    assert ("dimmed" in told) == (dose.lit < 1.0)
+
+
+@pytest.mark.parametrize(("turns", "status"), [(1, 3), pytest.param(6, 0, marks=pytest.mark.slow)])
+def test_another_dose_is_told_and_never_green(
+    part: Path, turns: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    record, run, proofs = Recorder(monkeypatch), tmp_path / "run", []
+    monkeypatch.setattr("vamgpu.jobs.run.prove", lambda *given: proofs.append(given) or prove(*given))
+    capsys.readouterr()
+    assert printed(part, "emulated", run, "--turns", str(turns), "--speed", "120") == status
+    assert len(proofs) == 1, "planning proves the job, and the report takes that proof"
+    said, (found,) = capsys.readouterr(), prove_run(run, "cpu")
+    proof, kept = found.planned.proof, found.least.given
+    assert proof.exposure is not None and not proof.scores.missing + proof.scores.excess and kept is not None
+    wanted = exposed(levels(part) * proof.exposure.seconds / 36, 0.65, 0.05, proof)
+    share = exposed(record.light(levels(part).shape), 0.65, 0.05, proof) / wanted
+    assert kept.share == pytest.approx(share, rel=2e-3) and (share < 0.9 or share > 1.5)
+    assert f"warning: {turns} turn" in said.err and ("incomplete: " in said.out) == (share < 1)
+    assert found.light.complete == (share > 1) and "the dose is ×" in str(found.least.verdict)
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert "dose given over proved" in page
+    for text in (said.err, said.out, str(found.least.verdict), page):
+        assert (told := re.search(r"×(\d+\.\d+)", text)) and float(told[1]) == pytest.approx(share, rel=5e-3)
+    solid = found.least.dose.numpy() * kept.share / (found.least.scores.total_in / proof.scores.total_in)
+    missing = (solid < proof.scores.threshold) & (proof.target.numpy() >= 0.5)
+    assert found.least.scores.missing == missing.sum(), "what is missing is what that dose leaves liquid"
+
+
+def test_a_dose_that_whole_turns_cannot_give_is_refused_with_the_speed_that_can(part: Path, proof: Proof) -> None:
+    rig, proved = parse_rig(PI), replace(ProvedDose.of(proof), seconds=12.0)
+    with pytest.raises(BadInput, match=r"1\.333 turns of 9 s.*expected ×.* turn at 30 deg/s.*--turns 1"):
+        plan(part, rig, rehearsed=True, exposure=proved)
+    with pytest.warns(DoseWarning, match=r"1 turn of light: the dose is ×0\.750"):
+        asked = plan(part, rig, rehearsed=True, turns=1, exposure=proved).dose
+    assert asked is not None and asked.asked and asked.lit == 1.0 and not asked.whole
+    slower = plan(part, rig, speed=30, rehearsed=True, exposure=proved).dose
+    assert slower is not None and slower.turns == 1 and slower.share == pytest.approx(1.0, rel=1e-6)
+
+
+def test_whole_turns_that_come_close_are_not_dimmed(part: Path, proof: Proof) -> None:
+    proved = ProvedDose.of(proof)
+    on = plan(part, read_rig("emulated"), turns=1, exposure=False).schedule.on
+    for turns in (1, 3):
+        known = replace(proved, seconds=turns * float(on.sum()) * 1e-9 * 1.0005)
+        made = plan(part, read_rig("emulated"), exposure=known)
+        assert made.dose is not None and made.dose.lit == 1.0 and (made.schedule.on == on[0]).all()
+        assert made.dose.turns == turns and made.dose.share == pytest.approx(1 / 1.0005, rel=1e-4)
+    shorter = replace(proved, seconds=36 / 266 / 3)
+    with pytest.raises(BadInput, match=r"1 turn the dose is ×3\.00.*no shorter, so lower power in .light. to 0\.333"):
+        plan(part, read_rig("emulated"), exposure=shorter)
+    lower = plan(part, read_rig("emulated", ["light.power=0.333"]), exposure=shorter).dose
+    assert lower is not None and lower.share == pytest.approx(1.0, rel=5e-3)
+
+
+def test_what_no_proof_knows_wants_turns(part: Path, proof: Proof, job: Path) -> None:
+    rig = read_rig("emulated")
+    with pytest.raises(BadInput, match=r"has no \[print\].*give --turns"):
+        plan(job, rig)
+    assert plan(job, rig, turns=2).dose is None
+    assert dict(plan(job, rig, turns=2).lines())["dose"].startswith("not known")
+    with pytest.raises(BadInput, match="2 projectors share the dose"):
+        plan((part, part), rig)
+    with pytest.raises(BadInput, match="not asked for"):
+        plan(part, rig, exposure=False)
+    years = replace(ProvedDose.of(proof), seconds=1e12)
+    with pytest.raises(BadInput, match=r"exposure takes 1e\+12 s of full light; expected 10000000 frames"):
+        plan(part, rig, exposure=years)
+
+
+def test_the_latitude_is_that_of_the_verdict_and_none_where_it_does_not_print(proof: Proof) -> None:
+    least, most = proof.verdict.latitude
+    known = ProvedDose.of(proof)
+    assert proof.verdict.prints and known.right and (known.least, known.most) == (least, most)
+    assert least < 1.0 < most
+    dim = replace(proof, scores=replace(proof.scores, threshold=1.01 * proof.scores.threshold / least))
+    bad = ProvedDose.of(dim)
+    assert not bad.right and (bad.least, bad.most) == (0.99, 1.01)
+
+
+def test_a_run_keeps_its_dose_and_the_rest_gets_the_same_light(part: Path, proof: Proof, tmp_path: Path) -> None:
+    run, made = tmp_path / "run", plan(part, read_rig("emulated"), exposure=ProvedDose.of(proof))
+    assert made.dose is not None and carry_out(made, rehearsal(made).machines, run)[0] is PrintState.COMPLETE
+    with pytest.raises(BadInput, match="is complete; only prints"):
+        may_go_on(made, run)
+    assert begun(run, None) == (None, made.dose.proved) and begun(run, 3) == (3, made.dose.proved)
+    with pytest.raises(BadInput, match="another print, with views"):
+        may_go_on(plan(part, read_rig("emulated"), turns=made.dose.turns, exposure=made.dose.proved), run)
+    asked = json.loads((run / "run.json").read_text())
+    assert GivenDose.read(asked["dose"]) == made.dose
+    for wrong in ({"share": -1}, {"proved": None}, {"proved": {"seconds": 1}}):
+        (run / "run.json").write_text(json.dumps(asked | {"dose": asked["dose"] | wrong}))
+        with pytest.raises(StorageError, match="malformed"):
+            prove_run(run, "cpu")

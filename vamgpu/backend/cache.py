@@ -1,0 +1,47 @@
+"""The folder of compiled kernels, for drivers that fail where the user's own cache folder cannot be written."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from vamgpu.errors import StorageError
+
+VARIABLE = "XDG_CACHE_HOME"
+"""What PoCL, pyopencl and Warp read on Linux to find the user's cache folder."""
+
+
+@cache
+def refusal() -> str:
+    """Why the system refuses to write the user's cache folder; empty where it can be written."""
+    place = Path(os.path.expanduser(os.environ.get(VARIABLE) or "~/.cache"))
+    if str(place).startswith("~"):
+        return "this user has no home folder"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=place):
+            return ""
+    except OSError as error:
+        return str(error)
+
+
+@cache
+def writable() -> tempfile.TemporaryDirectory[str] | None:
+    """Let drivers keep kernels in a folder that ends with this process, where the user's cache cannot be written.
+
+    Raises `StorageError` where no temporary folder can be made either.
+    """
+    if sys.platform in ("win32", "darwin") or not refusal():
+        return None
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="vamgpu-kernels-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise StorageError(
+            f"cannot keep compiled kernels: {refusal()}, nor in a temporary folder: {error}; set {VARIABLE} or TMPDIR "
+            "to a folder that this user may write"
+        ) from error
+    os.environ[VARIABLE] = folder.name
+    return folder

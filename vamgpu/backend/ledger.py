@@ -1,0 +1,57 @@
+"""What crosses the bus of a device, and the memory that it has allocated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from vamgpu.errors import TransferForbidden
+
+SMALL = 4096
+"""Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
+
+
+@dataclass
+class Ledger:
+    """Transfers and memory of a device; ``transfers`` lists (direction, bytes) of everything above 4 kB."""
+
+    transfers: list[tuple[str, int]] = field(default_factory=list)
+    small: int = 0
+    allocated: int = 0
+    peak: int = 0
+    _forbidden: int = 0
+
+    def cross(self, direction: str, nbytes: int) -> None:
+        """Book a transfer; raises `TransferForbidden` for a large one inside ``forbid()``."""
+        if nbytes <= SMALL:
+            self.small += 1
+            return
+        if self._forbidden:
+            raise TransferForbidden(
+                f"{direction} of {nbytes} bytes inside no_transfers(); at most {SMALL} are allowed: "
+                "keep the array on the device, or move the transfer out of the block"
+            )
+        self.transfers.append((direction, nbytes))
+
+    def take(self, nbytes: int) -> None:
+        """Book memory that was allocated."""
+        self.allocated += nbytes
+        self.peak = max(self.peak, self.allocated)
+
+    def give(self, nbytes: int) -> None:
+        """Book memory that was freed."""
+        self.allocated -= nbytes
+
+    def reset_peak(self) -> None:
+        """Start measuring the peak from what is allocated now."""
+        self.peak = self.allocated
+
+    @contextmanager
+    def forbid(self) -> Iterator[None]:
+        """Inside, large transfers are refused; may be nested."""
+        self._forbidden += 1
+        try:
+            yield
+        finally:
+            self._forbidden -= 1

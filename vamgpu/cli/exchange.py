@@ -1,0 +1,157 @@
+"""The commands ``vam import`` and ``vam export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from vamgpu.cli.commands import app
+from vamgpu.cli.options import Overwrite, Settings, Switch, console
+from vamgpu.cli.show import shown_path
+from vamgpu.errors import BadInput
+
+if TYPE_CHECKING:
+    from vamgpu.printing.frames import Frames
+
+
+@app.command(name="import")
+def import_(
+    source: Path, /, *, out: Path | None = None, job: Path | None = None, patterns: Path | None = None,
+    target: Path | None = None, flip_r: Switch = False, flip_z: Switch = False, reverse: Switch = False,
+    axis: float | None = None, level: float | None = None, angles: int | None = None, gray: Path | None = None,
+    device: str | None = None, settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Make a job of another program's patterns, to be proven, printed, or solved on.
+
+    Args:
+        source: configuration of Dr.TVAM (JSON), sinogram of VAMToolbox (.sino, .npy), folder of PNG, TIFF or EXR
+            images, or a film, such as those that OpenCAL plays
+        out: the folder; the source's name with .vam by default. Ending in .toml, a job file of what Dr.TVAM was to
+            solve, for vam solve; it needs no patterns
+        job: TOML file of what the source does not say: part, vessel, pixels
+        patterns: of Dr.TVAM, where they are not beside its configuration
+        target: voxels that VAMToolbox solved for, in place of a mesh in the job
+        flip_r: column 0 of images is the largest r
+        flip_z: row 0 of images is the smallest z, as in films of VAMToolbox
+        reverse: images are in the order of falling angles
+        axis: column of the axis in images, counted from 0; their middle by default
+        level: row of the part's middle; the images' middle by default
+        angles: images of a turn, where a film has several turns
+        gray: TOML file with the gray curve that images were made for
+        device: where to compute; the best device here by default
+    """
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.foreign.importing import import_patterns, import_task
+    from vamgpu.jobs.foreign.pictures import Layout
+    from vamgpu.printing.gray import GrayCurve
+    from vamgpu.storage.atomic import named
+
+    if out is not None and out.suffix.lower() == ".toml":
+        if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
+                                               ("--set", settings)) if value is not None]:  # fmt: skip
+            raise BadInput(f"{', '.join(beside)} beside --out {out}, which takes no patterns; expected the "
+                           "configuration alone: leave it out")  # fmt: skip
+        for note in import_task(source, out, overwrite=overwrite):
+            console().print(f"[yellow]note[/]  {escape(note)}")
+        console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
+        return
+    curve = None if gray is None else GrayCurve.load(gray)
+    layout, screen = Layout(flip_r, flip_z, reverse, axis, level, angles, curve), console()
+    place = out if out is not None else named(source).with_suffix(".vam")
+    with shown(screen) as progress:
+        done = import_patterns(
+            source, place, job=job, settings=settings or (), patterns=patterns, target=target, layout=layout,
+            device=device, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
+    for note in done.notes:
+        screen.print(f"[yellow]note[/]  {escape(note)}")
+    screen.print(
+        f"wrote [bold]{shown_path(place)}[/] from {done.program}; prove it with: vam prove {shown_path(place)}"
+    )
+
+
+@app.command
+def export(
+    job: Path, *, png: Path | None = None, tiff: Path | None = None, npz: Path | None = None, mp4: Path | None = None,
+    drtvam: Path | None = None, fps: float = 30.0, players: Switch = False, canvas: str | None = None,
+    offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
+    repeats: int = 1, rig: Path | None = None, projector: int = 1, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Write the frames of a job as files that other programs read.
+
+    Args:
+        job: the job folder
+        png: a folder of PNG pictures
+        tiff: one file, a page a frame
+        npz: bytes, curve and settings for NumPy
+        mp4: a film, lossless in gray, or for any player with --players
+        drtvam: a folder with configuration, patterns and part for Dr.TVAM
+        fps: frames a second of the film
+        players: write the film in yuv420p, which projectors and common players decode
+        canvas: columns and rows of pictures, such as 1920x1080, in whose middle frames lie
+        offset: columns to the right and rows upwards off that middle
+        rotation: of frames, counterclockwise [deg]
+        flip_r: mirror frames left to right
+        flip_z: mirror frames top to bottom
+        repeats: how often the turn is shown
+        rig: TOML file of a rig, whose gray curve, flat field and axis frames are made for
+        projector: of that rig, counted from 1
+    """
+    from vamgpu.jobs.foreign.drtvam import export_drtvam
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.methods.saved import load_plan
+    from vamgpu.printing.export import Canvas
+    from vamgpu.printing.export import export as write
+    from vamgpu.printing.folder import frames_of, load_frames
+    from vamgpu.storage.atomic import named
+    from vamgpu.storage.folder import Folder
+
+    formats = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
+    places = {ending: place for ending, place in formats.items() if place is not None}
+    if not places and drtvam is None:
+        raise BadInput(
+            "no format was given; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path"
+        )
+    for ending, place in places.items():
+        if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
+            raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
+    job = named(job)
+    if is_web_folder(job):
+        raise BadInput(
+            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: read frames of a "
+            "web one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
+        )
+    screen, frames = console(), load_frames(job, "numpy")
+    if rig is not None:
+        frames = _on_rig(frames, rig, projector)
+    placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats)
+    for ending, place in places.items():
+        on = None if placed == Canvas() or ending == ".npz" else placed
+        done = write(frames, place, fps=fps, overwrite=overwrite, canvas=on, players=players and ending == ".mp4")
+        screen.print(f"wrote [bold]{shown_path(done)}[/]")
+    if drtvam is not None:
+        whole = frames_of(Folder.open(job), frames.device, load_plan(job, frames.device))
+        screen.print(f"wrote [bold]{shown_path(export_drtvam(whole, drtvam))}[/]")
+
+
+def _size(canvas: str | None) -> tuple[int, int] | None:
+    """Columns and rows of text such as 1920x1080. Raises `BadInput`."""
+    if canvas is None:
+        return None
+    columns, _, rows = canvas.lower().replace("×", "x").partition("x")
+    if not (columns.strip().isdecimal() and rows.strip().isdecimal()):
+        raise BadInput(f"--canvas is {canvas!r}; expected columns and rows, such as 1920x1080")
+    return int(columns), int(rows)
+
+
+def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:
+    """Frames as a projector of a rig shows them, by its calibrations."""
+    from vamgpu.hosts.rigs.calibrations import calibration_of
+    from vamgpu.hosts.rigs.config import read_rig
+
+    config = read_rig(rig)
+    if not 1 <= projector <= len(config.setup.display):
+        raise BadInput(f"--projector is {projector}; the rig has {len(config.setup.display)}, counted from 1")
+    return calibration_of(config).frames(frames, projector - 1)

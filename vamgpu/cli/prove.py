@@ -1,0 +1,154 @@
+"""The command ``vam prove``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from rich.markup import escape
+
+from vamgpu.cli.commands import app
+from vamgpu.cli.options import console
+from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
+from vamgpu.errors import BadInput
+
+if TYPE_CHECKING:
+    from vamgpu.jobs.run import Proven
+
+NOT_PRINTED = 3
+"""What ``vam prove --check`` exits with where frames do not print their part."""
+
+
+@app.command
+def prove(
+    job: Path, /, *, report: Path | None = None, device: str | None = None,
+    bound: Annotated[bool, Parameter(negative="")] = False,
+    tolerances: Annotated[bool, Parameter(negative="")] = False, slices: tuple[int, int] | None = None,
+    printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
+    rig: str | None = None, speed: str | None = None, check: Annotated[bool, Parameter(negative="")] = False,
+) -> int:  # fmt: skip
+    """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
+
+    Args:
+        job: the job folder, or the folder of a vial's run
+        report: the HTML file; by default part.html for part.vam, and part.run.html for part.run
+        device: where to compute; the best device here by default
+        bound: find the widest window that any light can have too, by 1500 projector evaluations, of each corner with
+            --tolerances
+        tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
+        slices: first slice, and the one behind the last, that alone are looked at for --bound: sooner, and the bound
+            of some slices holds for all
+        printed: folder of a job that a run printed, where it was moved since; one for each that was
+        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
+            that takes more is left out
+        rig: the TOML file of a rig, or emulated: expose each bit plane of a vial at the angles at which it is shown too
+        speed: of the rig [deg/s], 40 by default
+        check: exit with 3 where it does not print
+    """
+    from vamgpu.backend import within
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.run import prove as run
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.storage.atomic import named, page_path
+    from vamgpu.storage.memory import size
+
+    if job.suffix.lower() == ".toml":
+        folder = job.with_suffix(".vam")
+        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
+                       f"writes: vam prove {folder}")  # fmt: skip
+    job = named(job)
+    device = device if memory is None else within(device, memory)
+    is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
+    # a run has a page beside that of its job
+    place = page_path(report or (job.with_name(f"{job.name}.html") if is_run else job.with_suffix(".html")))
+    for option, given in (("--bound", bound), ("--tolerances", tolerances), ("--rig", rig is not None)):
+        if given and (is_run or is_web):
+            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is none; leave it out")
+    if slices is not None and not bound:
+        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
+    if rig is None and speed is not None:
+        raise BadInput(f"--speed {speed} is that of a rig, and none is given; give --rig too, or leave it out")
+    if is_run:
+        return _checked(_prove_run(job, place, device, printed or ()), check)
+    if printed:
+        raise BadInput(f"--job says where the jobs of a run are, and {str(job)!r} is no folder of one; leave it out")
+    if is_web:
+        if check:
+            raise BadInput(f"--check is for the job of a vial or of a run, and {str(job)!r} is a web; leave it out")
+        _prove_web(job, place, device)
+        return 0
+    screen = console()
+    with shown(screen) as progress:
+        evaluations = 1500.0 if bound else 0.0
+        proven = run(job, device, evaluations=evaluations, tolerances=tolerances, slices=slices, progress=progress)
+        if rig is not None:
+            progress("planes", 0.0)
+            proven = _by_planes(proven, job, rig, speed)
+        needs = report_memory(memory, proven.proof)
+        if not needs:
+            progress("report", 0.0)
+            proven.report(place)
+    if check or not needs:
+        show_verdict(screen, proven.proof.verdict)
+    show_lines(screen, proven.proof.lines())
+    if needs:
+        screen.print(f"[yellow]note[/]  no report, which takes {size(needs)} of memory; leave --memory out to draw it")
+    else:
+        show_lines(screen, proven.proof.judgement.lines())
+        screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
+    return _checked(not check or proven.proof.all_correct, check)
+
+
+def _checked(prints: bool, check: bool) -> int:
+    """Exit status of the command."""
+    return NOT_PRINTED if check and not prints else 0
+
+
+def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven:
+    """A proof that knows what the bit planes of a rig change."""
+    from dataclasses import replace
+
+    from vamgpu.hosts.rig import plan
+    from vamgpu.hosts.rigs.config import read_rig
+    from vamgpu.hosts.schedules.planes import plane_times
+    from vamgpu.printing.planes import prove_planes
+
+    planned = plan((job,), read_rig(rig, ()), speed=speed, turns=1, device="numpy", exposure=False)
+    times = plane_times(planned.schedule, planned.bits, planned.display)
+    return replace(proven, proof=replace(proven.proof, planes=prove_planes(proven.proof, times)))
+
+
+def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> bool:
+    """Compare a run with its plan; returns whether it prints, with and without light in doubt."""
+    from vamgpu.hosts.proof import prove_run
+
+    screen, prints = console(), True
+    for number, found in enumerate(prove_run(run, device, printed)):
+        page = place.with_stem(f"{place.stem}-{number + 1}") if number else place
+        found.least.report(page, found.planned.plan)
+        proofs = (found.planned.proof, found.least, found.most)
+        screen.print(f"run     {found.run.state.value}: {found.light}")
+        screen.print(f"print   {escape(found.least.verdict.sentence)}")
+        prints = prints and found.least.all_correct and found.most.all_correct
+        for name, value in (("window", lambda proof: proof.scores.window), ("IoU", lambda proof: proof.scores.iou)):
+            planned, least, most = (f"{value(proof):+.4f}" for proof in proofs)
+            band = least if least == most else f"{least} to {most}, as nobody knows all of the light"
+            screen.print(f"{name:<7} planned {planned}, shown [bold]{band}[/]")
+        screen.print(f"report  [bold]{shown_path(page.resolve())}[/]")
+    return prints
+
+
+def _prove_web(job: Path, report: Path, device: str | None) -> None:
+    from vamgpu.cli.progress import shown
+    from vamgpu.webs.proof import prove_web
+
+    screen = console()
+    with shown(screen) as progress:
+        progress("proof", 0.0)
+        proof = prove_web(job, device)
+        progress("report", 0.0)
+        page = proof.report(report)
+    show_web(screen, proof)
+    screen.print(f"report  [bold]{shown_path(page.resolve())}[/]")

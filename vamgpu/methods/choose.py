@@ -1,0 +1,45 @@
+"""The method that a name, an instance or a loss means."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.losses.loss import Loss
+from vamgpu.methods.descent import Descent
+from vamgpu.methods.method import Method
+from vamgpu.schema.registry import as_known, family, find, remedy
+from vamgpu.targets.limits import Limits
+
+_FAMILY = family("method")
+METHODS: dict[str, type[Any]] = {
+    "default": find("method", str(_FAMILY.default)), **{name: find("method", name) for name in _FAMILY.nouns}
+}  # fmt: skip
+"""Names a method can be chosen by, with default parameters: those of the registry, and "default"."""
+
+
+def chosen(method: str | Method | Loss) -> Method:
+    """The method meant by a name, an instance, or a loss to lower. Raises `BadInput`."""
+    if isinstance(method, Loss):
+        return Descent(method)
+    if isinstance(method, str):
+        name = as_known(method, METHODS)
+        if name in METHODS:
+            return METHODS[name]()
+        hint = remedy("method", method, METHODS)
+        raise BadInput(f"no method {method!r}; there are {', '.join(METHODS)}, or give an instance{hint}")
+    if isinstance(method, type) or not hasattr(method, "steps"):
+        raise BadInput(
+            f"got {method!r} as method; expected a name ({', '.join(METHODS)}), a loss, or an instance such as OSMO()"
+        )
+    return method
+
+
+def check_bodies(method: Method, limits: Limits) -> None:
+    """Refuse weights of bodies for a method whose light does not depend on them."""
+    if limits.weighted and not getattr(method, "takes_weights", True):
+        able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, "takes_weights", True))
+        raise BadInput(
+            f"bodies of the target have weights, at which {type(method).__name__} does not look; expected 1, or one of "
+            f"these methods: {able}, or a loss of your own"
+        )

@@ -1,0 +1,257 @@
+"""The window's linear program, solved by PDHG: what bounds the strict window of any light.
+
+    maximize a − b   over g ≥ 0, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside
+
+With the multipliers y ≥ 0 of the limits Kx ≤ c of x = (g, a, b), a step of PDHG is (A. Chambolle, T. Pock, J. Math.
+Imaging Vis. 40 (2011) 120)
+
+    x⁺ = proj(x − τ (Kᵀy − (0, 1, −1)))        y⁺ = max(0, y + σ (K(2x⁺ − x) − c))
+
+with steps τ, σ of each pixel and voxel, as long as proves safe. Rounds of k steps are reflected and anchored where they
+began (H. Lu, J. Yang, arXiv:2407.16144): z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, sqrt
+from typing import Any, ClassVar
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.kernels.dwell import weigh_poses
+from vamgpu.kernels.pdhg import dual_dose, dual_step, primal_step, reflect
+from vamgpu.kernels.update import multiply
+from vamgpu.methods.certificate import Bound, certified
+from vamgpu.methods.fbp import filtered_light
+from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.papers import ANCHORED, DIAGONAL, PRIMAL_DUAL, SAFE_STEPS
+from vamgpu.methods.state import OptimizerState
+from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import dot, folded, parts_for, total
+
+MEAN_ROW = 2.0
+"""Dose of light 1 everywhere, mean over the voxels that count, in the unit that steps are measured in."""
+ACTIVE = 0.3
+"""Share of the part's voxels that are expected to hold the window."""
+LEVELS: tuple[str, ...] = ("least", "leak", "inside", "outside")
+"""a, b, and what the multipliers of either come to."""
+FIELDS = ("light", "lower", "upper", "held")
+"""g, the multipliers of `dual_step`, and Aᵀg."""
+SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
+"""Each level with the multipliers that hold it, and whether it is to rise or to fall."""
+SOON, LATE, LONGEST = 0.1, 0.4, 250
+"""A round ends at this share of its first gap; at that share once the gap grows; after so many steps."""
+TOLD = 60
+"""Steps from which on the multipliers tell how wide a window can be."""
+
+
+@dataclass(frozen=True)
+class PDHG(Method):
+    """Solve the window's linear program; an iteration is one projector evaluation."""
+
+    papers: ClassVar[tuple[str, ...]] = (PRIMAL_DUAL, DIAGONAL, ANCHORED, SAFE_STEPS)
+    iterations: ClassVar[int] = 400
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "window"
+    takes_start: ClassVar[bool] = True
+    takes_weights: ClassVar[bool] = False
+
+    def steps(self, state: OptimizerState) -> Steps:
+        if "light" not in state.memory:
+            filtered_light(state, state.volume())
+        yield from _Run(state).steps()
+
+    def certify(self, state: OptimizerState) -> Bound | None:
+        """The bound that the multipliers of a run tell, by `SWEEPS` and two evaluations; None after few steps."""
+        return _Run(state).bound() if state.number("made") >= TOLD else None
+
+
+class _Run:
+    """One run: a point and its anchor in ``memory``, by the names of `FIELDS` and `LEVELS`; where a step leads."""
+
+    def __init__(self, state: OptimizerState) -> None:
+        self.state, self.memory = state, state.memory
+        self.after = {name: self._empty(name) for name in FIELDS}
+        self.levels = dict.fromkeys(LEVELS, 0.0)
+        self.pull, self.descent = state.volume(), state.sinogram()
+
+    def steps(self) -> Steps:
+        """Lengths of steps and the dose to begin with, then one primal-dual step each."""
+        state, memory = self.state, self.memory
+        if "rows" not in memory:
+            self._begin()
+            window = self._offer(memory)
+            yield 1.0 - state.best.window, window
+        while True:
+            gap = self._step()
+            window = self._offer(self.after)
+            turn, first = state.number("turn"), state.number("first") or gap
+            near = gap <= SOON * first or (gap <= LATE * first and gap > state.number("last", inf))
+            memory |= {"turn": turn + 1.0, "first": first, "last": gap}
+            if turn and (near or turn > LONGEST):
+                self._balance()
+                self._anchor(self.after, self.levels)
+            else:
+                self._reflect((turn + 1.0) / (turn + 2.0))
+            yield 1.0 - state.best.window, window
+
+    def _offer(self, fields: Mapping[str, Any]) -> float:
+        """Offer light by its dose; returns its window."""
+        state = self.state
+        window = state.window(fields["held"])[0]
+        state.best.offer(fields["light"], 1.0 - window, window, state.iteration + 1)
+        return window
+
+    def bound(self) -> Bound:
+        """That of the multipliers where a step leads; the memory stays as it is."""
+        state, memory, after = self.state, self.memory, self.after
+        kept = {name: memory[name] for name in ("length", "made", "evaluations")}
+        self._step()
+        spent = state.evaluations
+        memory |= kept
+        state.evaluations = state.number("evaluations")
+        return certified(
+            state.operator, state.target, state.reach, after["lower"], after["upper"], memory["rows"],
+            memory["columns"], spent,
+        )  # fmt: skip
+
+    def _empty(self, name: str) -> DeviceArray:
+        return self.state.sinogram() if name == "light" else self.state.volume()
+
+    # ---- a round ---------------------------------------------------------------------------------------------
+    def _begin(self) -> None:
+        """The light of before, scaled to a dose of 1 at most; lengths of steps."""
+        state, memory, upload = self.state, self.memory, self.state.device.upload
+        light = state.buffer("light")
+        for name in ("rows", "columns", "held"):
+            memory[name] = self._empty("light" if name == "columns" else name)
+        rows, held, mask = memory["rows"], memory["held"], upload(state.evaluation_mask())
+        even = self._free(upload(np.ones(light.shape, np.float32)))
+        state.operator.T(even, out=rows)  # what every method spends
+        if state.partial is not None:
+            state.device.launch(multiply, x=rows, y=mask, out=rows)
+        state.expose(light, held)
+        unit = MEAN_ROW * total(mask) / max(dot(rows, mask), 1e-30)
+        state.scale(unit, rows, rows)
+        memory["unit"] = unit
+        self._measure()
+        greatest = state.window(held)[1]
+        for field in (light, held) if state.partial is None else ():
+            state.scale(1.0 / greatest, field, field)
+        for name in ("lower", "upper"):
+            memory[name] = upload(np.zeros(held.shape, np.float32))
+        least, leak, _ = state.extremes(held)
+        memory |= dict(zip(LEVELS, (least, max(leak, 0.0), 0.0, 0.0), strict=True))
+        multipliers = 2.0 * (MEAN_ROW + 1.0) / (ACTIVE * max(memory["inside voxels"], 1.0))
+        far = max(dot(light, light) * self._mean_column(), 1e-30)
+        memory |= {"length": 1.0, "weight": sqrt(multipliers / far), "made": 0.0}
+        self._anchor(memory, memory)
+
+    def _measure(self) -> None:
+        """How many limits there are, and what a pixel adds to them all."""
+        state, memory = self.state, self.memory
+        limits = state.evaluation_mask() * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
+        memory |= {
+            f"{side} voxels": float(np.count_nonzero(limits == n)) for side, n in (("inside", 2), ("outside", 1))
+        }
+        state.project(state.device.upload(limits), memory["columns"])
+        self._free(memory["columns"])
+        state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
+
+    def _free(self, light: DeviceArray) -> DeviceArray:
+        """Light of which nothing is left at poses that are decided."""
+        if self.state.partial is not None:
+            self.state.device.launch(weigh_poses, light=light, times=self.state.partial.free, weighted=light)
+        return light
+
+    def _mean_column(self) -> float:
+        columns = self.memory["columns"]
+        return dot(columns, columns) / max(total(columns), 1e-30)
+
+    def _anchor(self, fields: Mapping[str, Any], levels: Mapping[str, float]) -> None:
+        """Begin a round at a point."""
+        for name in FIELDS:
+            for place in (name, f"{name} anchor"):
+                if place not in self.memory:
+                    self.memory[place] = self._empty(name)
+                if self.memory[place] is not fields[name]:
+                    self.state.scale(1.0, fields[name], self.memory[place])
+        for name in LEVELS:
+            self.memory[name] = self.memory[f"{name} anchor"] = levels[name]
+        self.memory |= {"turn": 0.0, "first": 0.0, "last": inf}
+
+    def _reflect(self, share: float) -> None:
+        """Go beyond where the step leads, held back by the anchor."""
+        memory = self.memory
+        for name in FIELDS:
+            now, anchor = memory[name], memory[f"{name} anchor"]
+            self.state.device.launch(reflect, step=self.after[name], anchor=anchor, share=share, now=now)
+        for name in LEVELS:
+            beyond = 2.0 * self.levels[name] - memory[name]
+            memory[name] = share * beyond + (1.0 - share) * memory[f"{name} anchor"]
+
+    def _balance(self) -> None:
+        """Weigh light against multipliers by how far either went in the round."""
+        way = {name: self._apart(name) for name in FIELDS[:3]}
+        primal = way["light"] * self._mean_column()
+        dual = (MEAN_ROW + 1.0) * way["lower"] + MEAN_ROW * way["upper"]
+        if primal > 0.0 and dual > 0.0:
+            self.memory["weight"] = (dual / primal) ** 0.15 * self.memory["weight"] ** 0.7
+
+    def _apart(self, name: str) -> float:
+        """Square of the way from the anchor."""
+        way = combine(1.0, self.after[name], -1.0, self.memory[f"{name} anchor"], self.memory[name])
+        return dot(way, way)
+
+    # ---- a step ----------------------------------------------------------------------------------------------
+    def _step(self) -> float:
+        """Find where a step leads from the point; returns how far that is, and sets the length of the next one."""
+        state, memory, launch, levels = self.state, self.memory, self.state.device.launch, self.levels
+        length, weight, after = memory["length"], memory["weight"], self.after
+        launch(dual_dose, lower=memory["lower"], upper=memory["upper"], target=state.target, pull=self.pull)
+        state.project(self.pull, self.descent)
+        moved = parts_for(primal_step, self.descent)
+        launch(
+            primal_step, light=memory["light"], columns=memory["columns"], step=length / weight, ahead=self.descent,
+            after=after["light"], moved=moved,
+        )  # fmt: skip
+        gap = weight / length * folded(moved) + self._move_levels(length, weight)
+        state.expose(self.descent, after["held"])
+        parts = {name: parts_for(dual_step, self.pull) for name in ("inside", "outside", "moved", "crossed")}
+        launch(
+            dual_step, ahead=after["held"], held=memory["held"], target=state.target, rows=memory["rows"],
+            least=2.0 * levels["least"] - memory["least"], leak=2.0 * levels["leak"] - memory["leak"],
+            step=length * weight, reach=state.reach, lower=memory["lower"], upper=memory["upper"],
+            lower_after=after["lower"], upper_after=after["upper"], **parts,
+        )  # fmt: skip
+        found = {name: folded(each) for name, each in parts.items()}
+        levels |= {"inside": found["inside"], "outside": found["outside"]}
+        combine(0.5, after["held"], 0.5, memory["held"], after["held"])
+        gap += found["moved"] / (length * weight)
+        crossed = found["crossed"] + sum(
+            sign * (levels[level] - memory[level]) * (levels[side] - memory[side]) for level, side, sign in SIDES
+        )
+        self._lengthen(gap / max(2.0 * abs(crossed), 1e-30))
+        return sqrt(gap)
+
+    def _move_levels(self, length: float, weight: float) -> float:
+        """Step a and b, no further apart than a partial problem needs; returns how far that is."""
+        memory, levels, partial = self.memory, self.levels, self.state.partial
+        gap = 0.0
+        for number, (level, side, sign) in enumerate(SIDES):
+            voxels = memory[f"{side} voxels"]
+            pace = 0.5 * length / (weight * max(voxels, 1.0))
+            levels[level] = memory[level] + sign * pace * (1.0 - memory[side]) * (voxels > 0)
+            if partial is not None and partial.levels is not None:
+                levels[level] = sign * min(sign * levels[level], sign * partial.levels[number])
+            gap += (levels[level] - memory[level]) ** 2 / pace
+        return gap
+
+    def _lengthen(self, safe: float) -> None:
+        """A longer step, as far as this one was safe: ``safe`` times as long would have been so."""
+        made = self.memory["made"] = self.state.number("made") + 1.0
+        most = min((1.0 - (made + 1.0) ** -0.3) * safe, 1.0 + (made + 1.0) ** -0.6)
+        self.memory["length"] = max(0.8, most * self.memory["length"])

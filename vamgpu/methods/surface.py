@@ -1,0 +1,251 @@
+"""The default: thresholds that ramp across the surface of the part, on voxels finer than a pixel, lowered by L-BFGS.
+
+Two thresholds ask the dose to jump at the surface. Pixels of a width s cannot make it jump: light that tries costs
+window below the voxel, where nobody looked. So thresholds ramp from one pixel outside the surface to one inside. Voxels
+are three quarters of a pixel wide, so that what happens between pixels is seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, prod
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.errors import BadInput, NoLight, OutOfMemory
+from vamgpu.geometry import Grid, positive
+from vamgpu.kernels.loss import dark_loss
+from vamgpu.kernels.update import multiply
+from vamgpu.losses.loss import Loss
+from vamgpu.losses.ramp import Ramp
+from vamgpu.methods.exposure import DoseObjective
+from vamgpu.methods.fbp import filtered_light
+from vamgpu.methods.lbfgs import ByPairs
+from vamgpu.methods.limit import MARGIN
+from vamgpu.methods.method import Steps
+from vamgpu.methods.minimize import Channel, minimize
+from vamgpu.methods.part import lit_pixels
+from vamgpu.methods.ramp import identity
+from vamgpu.methods.state import OptimizerState
+from vamgpu.metrics.depth import HALF, LARGEST_REACH, signed_depth, surrounded
+from vamgpu.metrics.interpolation import interpolated
+from vamgpu.operators.compose import capped
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.reductions import folded, parts_for, total
+from vamgpu.operators.ring_projection import RingProjection, direct, prefers_rings, unsupported_reason
+from vamgpu.operators.scenarios import Scenarios
+from vamgpu.optics.outer_resin import AllResin, outer_resin
+from vamgpu.optics.sampling import resin_pixel
+from vamgpu.targets.target import Target
+
+FINE = 0.75
+"""Width of a voxel over that of a pixel in the resin. Half as wide again gains 0.01 of the window half a pixel from the
+surface; voxels as wide as pixels lose 0.08 of it."""
+PIXEL_DEEP = 0.5 - 1e-6
+"""Of a target that ramps: with this margin voxels count from one width off the surface."""
+VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
+"""Memory that it takes, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
+ABOVE = 2.0
+"""Pixels above and below the part that voxels reach."""
+
+
+@dataclass(frozen=True)
+class SurfaceRamp(ByPairs):
+    """Projected L-BFGS steps on thresholds that ramp across the surface of the part.
+
+        minimize Σ e²/2 over voxels + Σ max(0, D − dark)²/2 over cells of all other resin,   0 ≤ g ≤ brightest · mean g₀
+
+    with e as of `vamgpu.losses.Ramp`, D = Aᵀg and g₀ the light that it begins with, filtered back projection. Cells of
+    all other resin lie beside the judged cylinder out to the wall of the vessel, and above and below it. `optimize`
+    finds the light on voxels three quarters of a pixel wide where the target's are wider. With tolerances the first sum
+    is over the voxels of every corner, the second over the cells of the nominal print, as often.
+
+    Args:
+        outside: Greatest dose one ``width`` outside the surface, in units of the part's dose.
+        inside: Least dose one ``width`` inside, in units of the part's dose.
+        most: Greatest dose in the part, in units of the part's dose.
+        dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
+        width: Of the ramp on either side of the surface [pixels in the resin].
+        brightest: Greatest light of a pixel over the mean of the first light; shortens the exposure.
+        history: Pairs of sinograms kept.
+        history_bytes: Memory they may take; None takes what the device gives. Fewer pairs than asked raise a
+            `MemoryNotice`.
+
+    Raises:
+        BadInput: A value is out of its range.
+    """
+
+    outside: float = 0.75
+    inside: float = 0.95
+    most: float = 1.0
+    dark: float = 0.65
+    width: float = 1.0
+    brightest: float = 40.0
+    history: int = 5
+    history_bytes: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive("width [pixels]", self.width)
+        if not positive("dark", self.dark, zero=True) < self.inside:
+            raise BadInput(f"dark is {self.dark!r}; expected less than inside, {self.inside!r}: resin beside the part "
+                           "must get less than the part, or it prints")  # fmt: skip
+        if not positive("brightest", self.brightest) > 1.0:
+            raise BadInput(f"brightest is {self.brightest!r}; expected more than 1, the mean of the first light, such "
+                           "as 40")  # fmt: skip
+
+    @property
+    def loss(self) -> Loss:
+        """That of voxels."""
+        return Ramp(self.outside, self.inside, self.most)
+
+    @property
+    def threshold(self) -> float:
+        """Dose at the surface."""
+        return 0.5 * (self.outside + self.inside)
+
+    def steps(self, state: OptimizerState) -> Steps:
+        """As of `Method`.
+
+        Args:
+            state: Of the run.
+
+        Yields:
+            Loss and strict window of the step, on its voxels.
+
+        Raises:
+            NoLight: What it begins with is dark in all pixels whose rays meet the part.
+        """
+        memory = state.memory
+        state.lit = lit = lit_pixels(state.operator, state.target)
+        if "light" not in memory:
+            filtered_light(state, state.volume())
+        if "most" not in memory:  # light that was given may be too bright, or idle
+            light = state.buffer("light")
+            state.device.launch(multiply, x=light, y=lit, out=light)
+            mean = total(light) / prod(state.operator.range.shape)
+            if not mean > 0.0:
+                raise NoLight("the light to start from is dark in all pixels whose rays meet the part; expected some "
+                              "light there: check its angles and its axes, or leave start out")  # fmt: skip
+            memory["most"] = state.most = min(self.brightest * mean, MARGIN * state.brightness * self.threshold)
+            capped(light, state.most)
+        rule = self.rule
+        exposure = DoseObjective(state, self.loss, rule, beside=Beside.of(state.operator, self.dark))
+        yield from minimize(exposure, (Channel(state, identity(state.operator)),), rule)
+
+
+def as_fine_as_light(operator: Any) -> Projection | RingProjection | None:
+    """The projector on which light is found: voxels of three quarters of a pixel, some above and below the part.
+
+    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels.
+    """
+    grid = fine_grid(operator)
+    if grid is None:
+        return None
+    A = direct(operator)
+    fine = Projection(grid, A.beam, A.motion, A.vessel, A.device)
+    if not on_rings(operator, fine):
+        return fine
+    try:
+        return RingProjection.of(fine)
+    except OutOfMemory:
+        if isinstance(operator, RingProjection):
+            raise
+        return fine
+
+
+def on_rings(operator: Any, fine: Projection) -> bool:
+    """Whether light for an operator is found on rings, on the voxels of `as_fine_as_light`."""
+    return (isinstance(operator, RingProjection) or prefers_rings(fine)) and not unsupported_reason(fine)
+
+
+def fine_grid(operator: Any) -> Grid | None:
+    """The voxels of `as_fine_as_light`, which hold the judged cylinder of a projector."""
+    A = direct(operator)
+    if not isinstance(A, Projection) or A.footprint != "exact":
+        return None
+    pixel = resin_pixel(A.beam, A.vessel)
+    pitch = min(A.grid.pitch, FINE * min(pixel))
+    across = 2.0 * A.grid.inscribed_radius / pitch + 1.0
+    along = A.grid.shape[2] * A.grid.pitch / pitch + 2.0 * ceil(ABOVE * pixel[1] / pitch)
+    nx, nz = (4 * ceil(n / 4.0 - 1e-6) for n in (across, along))
+    return Grid((nx, nx, A.grid.shape[2] if A.beam.flat else nz), pitch)  # a single row lights no more slices
+
+
+def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
+    """clip(½ + d / 2s, 0, 1) of voxels' depths d below a part's surface, s = width [pixels in the resin], [x, y, z]."""
+    grid, beam = fine.grid, fine.beam
+    width *= min(resin_pixel(beam, getattr(fine, "vessel", None)))
+    if isinstance(target, Target) and target.solid is not None:
+        fraction, own = target.resampled(grid, device=fine.device).numpy(), grid
+    else:
+        fraction, own = np.asarray(getattr(target, "numpy", lambda: target)(), np.float32), coarse
+    whole = width / own.pitch + (own is coarse)
+    reach = min(whole, LARGEST_REACH - 3.0)
+    pad = ceil(reach) + 2
+    padded = surrounded(fraction, pad, beam.flat)  # a print that is the same at every height has no end
+    depth = signed_depth(padded, reach) if whole <= reach else _deep(padded, reach)
+    if own is coarse and grid != coarse:
+        depth = interpolated(
+            depth, [x / coarse.pitch + 0.5 * (n - 1) for x, n in zip(grid.axes(), depth.shape, strict=True)]
+        )
+    else:
+        depth = depth[pad:-pad, pad:-pad, pad:-pad]
+    ramp = np.clip(0.5 + depth * (own.pitch / (2.0 * width)), 0.0, 1.0)
+    return fine.device.upload(ramp.astype(np.float32))
+
+
+def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
+    """Depths [voxels] as of `signed_depth` within its reach; beyond it of voxels' middles, right to half a voxel."""
+    from scipy.ndimage import distance_transform_edt
+
+    near, inside = signed_depth(fraction, reach), fraction >= HALF
+    far = np.add(*(np.asarray(distance_transform_edt(side)) for side in (inside, ~inside))) - 0.5
+    return np.where(np.abs(near) < reach, near, np.copysign(np.maximum(far, reach), near)).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Resin beyond the judged cylinder, which is to stay dark: its cells, their weights by ring, the greatest dose."""
+
+    resin: AllResin
+    cells: tuple[DeviceArray, ...]
+    weights: tuple[DeviceArray, ...]
+    dark: float
+
+    @classmethod
+    def of(cls, operator: Any, dark: float) -> Beside | None:
+        """That of a projector or of the nominal one of scenarios, whose number it counts; None where nothing tells."""
+        several = isinstance(operator, Scenarios)
+        nominal, count = (operator.operators[0], len(operator)) if several else (operator, 1)
+        if not isinstance(nominal, Projection | RingProjection):
+            return None
+        outer, device = outer_resin(nominal), operator.device
+        if not outer:
+            return None
+        weights = (count * each.cells.volumes / nominal.grid.voxel_volume for each in outer)
+        return cls(
+            AllResin(operator, outer),
+            tuple(device.empty(each.domain.shape) for each in outer),
+            tuple(map(device.table, weights)),
+            dark,
+        )
+
+    def expose(self, light: DeviceArray, dose: DeviceArray) -> None:
+        """dose = Aᵀ light, and the dose of the cells."""
+        self.resin.expose(light, dose, self.cells)
+
+    def value(self) -> float:
+        """The loss of the cells, whose doses become its derivatives."""
+        value = 0.0
+        for dose, weight in zip(self.cells, self.weights, strict=True):
+            parts = parts_for(dark_loss, dose)
+            dose.device.launch(dark_loss, dose=dose, weight=weight, most=self.dark, parts=parts)
+            value += folded(parts)
+        return value
+
+    def project(self, gradient: DeviceArray, out: DeviceArray) -> None:
+        """Derivatives by light, of those by the dose of voxels and of cells."""
+        self.resin.project(gradient, self.cells, out)

@@ -1,0 +1,338 @@
+"""The dose of resin that no voxel of the judged cylinder holds: beside it out to the wall, and above and below it.
+
+Beyond the lit radius of a vessel several rays or none meet a point. So cells get what traced rays leave in them, not
+what the ray through a point brings. The light of one pose, turned, is that of all poses: products are those of
+`SpectralProjection`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, hypot, inf, pi, sqrt
+from typing import Any, final
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, centers, positive
+from vamgpu.kernels.footprint import TAIL
+from vamgpu.kernels.gather import gather_rows
+from vamgpu.kernels.spectrum import ROWS
+from vamgpu.operators.compose import combine
+from vamgpu.operators.linear import LinearOperator
+from vamgpu.operators.polar import PolarGrid
+from vamgpu.operators.projection import Projection
+from vamgpu.operators.ring_means import BLOCK
+from vamgpu.operators.ring_projection import RingProjection, direct
+from vamgpu.operators.row_resampler import RowResampler, mean_light
+from vamgpu.operators.space import PolarSpace, SinogramSpace
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.traced import SparseEntries
+from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
+from vamgpu.schema.quantities import Thickness
+
+WIDTH = 2.0
+"""Width of a cell beside the part [voxels]."""
+RIDGE = 1.18
+"""Greatest dose on voxels half as wide over that of cells two voxels wide and one high, of light that was found to hold
+cells at a limit (1.06 of other light); on whole voxels it is 1.10."""
+MOST_ANGLES = 1440
+"""Even angles over a turn, at most, that measured ones lie between."""
+RAYS, STEPS = 6, 8
+"""Rays traced a column, or, where that is more, as many as `STEPS` a width of a ring; and places on each across one."""
+
+
+@dataclass(frozen=True)
+class OuterRings(PolarGrid):
+    """Rings from a radius [mm] on, in slices that leave out a gap [mm] about the middle."""
+
+    inner: Thickness = 0.0
+    gap: Thickness = 0.0
+
+    def _samples(self, first: int) -> int:
+        edge = self.inner + (first + ROWS) * self.pitch
+        return max(round(2.0 * pi * edge / (self.pitch * self.angles)), 1)
+
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """As of `PolarGrid`."""
+        radius, angle = super().places
+        return radius + self.inner, angle
+
+    @property
+    def z(self) -> np.ndarray:
+        """Middles of the slices [mm], (slices,)."""
+        z = centers(self.slices, self.slice_pitch)
+        return z + 0.5 * self.gap * np.sign(z)
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Volume of a cell of each ring [mm³], (cells,)."""
+        return self.areas * self.pitch**2 * self.slice_pitch
+
+
+def outer_resin(A: Any, width: float = WIDTH, height: float = 1.0) -> tuple[OuterResin, ...]:
+    """Operators for the resin that the judged cylinder does not hold, where light reaches it. Raises `BadInput`."""
+    # One is for the resin beside the cylinder, from its radius to the inner wall (in open air, to the corners of the
+    # grid), one for all resin above and below; rows of pixels that light no voxel count as dark.  width, height: of the
+    # cells [voxels].
+    A = A if isinstance(A, RingProjection) else direct(A)
+    if not isinstance(A, Projection | RingProjection):
+        raise BadInput(f"got {A!r}; expected a Projection or a RingProjection, whose light one angle tells: "
+                       "give the projection of each scenario, color or tile")  # fmt: skip
+    return tuple(OuterResin(A, cells) for cells in outer_cells(A.grid, A.beam, A.motion, A.vessel, width, height))
+
+
+def outer_cells(
+    grid: Grid, beam: Beam, motion: Turntable, vessel: Vessel | None, width: float = WIDTH, height: float = 1.0
+) -> tuple[OuterRings, ...]:
+    """The cells of `outer_resin`, of a projector's geometry."""
+    for name, size in (("width", width), ("height", height)):
+        positive(f"{name} [voxels]", size)
+    wall = resin_radius(vessel)
+    judged, pitch, angles = grid.inscribed_radius, grid.pitch, _whole_turn(motion)
+    wall = 0.5 * pitch * hypot(*grid.shape[:2]) if wall == inf else wall
+    whole = grid.shape[2] * pitch
+    inside = 2 * ceil(0.5 * grid.shape[2] / height - 1e-9)
+    slice_pitch = whole / inside
+    tail = (0.5 * sqrt(beam.fill) + TAIL * beam.sigma) * beam.pitch
+    reach = 0.0 if beam.flat else min(0.5 * (beam.pixels[1] - 1) * beam.pitch + tail, 0.5 * whole + 2.0 * tail)
+    off = max(ceil((reach - 0.5 * whole) / slice_pitch - 1e-9), 0)
+    found = []
+    if wall > judged * (1.0 + 1e-9):
+        found.append(_cells(judged, wall, width * pitch, inside, slice_pitch, angles))
+    if off:
+        found.append(_cells(0.0, wall, width * pitch, 2 * off, slice_pitch, angles, gap=whole))
+    return tuple(found)
+
+
+def _whole_turn(motion: Turntable) -> int:
+    """Even angles over a full turn of which a turntable's are some, else twice as many as lie as close as those."""
+    step = float(np.median(np.diff(np.sort(motion.poses)))) if motion.angles > 1 else 0.5 * FULL_TURN
+    count = max(round(FULL_TURN / max(step, FULL_TURN / MOST_ANGLES)), 2)
+    place = motion.poses / FULL_TURN * count
+    if np.abs(place - place.round()).max() < 1e-6:
+        return count
+    from scipy.fft import next_fast_len
+
+    return next_fast_len(2 * count, real=True) or 2 * count
+
+
+def _cells(
+    inner: float, wall: float, width: float, slices: int, height: float, angles: int, **more: float
+) -> OuterRings:
+    """Rings about as wide as asked, from a radius to the wall."""
+    count = ceil((wall - inner) / width / ROWS - 1e-9) * ROWS
+    return OuterRings(count, slices, (wall - inner) / count, angles, height, inner=inner, **more)
+
+
+@final
+class OuterResin(LinearOperator):
+    """Light in cells of resin: ``A.T(light)`` is their dose [angle, cell, z], in units of voxels' dose."""
+
+    # A[i, j] is the mean over cell j of the light of pixel i, × the volume of a voxel / the area of a pixel. Angles
+    # that are not even count as light of the even ones that they are or lie between; arcs, as their mean.
+
+    domain: PolarSpace
+    range: SinogramSpace
+    grid: Grid
+    beam: Beam
+    motion: Turntable
+    vessel: Vessel | None
+    cells: OuterRings
+
+    def __init__(self, A: Projection | RingProjection, cells: OuterRings) -> None:
+        self.grid, self.beam, self.motion, self.vessel = A.grid, A.beam, A.motion, A.vessel
+        self.device: Device = A.device
+        self._made = OuterResin, (A, cells)
+        self.cells = cells
+        self.domain = PolarSpace(cells)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
+        self.range = A.range  # pyright: ignore[reportIncompatibleVariableOverride]
+        tiles = _tiles(A, cells)
+        rest = Turntable(cells.angles, lit_share=0.0)  # tiles know how far each frame turns
+        self._spectral = SpectralProjection(cells, A.beam, A.vessel, A.device, faint=3e-4, motion=rest, tiles=tiles)
+        self._rows = RowResampler.of(A.beam, cells.slices, cells.slice_pitch, A.device, gap=cells.gap)
+        self._turn = _between(A.motion, A.beam.pixels[0], A.device, cells.angles)
+
+    def __repr__(self) -> str:
+        return f"OuterResin({self.cells!r}, {self.beam!r}, {self.vessel!r}, device={self.device.name!r})"
+
+    def forward(self, x: DeviceArray, out: DeviceArray) -> None:
+        with self._rows.filling(out, self._rows_field) as rows:
+            even = rows if self._turn is None else self._field("even", self.cells.angles)
+            self._spectral._gather(x, even)
+            if self._turn is not None:
+                self.device.launch(gather_rows, source=even, **self._turn[0], out=rows)
+
+    def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
+        even = rows = self._rows.in_slices(y, self._rows_field)
+        if self._turn is not None:
+            even = self._field("even", self.cells.angles)
+            self.device.launch(gather_rows, source=rows, **self._turn[1], out=even)
+        self._spectral._light(even, out)
+
+    def _rows_field(self, shape: tuple[int, ...]) -> DeviceArray:
+        return self._spectral._work("rows", shape)
+
+    def _field(self, name: str, angles: int) -> DeviceArray:
+        """Light of so many angles, a row for each slice."""
+        return self._spectral._work(name, (angles, self.beam.pixels[0], self.cells.slices))
+
+
+def _between(motion: Turntable, columns: int, device: Device, count: int) -> tuple[_Sparse, _Sparse] | None:
+    """Tables from light of even angles to that of a turntable's, and back; None where they are the same."""
+    if motion.is_even and count == motion.angles:
+        return None
+    angle = np.arange(motion.angles)
+    low, part = np.divmod((motion.poses / FULL_TURN * count).round(6), 1.0)
+    pairs = [(low, 1.0 - part), (low + 1, part)]
+    rows = np.concatenate([angle] * 2)[:, None] * columns + np.arange(columns)
+    even = np.concatenate([np.mod(at, count) for at, _ in pairs]).astype(int)[:, None] * columns + np.arange(columns)
+    weights = np.concatenate([share * motion.times for _, share in pairs])[:, None] * np.ones(columns)
+    kept = weights.ravel() != 0.0
+    entries = SparseEntries(*(
+        each.ravel()[kept].astype(kind) for each, kind in ((rows, np.int32), (even, np.int32), (weights, np.float32))
+    ))  # fmt: skip
+    there = entries.table(device, (motion.angles, columns), BLOCK)
+    return there, entries.transposed().table(device, (count, columns), BLOCK)
+
+
+@final
+class AllResin:
+    """A projector and what its light does to the resin outside its judged cylinder; rings transform light once."""
+
+    def __init__(self, A: Any, outer: Sequence[OuterResin] | None = None) -> None:
+        self.operator: Any = A
+        self.outer: tuple[OuterResin, ...] = tuple(outer_resin(A) if outer is None else outer)
+
+    def expose(self, light: DeviceArray, dose: DeviceArray, cells: Sequence[DeviceArray]) -> None:
+        """dose = A.T(light) [x, y, z], and cells = outer.T(light) of each outer operator."""
+        together, alone = self._parted(cells)
+        for outer, own in alone:
+            outer.transposed(light, own)
+        if isinstance(self.operator, RingProjection):
+            self.operator.transposed_with(light, dose, [(outer._spectral, own) for outer, own in together])
+        else:
+            self.operator.transposed(light, dose)
+
+    def project(self, dose: DeviceArray, cells: Sequence[DeviceArray], light: DeviceArray) -> None:
+        """light = A(dose) + Σ outer(cells), the transpose of `expose`."""
+        together, alone = self._parted(cells)
+        if isinstance(self.operator, RingProjection):
+            self.operator.forward_with(dose, [(outer._spectral, own) for outer, own in together], light)
+        else:
+            self.operator.forward(dose, light)
+        part = light.device.empty(light.shape) if alone else light
+        for outer, own in alone:
+            outer.forward(own, part)
+            combine(1.0, light, 1.0, part, light)
+
+    def _parted(self, cells: Sequence[DeviceArray]) -> tuple[list[_Cells], list[_Cells]]:
+        """Operators and their cells: those whose light is that of the rings, and others."""
+        A, pairs = self.operator, list(zip(self.outer, cells, strict=True))
+        shared = [isinstance(A, RingProjection) and A.takes_with(outer.cells) for outer in self.outer]
+        return [p for p, s in zip(pairs, shared, strict=True) if s], [
+            p for p, s in zip(pairs, shared, strict=True) if not s
+        ]
+
+
+_Cells = tuple[OuterResin, DeviceArray]
+_Sparse = dict[str, DeviceArray]
+
+
+# ---- one pose, traced ----------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """The light of one pose in `ROWS` rings."""
+
+    # paths: mean over each cell [1/mm] of each ray, (cells, rays), sparse.  columns: light of each ray by column,
+    # sparse.  arcs: turns [rad] over which each ring has a mean, (2, rings): of a frame; of rays, farther apart than
+    # short cells.
+
+    paths: Any
+    columns: Any
+    mirrored: bool
+    arcs: np.ndarray
+
+    def is_mirrored(self, columns: int) -> bool:
+        return self.mirrored
+
+    def last(self, beam: Beam) -> int:
+        ray = int(self.paths.indices.max(initial=-1))
+        return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
+
+    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
+        from scipy.fft import irfft, rfft
+
+        pose = (self.paths @ self.columns[:, first_column : first_column + found.shape[2]]).toarray()
+        pose = pose.reshape(found.shape)
+        waves = np.prod(np.sinc(self.arcs[..., None] / FULL_TURN * np.arange(pose.shape[1] // 2 + 1)), axis=0)
+        found += irfft(rfft(pose, axis=1) * waves[..., None], pose.shape[1], axis=1)
+
+
+def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:
+    """The tile of every `ROWS` rings."""
+    beam = A.beam
+    reach = (0.5 * beam.pixels[0] + 4.0 * beam.sigma) * beam.pitch
+    spacing = min(beam.pitch / RAYS, cells.pitch / STEPS)
+    rays = traced_rays(A.vessel, reach, 2 * ceil(reach / spacing) + 1)
+    scale = A.grid.pitch**3 / cells.slice_pitch  # rows count slices, not voxels
+    paths, first = _paths(rays, cells)
+    columns, mirrored = _columns(rays, beam) * scale, _is_mirrored(rays, cells)
+    radius = cells.inner + (np.arange(cells.rings) + 0.5) * cells.pitch
+    between = np.where(np.diff(first) / ROWS < FULL_TURN * radius.reshape(-1, ROWS).T / (2.0 * spacing), 0.0, 1.0)
+    arcs = np.stack([np.full(cells.rings, A.motion.arcs.mean()), between.T.ravel() * 2.0 * spacing / radius])
+    arcs = arcs.reshape(2, -1, ROWS)
+    return [_Tile(paths[first[k] : first[k + 1]], columns, mirrored, arcs[:, k]) for k in range(first.size - 1)]
+
+
+def _columns(rays: Rays, beam: Beam) -> Any:
+    """Light that each ray stands for, by column, (rays, columns), sparse."""
+    from scipy.sparse import csr_array
+
+    edges = np.concatenate([rays.u[:1], 0.5 * (rays.u[1:] + rays.u[:-1]), rays.u[-1:]]) / beam.pitch
+    wide, middle = np.diff(edges)[:, None], 0.5 * (edges[1:] + edges[:-1])[:, None]
+    apart = middle - beam.columns() / beam.pitch
+    return csr_array(mean_light(apart, wide, sqrt(beam.fill), beam.sigma) * wide * rays.transmittance[:, None])
+
+
+def _is_mirrored(rays: Rays, cells: OuterRings) -> bool:
+    """Whether rays on either side of the axis mirror each other."""
+    far = cells.inner + cells.rings * cells.pitch
+
+    def differ(values: np.ndarray, sign: float) -> float:
+        return float(np.abs(values + sign * values[::-1]).max())
+
+    if max(differ(rays.u, 1.0), differ(rays.transmittance, -1.0)) > 1e-6:
+        return False
+    crossings = [rays.cross(share * far) for share in (-0.6, 0.1, 0.7)]
+    return all(max(differ(c.across, 1.0), differ(c.share, -1.0)) < 1e-6 * max(far, 1.0) for c in crossings)
+
+
+def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
+    """Path of each ray in each cell, times what is absorbed, over the area; sparse; and the first cell of each tile."""
+    from scipy.sparse import csr_array
+
+    bands = [tile for band in cells.bands for tile in band.tiles]
+    count = np.repeat([band.samples for band in bands], ROWS) * cells.angles
+    first = np.concatenate([[0], np.cumsum(count)])
+    edges = cells.inner + np.arange(cells.rings + 1) * cells.pitch
+    area = 0.5 * (edges[1:] ** 2 - edges[:-1] ** 2) * FULL_TURN / count
+    rows = 2 * ceil(edges[-1] / cells.pitch * STEPS)
+    step = 2.0 * edges[-1] / rows
+    places, numbers, lengths = [], [], []
+    for along in centers(rows, step):
+        across, cosine, share = rays.cross(float(along))
+        radius = np.hypot(across, along)
+        ray = np.flatnonzero((radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0))
+        ring = np.minimum(((radius[ray] - cells.inner) / cells.pitch).astype(int), cells.rings - 1)
+        turn = np.arctan2(across[ray], -along) / FULL_TURN
+        places.append(first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring])
+        numbers.append(ray)
+        lengths.append(share[ray] * step / cosine[ray] / area[ring])
+    place, number, length = (np.concatenate(each) for each in (places, numbers, lengths))
+    return csr_array((length, (place, number)), (int(first[-1]), rays.u.size)), first[::ROWS]

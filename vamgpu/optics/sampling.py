@@ -1,0 +1,105 @@
+"""Resolution of light in the resin, and the voxels and angles it asks for."""
+
+from __future__ import annotations
+
+from math import ceil, isfinite
+from typing import Any
+
+import numpy as np
+
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, positive
+from vamgpu.operators.ray_table import OpenAir
+
+MOVED = 4.0
+"""Pixels that a point of the part may move from one angle to the next. A boat of 165 pixels' radius has the same window
+one pixel from its surface, +0.12, with 180 angles, from one to the next of which its rim moves by 5.8 pixels, as with
+1,080; with 120 angles (8.6 pixels) +0.115, with 90 +0.08."""
+RESTING = 0.5
+"""Share of a step that counts at least, of a container that rests while a frame is lit."""
+WHOLE = 60
+"""Divisor of a number of angles: steps are whole parts of a degree, and transforms over them are fast."""
+COARSER = 1.02
+"""Width of voxels over that of a pixel in the resin from which on they count as wider."""
+
+
+def resin_pixel(beam: Beam, vessel: Any = None) -> tuple[float, float]:
+    """Tell how large a pixel is in the resin, at the axis: refraction narrows columns, not rows.
+
+    Args:
+        beam: The pixels.
+        vessel: What the light goes through, as a projector takes it; None for air.
+
+    Returns:
+        Width across the light and height along z [mm].
+
+    Raises:
+        BadInput: The light does not come to the axis.
+    """
+    light = getattr(vessel, "plane", vessel) or OpenAir()  # light that rises has a vessel for its plane
+    middle = float(light.illuminate(np.zeros(1), np.zeros(1))[0][0])
+    edges = light.chords(middle + 0.5 * beam.pitch * np.array([-1.0, 1.0])).p
+    rows: Any = getattr(vessel, "rows", None)  # a number where a vessel is graded, no map of its rows
+    stretch = 1.0
+    if rows is not None and not isinstance(rows, int):
+        stretch = float(np.ravel(rows(np.zeros(1), np.zeros(1))[1])[0])
+    return float(abs(edges[1] - edges[0])), beam.pitch / stretch
+
+
+def more_angles(motion: Turntable, width: float, radius: float) -> int:
+    """Angles that do for a part of a radius [mm] in pixels of a width [mm]; 0 where those of the motion do."""
+    turned = radius * float(max(motion.arcs.max(), RESTING * motion.steps.max()))
+    if motion.angles < 2 or turned <= COARSER * MOVED * width:
+        return 0
+    return _whole(motion.angles * turned / (MOVED * width))
+
+
+def enough_angles(beam: Beam, vessel: Any, radius: float, lit_share: float = 1.0) -> int:
+    """Tell how many even angles of a turn do for a part: so many that no point of it moves farther than four pixels.
+
+    What counts is how far the farthest point turns while a frame is lit, or half of its way to the next angle where
+    that is more, against the width of a pixel in the resin. Light that is found with the motion in its operator needs
+    no more: see `MOVED`.
+
+    Args:
+        beam: The pixels.
+        vessel: What the light goes through, as a projector takes it; None for air.
+        radius: Of the part about the axis [mm].
+        lit_share: Share of each step during which its frame is lit, 0 to 1, as of `Turntable`.
+
+    Returns:
+        A multiple of 60.
+
+    Raises:
+        BadInput: The radius is not above 0, or the light does not come to the axis.
+    """
+    way = FULL_TURN * positive("radius [mm]", radius) * max(lit_share, RESTING)
+    return _whole(way / (MOVED * resin_pixel(beam, vessel)[0]))
+
+
+def _whole(angles: float) -> int:
+    """A number of angles, rounded up."""
+    return WHOLE * ceil(angles / WHOLE * (1.0 - 1e-9))
+
+
+def sampling_notes(operator: Any, radius: float) -> tuple[str, ...]:
+    """Sentences on voxels or angles too coarse for the pixels of an operator and a part of a radius [mm]."""
+    grid, motion, beam = operator.grid, operator.motion, operator.beam
+    if not (isinstance(grid, Grid) and isinstance(motion, Turntable)):
+        return ()
+    width, height = resin_pixel(beam, getattr(operator, "vessel", None))
+    if not (isfinite(width) and width > 0.0):
+        return ()
+    found, least = [], width if beam.flat else min(width, height)
+    if grid.pitch > COARSER * least:
+        found.append(
+            f"voxels of {1e3 * grid.pitch:.3g} µm are wider than a pixel is in the resin, {1e3 * least:.3g} µm: light "
+            "is sought for their means, and what it does within them is not seen; take voxels of at most a pixel "
+            "(vam.resin_pixel)"
+        )
+    if enough := more_angles(motion, width, radius):
+        found.append(
+            f"{motion.angles} angles are few for a part of {radius:.3g} mm about the axis: it moves by "
+            f"{1e3 * radius * float(motion.steps.max()):.4g} µm from one to the next, and pixels are "
+            f"{1e3 * width:.3g} µm wide in the resin; {enough} angles do, or wider pixels"
+        )
+    return tuple(found)

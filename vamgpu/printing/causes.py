@@ -1,0 +1,109 @@
+"""Causes of a print's faults, as far as they can be checked: too few angles, an unfinished run, narrow features."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.methods.part import radius_of
+from vamgpu.metrics.body_changes import BodyChanges, body_changes
+from vamgpu.metrics.depth import LARGEST_REACH, padded_depth
+from vamgpu.metrics.topology import topology
+from vamgpu.optics.sampling import more_angles, resin_pixel
+
+if TYPE_CHECKING:
+    from vamgpu.printing.judgement import Judgement
+    from vamgpu.printing.proof import Proof
+
+EVALUATIONS = "take more evaluations"
+CONVERGED = "more evaluations hardly change this light: take smaller pixels, or another method"
+BOUNDED = "no light does much better here: take smaller pixels, or a larger part"
+THIN = "thicken what is thinner than two pixels, or take smaller pixels"
+NARROW = "widen gaps that are narrower than two pixels, or take smaller pixels"
+REACHED = 0.98
+"""Share of the widest window from which on no other light does much better."""
+TAIL, STILL = 0.25, 0.02
+"""Last part of a run, and the share of its loss that a run loses there which still improves."""
+LOST = 0.05
+"""Share of the area of walls whose loss shows in 95 % of the surface."""
+
+
+class Causes:
+    """Causes of the faults of one print; each is checked when a remedy asks for it."""
+
+    proof: Proof
+    judgement: Judgement
+
+    def __init__(self, proof: Proof, judgement: Judgement) -> None:
+        self.proof, self.judgement = proof, judgement
+
+    def body(self, kind: str, number: int) -> str:
+        """Remedy for so many changes of a kind: narrow features make them where a pixel off the surface does, too."""
+        found = []
+        explained = 0
+        for moved, remedy in zip(self._surfaces_moved, (THIN, NARROW), strict=True):
+            if count := getattr(moved, kind):
+                found.append(remedy)
+                explained = max(explained, count)
+        return "; ".join(found if explained >= number else [self.light, *found])
+
+    @cached_property
+    def light(self) -> str:
+        """Remedy for light that could be better: more angles, more evaluations, or neither."""
+        enough = self._more_angles
+        return "; ".join([f"take {enough:,} angles"] * (enough > 0) + [self._evaluations])
+
+    @property
+    def rough(self) -> str:
+        """Remedy for a rough surface: walls thinner than two pixels that did not print are told beside the light."""
+        walls = self.judgement.surface.walls
+        thin = walls.share_lost >= LOST and walls.thinnest_lost < 2.0 * self.judgement.pixel
+        return f"{self.light}; {THIN}" if thin else self.light
+
+    @property
+    def deep(self) -> str:
+        """Remedy where no exposure prints what lies deep: a part that is nowhere so deep is thin."""
+        thin = not self.judgement.over_tolerance.judged_at(self.judgement.deep)
+        return f"{self.light}; {THIN}" if thin else self.light
+
+    @property
+    def _evaluations(self) -> str:
+        proof = self.proof
+        own = proof.claimed.window if proof.corners is None else proof.corners.window
+        if proof.bound is not None and proof.bound.share(own) >= REACHED:
+            return BOUNDED
+        return CONVERGED if converged(proof.history) else EVALUATIONS
+
+    @property
+    def _more_angles(self) -> int:
+        """Angles that would do for the part; 0 where there are enough, or nothing tells."""
+        A, target = self.proof.operator, self.proof.target
+        radius = radius_of(A, target, target)
+        try:
+            return more_angles(A.motion, resin_pixel(A.beam, A.vessel)[0], radius)
+        except BadInput:
+            return 0
+
+    @cached_property
+    def _surfaces_moved(self) -> tuple[BodyChanges, BodyChanges]:
+        """Bodies that change where the surface lies a pixel farther inside, and outside."""
+        grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
+        reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
+        depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)
+        part = topology(depth > 0.0)
+        inside, outside = (body_changes(part, topology(depth >= at), grid.voxel_volume) for at in (reach, -reach))
+        return inside, outside
+
+
+def converged(history: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the last quarter of a run lowered its loss by less than 2 %; False where nobody knows."""
+    loss = [float(step["loss"]) for step in history if step.get("loss") is not None]
+    if len(loss) < 4 or not np.isfinite(loss).all():
+        return False
+    before, after = min(loss[: ceil((1.0 - TAIL) * len(loss))]), min(loss)
+    return before - after <= STILL * abs(before)

@@ -1,0 +1,112 @@
+"""Proofs in job folders: the dose beside the frames, and the numbers that were made of it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.geometry import Grid
+from vamgpu.methods.saved import inputs_of, operator_from, target_from
+from vamgpu.metrics import Scores, SliceScores
+from vamgpu.metrics.window import Windows
+from vamgpu.printing.beyond_cylinder import Outer
+from vamgpu.printing.exposure import ExposureTimes
+from vamgpu.printing.folder import frames_of, save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.printing.pack import Solved
+from vamgpu.printing.proof import Proof
+from vamgpu.storage.folder import Entry, Folder
+from vamgpu.targets.target import Target
+
+RECORDS: dict[str, type[Any]] = {
+    one.__name__: one
+    for one in (Scores, SliceScores, Windows, Outer, ExposureTimes, GivenDose, ProvedDose)
+}  # fmt: skip
+"""Records that hold the numbers of a proof."""
+FIELDS = ("scores", "slices", "light_efficiency", "mean_brightness", "claimed", "outer", "independent", "exposure",
+          "width", "agrees", "given")  # fmt: skip
+"""Those of a proof that its manifest holds."""
+LATER = ("width", "agrees", "given")
+"""Those that manifests of 0.3 lack."""
+
+
+def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a proof, see `Proof.save`."""
+    if not isinstance(proof.frames, Frames):
+        raise BadInput(f"the proof is of {type(proof.frames).__name__}, expected Frames: what a run showed is kept in "
+                       "its own folder, which `vam prove` takes")  # fmt: skip
+    target = Target.from_array(proof.target.numpy(), proof.operator.grid.pitch, proof.name)
+    inputs, arrays = inputs_of(
+        Solved(proof.dose, proof.operator, replace(target, solid=proof.solid, limits=proof.limits))
+    )
+    if hasattr(proof.frames.plan, "history"):
+        inputs["plan"] = inputs_of(proof.frames.plan)[0]["plan"]
+    arrays["dose"] = Entry(proof.dose, ("x", "y", "z"), spacing=proof.operator.grid.pitch)
+    details = {"saved": "proof", "proof": {name: _written(getattr(proof, name)) for name in FIELDS}}
+    return save_frames(path, proof.frames, inputs=inputs, arrays=arrays, details=details, overwrite=overwrite).path
+
+
+def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
+    """The proof that `Proof.save` wrote, as it was: nothing is simulated again."""
+    folder, place = Folder.open(path), open_device(device)
+    A = operator_from(folder, place)
+    target = target_from(folder, A.grid, place) if isinstance(getattr(A, "grid", None), Grid) else None
+    try:
+        said = folder.manifest.details["proof"]
+        if "part_share" in said:  # as it was called before 0.3, when the mean brightness was called light efficiency
+            said = said | {"light_efficiency": said["part_share"], "mean_brightness": said["light_efficiency"]}
+        numbers: dict[str, Any] = {name: _read(said[name]) for name in FIELDS if name in said or name not in LATER}
+        if target is None or not isinstance(numbers["scores"], Scores):
+            raise ValueError("its target or its scores")
+        dose = folder.record("dose")
+        if dose.shape != A.grid.shape:
+            raise ValueError(f"a dose of {dose.shape} on a grid of {A.grid.shape}")
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(
+            f"the proof in {str(path)!r} is incomplete or malformed: {error}; prove the job again"
+        ) from error
+    frames = frames_of(folder, place)
+    return Proof(
+        A,
+        frames,
+        target.name,
+        target.on(place),
+        place.gather(dose.shape, folder.parts("dose")),
+        solid=target.solid,
+        limits=target.limits,
+        **numbers,
+    )
+
+
+def _written(value: Any) -> Any:
+    """A record in plain values; numbers that JSON lacks are text."""
+    if is_dataclass(value):
+        return {"of": type(value).__name__} | {one.name: _written(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, np.ndarray):
+        return {"list": [_written(part) for part in value.tolist()], "dtype": value.dtype.name}
+    if isinstance(value, (tuple, list)):
+        return [_written(part) for part in value]
+    return repr(float(value)) if isinstance(value, float) and not isfinite(value) else value
+
+
+def _read(value: Any) -> Any:
+    """The value that `_written` wrote. Raises `KeyError`, `TypeError`, `ValueError` for others."""
+    if isinstance(value, list):
+        return tuple(map(_read, value))
+    if isinstance(value, str):
+        return float(value)
+    if not isinstance(value, dict):
+        return value
+    if "list" in value:
+        return np.array([_read(part) for part in value["list"]], np.dtype(value["dtype"]))
+    return RECORDS[value["of"]](**{name: _read(part) for name, part in value.items() if name != "of"})

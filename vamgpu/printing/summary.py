@@ -1,0 +1,151 @@
+"""Summary of a report: window over tolerance, sensitivity to errors, surface, and headline numbers."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from math import inf, isfinite, isnan
+from typing import Any
+
+from vamgpu.metrics.line import length
+from vamgpu.metrics.surface_judgement import SurfaceJudgement
+from vamgpu.printing import charts
+from vamgpu.printing.exposure import USUAL
+from vamgpu.printing.given_dose import counted
+from vamgpu.printing.judgement import DEEP, Judgement
+from vamgpu.printing.proof import Proof
+from vamgpu.printing.tolerances import FirstWrong, ToleranceRow, ToleranceTable
+from vamgpu.printing.verdict import Verdict
+from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
+
+WORDS = {
+    "point spread": "Point spread: σ wider by, in columns and rows",
+    "axis of rotation": "Axis of rotation: off the middle of the columns by",
+    "absorption": "Absorption of the resin: other than expected by",
+    "dose": "Exposure: longer or shorter by",
+}
+"""Scenarios in plain words."""
+
+
+def summary(proof: Proof, judgement: Judgement) -> list[Card]:
+    """The first cards: window over tolerance, sensitivity to errors, and surface."""
+    chart = Chart(charts.tolerance_chart(judgement.over_tolerance, judgement.pixel))
+    sensitivity = Tolerances(table(judgement.table))
+    lines = judgement.surface.lines()
+    surface = [Card("Surface of the print against the mesh", Numbers(lines), wide=True)] if lines else []
+    return [
+        Card("Window over tolerance", chart, note=_chart_note(proof)),
+        Card("Sensitivity to errors", sensitivity, note=_table_note(judgement.table)),
+        *surface,
+    ]
+
+
+def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figure]:
+    """Dose latitude, window a pixel from the surface, stray resin, surface, and the time it takes."""
+    deep, found = length(judgement.deep), judgement.over_tolerance
+    low, high = verdict.latitude
+    meaning = f"exposures between which nothing prints wrong farther than {deep} from the surface, over the proved one"
+    known = 0.0 < low < inf and isfinite(high)
+    said = f"{100 * (low - 1.0):+.2g} % … {100 * (high - 1.0):+.2g} %".replace("-", "−") if known else "–"
+    figures = [Figure(said if low < high else "none", "dose latitude", meaning)]
+    for number, name in ((1.0, "a pixel"), (DEEP, "two pixels")):
+        distance = min(number * judgement.pixel, float(found.distance[-1]))
+        judged = f"of the {100 * found.judged_at(distance):.0f} % of the part that lies so deep"
+        share = f"least dose in the part − greatest outside, over the greatest; {judged}"
+        figures.append(Figure(signed(found.at(distance)), f"window {name} from the surface, {length(distance)}",
+                              share))  # fmt: skip
+    return [*_given(proof), *figures, *_beyond(proof), *_surface(judgement.surface), *_time(proof)]
+
+
+def _given(proof: Proof) -> list[Figure]:
+    """The dose of a run; empty for a proof of frames."""
+    if proof.given is None:
+        return []
+    dose = proof.given
+    turns = f"{counted(dose.turns)} in {dose.seconds:.1f} s"
+    return [Figure(f"×{dose.share:.3f}", "dose given over proved", f"{turns}; {dose.verdict}")]
+
+
+def _time(proof: Proof) -> list[Figure]:
+    """The exposure time, where it is known."""
+    if proof.exposure is None:
+        return []
+    turns = f"{proof.exposure.turns():.3g} turns at {USUAL:g} deg/s; until the threshold is solid"
+    return [Figure(f"{proof.exposure.seconds:.3g} s", "exposure", turns)]
+
+
+def _beyond(proof: Proof) -> list[Figure]:
+    """Dose of the resin beside, above and below the judged cylinder; empty where there is none."""
+    if proof.outer is None:
+        return []
+    meaning = f"greatest dose beside, above and below the judged cylinder: {proof.outer.where}; from 1 on it prints"
+    return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
+
+
+def _surface(found: SurfaceJudgement) -> list[Figure]:
+    """Distance of the surface from the part's, and whether bodies, holes and cavities are the same."""
+    if isnan(found.mean):
+        return []
+    made = (
+        "Bodies, holes and cavities are the part's"
+        if found.changes.none
+        else "Bodies, holes or cavities are not the part's"
+    )
+    far = f"at most {length(found.greatest_excess)} too thick and {length(found.greatest_lack)} too thin"
+    return [Figure(length(found.rms), "off the part's surface, RMS", f"{far}. {made}")]
+
+
+def _chart_note(proof: Proof) -> str:
+    voxels = "voxels at most half as wide as a pixel in the resin" if proof.independent else "the part's own voxels"
+    return (
+        "W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose, on "
+        f"{voxels}. Where W is above 0, one exposure prints everything right but a skin of thickness δ on either side "
+        "of the surface. Below: how much of the part lies that deep."
+    )
+
+
+def table(found: ToleranceTable) -> list[dict[str, Any]]:
+    """Scenarios of one kind together, the nominal print first."""
+    groups = [{"name": "Nominal", "first": "", "rows": [_cells(found.nominal)], "note": ""}]
+    for name, rows in groupby(found.rows, key=lambda row: row.name):
+        some = list(rows)
+        notes = "; ".join(dict.fromkeys(row.note for row in some if row.note))
+        groups.append(
+            {
+                "name": WORDS.get(name, name),
+                "first": _first(found.limits(name)),
+                "rows": [] if all(row.note for row in some) else [_cells(row) for row in some],
+                "note": f"not exposed: {notes}" if notes else "",
+            }
+        )
+    return groups
+
+
+def _cells(row: ToleranceRow) -> dict[str, str]:
+    """A row of the table, with dashes where there are no numbers."""
+    if row.wrong is None:
+        return {"change": row.change, "window": "–", "wrong": "–", "bad": ""}
+    return {
+        "change": row.change or "–",
+        "window": signed(row.window),
+        "wrong": f"{row.wrong:,}",
+        "bad": "bad" if row.wrong else "",
+    }
+
+
+def _first(limits: tuple[FirstWrong, ...]) -> str:
+    """The limits below and above, once where they say the same."""
+    return " and ".join(dict.fromkeys(limit.text for limit in limits))
+
+
+def _table_note(found: ToleranceTable) -> str:
+    return (
+        "The same frames, as long and as bright, through a machine that is off in one thing. The change in dose is "
+        "computed with the solver's operator and added to the proved dose. Voxels two pixels or more from "
+        "the surface count, at one threshold, that of the proof. Pixels are the projector's. This table took "
+        f"{found.exposures} back projections, half a projector evaluation each."
+    )
+
+
+def signed(value: float) -> str:
+    """A window with its sign, or that there is none."""
+    return f"{value:+.3f}".replace("-", "−") if isfinite(value) else "none"

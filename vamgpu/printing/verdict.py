@@ -1,0 +1,183 @@
+"""Whether frames print their part: one answer, what is wrong, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, isfinite, isnan, sqrt
+from typing import TYPE_CHECKING
+
+from vamgpu.metrics.body_changes import BodyChanges
+from vamgpu.metrics.line import length
+from vamgpu.printing.causes import Causes
+from vamgpu.printing.exposure import USUAL
+
+if TYPE_CHECKING:
+    from vamgpu.printing.judgement import Judgement
+    from vamgpu.printing.proof import Proof
+
+ROUGH = 1.0
+"""Pixels that 95 % of the surface may be off."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong with a print.
+
+    Attributes:
+        said: What is wrong, in words.
+        remedy: What to do about it.
+    """
+
+    said: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.said}: {self.remedy}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether frames print their part. True where they do; `str` says it in full.
+
+    Attributes:
+        faults: All that is wrong, worst first.
+        made: What prints, in words.
+        latitude: Exposures over the proved one, least and greatest, between which no resin farther than two pixels from
+            the surface, or as deep as a thin part is, prints wrong, and none beyond the judged cylinder; (inf, 0) where
+            there are none.
+        proved: Whether it is by rays traced apart from the solver. One that is not is coarse.
+        not_judged: What nobody judged, sentence by sentence; empty where everything was.
+    """
+
+    faults: tuple[Fault, ...]
+    made: str
+    latitude: tuple[float, float]
+    proved: bool
+    not_judged: tuple[str, ...] = ()
+
+    @property
+    def prints(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.faults
+
+    def __bool__(self) -> bool:
+        return self.prints
+
+    @property
+    def opening(self) -> str:
+        """The first words: whether it prints, and who says so."""
+        if self.proved:
+            return "Prints" if self.prints else "Does not print"
+        return (
+            "Not proved; by the solver's own dose it prints"
+            if self.prints
+            else "Does not print by the solver's own dose"
+        )
+
+    @property
+    def sentence(self) -> str:
+        """In one sentence: what prints, or what is wrong."""
+        return f"{self.opening}: {self.made if self.prints else '; '.join(fault.said for fault in self.faults)}."
+
+    def __str__(self) -> str:
+        remedies = (f"→ {remedy[0].upper()}{remedy[1:]}." for remedy in self.remedies)
+        return "\n".join([self.sentence, *remedies, *(f"Not judged: {what}." for what in self.not_judged)])
+
+    @property
+    def remedies(self) -> tuple[str, ...]:
+        """The remedies, each once."""
+        return tuple(dict.fromkeys(one for fault in self.faults for one in fault.remedy.split("; ")))
+
+
+def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
+    """Give the verdict on a proof."""
+    low, high = _latitude(proof, judgement)
+    surface, most = judgement.surface, min(high, 1.0 / proof.outer_share if proof.outer_share else inf)
+    nothing, causes = isnan(surface.mean), Causes(proof, judgement)
+    empty = [Fault("nothing prints", "expose longer, or send more light")] if nothing else []
+    faults = [*_dose(proof), *empty, *_stray(proof), *_bodies(surface.changes, causes)]
+    if not nothing and (low > 1.0 or high <= 1.0):
+        longer = sqrt(low * most) if isfinite(most) else 2.0 * low
+        other = f"expose {longer:.3g} times as long" if low < most else causes.deep
+        faults.append(Fault(f"resin more than {length(judgement.deep)} from the surface prints wrong", other))
+    if surface.p95 > ROUGH * judgement.pixel:
+        faults.append(Fault(f"5 % of the surface is more than {length(surface.p95)} off", causes.rough))
+    faults += _left(proof, causes)
+    shares = [f"{_percent(1.0 - low)} less"] * (low > 0.0) + [f"{_percent(most - 1.0)} more"] * isfinite(most)
+    latitude = f"; the dose may be {' to '.join(shares)}" if shares else ""
+    times = proof.exposure
+    exposed = f"; {times.seconds:.3g} s, {times.turns():.3g} turns at {USUAL:g} deg/s" if times else ""
+    near = "" if nothing else f", 95 % of the surface within {length(surface.p95)}"
+    return Verdict(tuple(faults), f"{_made(surface.changes)}{near}{latitude}{exposed}", (low, most), proof.independent,
+                   judgement.not_judged)  # fmt: skip
+
+
+def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
+    """Exposures over that of the proof between which nothing deep prints wrong, as far as resin is judged."""
+    least, greatest = judgement.over_tolerance.limits(judgement.deep)
+    at = proof.scores.threshold
+    if not least > 0.0:
+        return inf, 0.0
+    return at / least, at / greatest if greatest > 0.0 else inf
+
+
+def _dose(proof: Proof) -> Iterator[Fault]:
+    """A run that gave another dose than was proved."""
+    if proof.given is not None and not proof.given.keeps:
+        yield Fault(f"the dose is {proof.given}", "print as many turns as its exposure takes: leave --turns out")
+
+
+def _stray(proof: Proof) -> Iterator[Fault]:
+    """Resin that gets solid where nothing is judged."""
+    if proof.outer is not None and proof.outer_share >= 1.0:
+        where = f"{proof.outer.where}, {proof.outer_share:.2f} of the threshold"
+        yield Fault(
+            f"resin beyond the judged cylinder prints too ({where})",
+            'take the default method, which keeps that resin dark, or a part farther from the wall',
+        )  # fmt: skip
+
+
+def _bodies(changes: BodyChanges, causes: Causes) -> Iterator[Fault]:
+    """Bodies, holes and cavities that are not the part's."""
+    kinds = (
+        ("bodies_lost", "body of the part does not print", "bodies of the part do not print"),
+        ("bodies_broken", "body is broken", "bodies are broken"),
+        ("bodies_merged", "body joins another one", "bodies join another one"),
+        ("bodies_extra", "loose body prints beside it", "loose bodies print beside it"),
+        ("holes_closed", "hole of the part is closed", "holes of the part are closed"),
+        ("holes_opened", "hole opens that the part has not", "holes open that the part has not"),
+        ("cavities_filled", "cavity is filled", "cavities are filled"),
+        ("cavities_extra", "void is left in the part", "voids are left in the part"),
+    )
+    for kind, one, many in kinds:
+        if number := getattr(changes, kind):
+            yield Fault(f"{number:,} {one if number == 1 else many}", causes.body(kind, number))
+
+
+def _left(proof: Proof, causes: Causes) -> Iterator[Fault]:
+    """Bodies with another dose than asked, and voxels that nobody judged."""
+    for body in proof.bodies:
+        if body.role == "gray" and body.wrong:
+            yield Fault(
+                f"{body.name!r} gets another dose than asked in {body.wrong:,} of {body.voxels:,} voxels",
+                f"allow it a wider tolerance; {causes.light}",
+            )
+    if proof.unjudged_voxels:
+        yield Fault(
+            f"{proof.unjudged_voxels:,} voxels of the part lie beyond the judged cylinder", "use a wider grid"
+        )  # fmt: skip
+    if proof.unjudged:
+        yield Fault(proof.unjudged.found(), "use smaller voxels or thicker walls")
+
+
+def _made(changes: BodyChanges) -> str:
+    """Bodies, holes and cavities in words."""
+    counted = [(changes.bodies, "body", "bodies"), (changes.holes, "hole", "holes"),
+               (changes.cavities, "cavity", "cavities")]  # fmt: skip
+    named = [f"{number:,} {one if number == 1 else many}" for number, one, many in counted if number]
+    return f"{' and '.join([', '.join(named[:-1]), named[-1]] if named[1:] else named)} as in the part"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
