@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 
 import vamgpu
-from profiling.below_voxel import LAMP, SHAPES, Judge, Posed, found, part, posed
+from profiling.below_voxel import LAMP, PARTS, Judge, Posed, found, part, posed
 from profiling.common import HERE, machine, write_record
 from vamgpu.errors import DivergenceWarning, OpticsWarning
 from vamgpu.printing.proof import Proof
 
-PARTS = (*SHAPES, "exposure_disk", "gears_0um", "gears_50um")
 METHODS = ("ramp", "lbfgs", "osmo")
 BUDGETS = (40, 120)
 SIZE = 14
