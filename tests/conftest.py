@@ -77,7 +77,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         "device": device_list(),
         "fast_device": [name for name in device_list() if name != "numpy"],
         "opencl_device": [name for name in device_list() if name.startswith("opencl")],
-        "opencl_name": [name for name in device_list() if name.startswith("opencl") and GPU_LAYOUT not in name],
+        "opencl_name": (
+            opencl := [name for name in device_list() if name.startswith("opencl") and GPU_LAYOUT not in name]
+        ),
+        "opencl_processor": [name for name in opencl if not vamgpu.open_device(name).is_gpu],
     }
     file = Path(metafunc.definition.path)
     for fixture, names in choices.items():
@@ -158,6 +161,12 @@ def is_quick(fast_device: Device) -> bool:
 @pytest.fixture
 def opencl_name(request: pytest.FixtureRequest) -> str:
     """Name of every OpenCL device."""
+    return open_any(request.param).name
+
+
+@pytest.fixture
+def opencl_processor(request: pytest.FixtureRequest) -> str:
+    """Each processor that OpenCL computes on, by its name."""
     return open_any(request.param).name
 
 

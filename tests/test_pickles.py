@@ -145,8 +145,8 @@ def test_a_noun_is_equal_to_its_copy(noun: Any, copied: Copied) -> None:
     assert copied(noun) == noun
 
 
-def test_a_device_is_opened_by_its_name(device: Device, opencl_name: str) -> None:
-    limited = vam.open_device(f"{opencl_name}@1GB")
+def test_a_device_is_opened_by_its_name(device: Device, opencl_processor: str) -> None:
+    limited = vam.open_device(f"{opencl_processor}@1GB")
     assert pickled(device) is copy.deepcopy(device) is device and pickled(limited) is limited
 
 

@@ -124,6 +124,6 @@ def test_a_device_is_known_by_what_people_call_it() -> None:
             vamgpu.open_device(called)
 
 
-def test_a_limit_of_memory_goes_with_what_a_processor_is_called(opencl_name: str) -> None:
-    kind = opencl_name.split(":")[1]
+def test_a_limit_of_memory_goes_with_what_a_processor_is_called(opencl_processor: str) -> None:
+    kind = opencl_processor.split(":")[1]
     assert vamgpu.open_device(f"{kind}@2GB") is vamgpu.open_device(f"opencl:{kind}:0@2GB")

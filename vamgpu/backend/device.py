@@ -285,13 +285,20 @@ class Device(ABC):
             return self._in_lanes(values)
         if isinstance(values, np.ndarray) or not (hasattr(values, "__dlpack__") or hasattr(values, "base_data")):
             return self.upload(values)
+        on_host = tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) == HOST
         try:
-            on_host = tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) == HOST
-            table = self.adopt(to_read(from_dlpack(self, values)) if on_host and not self.is_gpu else values)
+            source = to_read(from_dlpack(self, values)) if on_host else values
+            if on_host and self.is_gpu:
+                return self.upload(source)
+            table = self.adopt(source)
         except DeviceError:
-            if tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) != HOST:
+            if not hasattr(values, "__array__"):
                 raise
-            return self.upload(np.asarray(values))  # also of types that DLPack or NumPy has not
+            try:
+                return self.upload(np.asarray(values))  # also of types that DLPack or NumPy has not
+            except TypeError:  # what PyTorch raises where it will not fetch
+                pass
+            raise
         return self._in_lanes(table)
 
     def _in_lanes(self, array: DeviceArray) -> DeviceArray:

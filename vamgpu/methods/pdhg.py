@@ -44,6 +44,8 @@ SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
 """Each level with the multipliers that hold it, and whether it is to rise or to fall."""
 SOON, LATE, LONGEST = 0.1, 0.4, 250
 """A round ends at this share of its first gap; at that share once the gap grows; after so many steps."""
+LENGTHS = (0.8, 2.0)
+"""Steps are so many times as long as proves safe beforehand; longer ones swing."""
 TOLD = 60
 """Steps from which on the multipliers tell how wide a window can be."""
 
@@ -254,4 +256,4 @@ class _Run:
         """A longer step, as far as this one was safe: ``safe`` times as long would have been so."""
         made = self.memory["made"] = self.state.number("made") + 1.0
         most = min((1.0 - (made + 1.0) ** -0.3) * safe, 1.0 + (made + 1.0) ** -0.6)
-        self.memory["length"] = max(0.8, most * self.memory["length"])
+        self.memory["length"] = min(max(LENGTHS[0], most * self.memory["length"]), LENGTHS[1])
