@@ -26,26 +26,28 @@ def threads() -> int:
     return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, MOST))
 
 
-def ahead(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
+def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> Iterator[Out]:
     """Work on items in as many threads as there are cores, a few items ahead of whoever takes the results.
 
     Args:
         work: What is done with each item; it must let other threads run, as NumPy does.
         items: In order; they are asked for in this thread.
+        most: Threads, at most.
 
     Yields:
         The results, in the same order.
     """
     rest = iter(items)
     some = list(islice(rest, 2))
-    if len(some) < 2 or threads() < 2:
+    workers = min(threads(), most)
+    if len(some) < 2 or workers < 2:
         yield from map(work, chain(some, rest))
         return
-    with ThreadPoolExecutor(threads()) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         begun: deque[Future[Out]] = deque()
         for item in chain(some, rest):
             begun.append(pool.submit(work, item))
-            if len(begun) > threads():
+            if len(begun) > workers:
                 yield begun.popleft().result()
         while begun:
             yield begun.popleft().result()

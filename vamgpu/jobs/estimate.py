@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from math import prod
 from typing import Any
 
-from vamgpu.geometry import Grid
-from vamgpu.methods.surface import CELLS, SINOGRAMS, VOLUMES, SurfaceRamp, fine_grid, on_rings
-from vamgpu.operators.projection import Projection
+import numpy as np
+
+from vamgpu.methods.surface import CELLS, SINOGRAMS, VOLUMES, SurfaceRamp, as_fine_as_light
 from vamgpu.operators.reductions import total
-from vamgpu.operators.ring_projection import RingProjection, direct, unsupported_reason
 from vamgpu.optics.outer_resin import outer_cells
 from vamgpu.storage.memory import size
 
@@ -48,17 +47,16 @@ class Expected:
 def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int = 1) -> Expected:
     """Memory and time of a run, by the fields of the method that takes most and by an evaluation that is timed."""
     voxels, pixels = prod(A.domain.shape), prod(A.range.shape)
-    counted, finer = FEW_VOLUMES * voxels * corners + FEW_SINOGRAMS * pixels, 1.0
+    counted = FEW_VOLUMES * voxels * corners + FEW_SINOGRAMS * pixels
     if isinstance(method, SurfaceRamp):
-        grid = fine_grid(A)
-        finer = 1.0 if grid is None else prod(grid.shape) / voxels
-        A = A if grid is None else _like(A, grid)
-        beside = () if grid is None else outer_cells(grid, A.beam, A.motion, A.vessel)
+        fine = as_fine_as_light(A, keep=True) if getattr(target, "limits", None) is None else None
+        A = A if fine is None else fine
+        beside = () if fine is None else outer_cells(fine.grid, fine.beam, fine.motion, fine.vessel)
         cells = sum(prod(each.shape) for each in beside)
-        counted = int(VOLUMES * finer * voxels) + SINOGRAMS * pixels + CELLS * cells
-    part = target.on(A.device)
-    light = A(part)
-    seconds = finer * _quickest(lambda: total(A.T(A(part)))) + PASSES * _quickest(lambda: total(light))
+        counted = VOLUMES * prod(A.domain.shape) + SINOGRAMS * pixels + CELLS * cells
+    light = A.device.upload(np.ones(A.range.shape, np.float32))
+    dose = A.T(light)
+    seconds = _quickest(lambda: total(A(A.T(light, out=dose), out=light))) + PASSES * _quickest(lambda: total(light))
     return Expected(counted * A.device.real.itemsize, float(evaluations), seconds, corners)
 
 
@@ -70,10 +68,3 @@ def _quickest(work: Callable[[], Any]) -> float:
         work()
         took.append(time.perf_counter() - began)
     return min(took[1:])
-
-
-def _like(A: Any, grid: Grid) -> Any:
-    """A projector on its own voxels of the kind that light is found with on finer ones."""
-    plain = direct(A)
-    fine = Projection(grid, plain.beam, plain.motion, plain.vessel, plain.device)
-    return RingProjection.of(plain) if on_rings(A, fine) and not unsupported_reason(plain) else A

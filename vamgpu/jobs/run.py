@@ -50,6 +50,7 @@ from vamgpu.methods.saved import (
     target_from,
     tolerances_from,
 )
+from vamgpu.methods.surface import SurfaceRamp
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.tradeoff import ParetoPoint, pareto
 from vamgpu.operators.defocus import Defocused
@@ -217,7 +218,7 @@ def _one(
     limit = file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
-    if file.solve.operator != "voxels":
+    if file.solve.operator != "voxels" and not (file.solve.operator == "auto" and _seeks_rings(method, target)):
         light, A = (_on_rings(light, A, file.solve.operator == "rings"),) * 2
     describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
     check_dither(file.frames.dither, A, target, file.frames.bits)
@@ -235,6 +236,11 @@ def _one(
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
+
+
+def _seeks_rings(method: Any, target: Target) -> bool:
+    """Whether a method chooses between rays and rings itself, for finer voxels than those of the job."""
+    return isinstance(method, SurfaceRamp) and target.limits is None
 
 
 def _on_rings(light: Any, A: Any, asked: bool) -> Any:

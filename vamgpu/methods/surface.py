@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil, prod
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -136,17 +137,27 @@ class SurfaceRamp(ByPairs):
         yield from minimize(exposure, (Channel(state, identity(state.operator)),), rule)
 
 
-def as_fine_as_light(operator: Any) -> Projection | RingProjection | None:
+def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
     """The projector on which light is found: voxels of three quarters of a pixel, some above and below the part.
 
-    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels.
+    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. One that is to be
+    kept is what the next call returns: its tables take seconds.
     """
-    grid = fine_grid(operator)
-    if grid is None:
-        return None
-    A = direct(operator)
-    fine = Projection(grid, A.beam, A.motion, A.vessel, A.device)
-    if not on_rings(operator, fine):
+    found = _KEPT.pop(operator, None)
+    if found is None and (grid := fine_grid(operator)) is not None:
+        A = direct(operator)
+        found = _on_rings(operator, Projection(grid, A.beam, A.motion, A.vessel, A.device))
+    if keep and found is not None:
+        _KEPT[operator] = found
+    return found
+
+
+_KEPT: WeakKeyDictionary[Any, Projection | RingProjection] = WeakKeyDictionary()
+
+
+def _on_rings(operator: Any, fine: Projection) -> Projection | RingProjection:
+    """Light on rings, where its operator is or where that is faster and fits into memory."""
+    if unsupported_reason(fine) or not (isinstance(operator, RingProjection) or prefers_rings(fine)):
         return fine
     try:
         return RingProjection.of(fine)
@@ -154,11 +165,6 @@ def as_fine_as_light(operator: Any) -> Projection | RingProjection | None:
         if isinstance(operator, RingProjection):
             raise
         return fine
-
-
-def on_rings(operator: Any, fine: Projection) -> bool:
-    """Whether light for an operator is found on rings, on the voxels of `as_fine_as_light`."""
-    return (isinstance(operator, RingProjection) or prefers_rings(fine)) and not unsupported_reason(fine)
 
 
 def fine_grid(operator: Any) -> Grid | None:

@@ -6,15 +6,18 @@ every point of the resin; W at a tolerance does not ask what happens nearer to t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts, positive
 from vamgpu.metrics.depth import signed_depth, surrounded
@@ -30,6 +33,8 @@ BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
 SLICES = 32
 """Slices that are judged at once: memory beside the dose itself stays small."""
+AT_ONCE = 6
+"""Times as many slices, at most, where there are cores for them."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""
 
@@ -104,7 +109,24 @@ def tolerance_window(
     """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
-    tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
+    number = counts("bins", (bins,), 1)[0]
+    tally = _Tally(voxel, reach, number)
+
+    def counted(piece: tuple[Array, Callable[[], Array], Any]) -> _Tally:
+        dose, deep, disc = piece
+        found = _Tally(voxel, reach, number)
+        found.add(dose, deep(), disc)
+        return found
+
+    for found in ahead(counted, _pieces(slabs, depth, radius), AT_ONCE):
+        tally.join(found)
+    return tally.result()
+
+
+def _pieces(
+    slabs: Iterable[Slab], depth: Depth, radius: float | None
+) -> Iterator[tuple[Array, Callable[[], Array], npt.NDArray[np.bool_] | None]]:
+    """Doses of a few slices, what finds the depths there, and the columns of voxels that count; None for all."""
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
@@ -112,12 +134,11 @@ def tolerance_window(
         disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
         for first in range(0, len(slab.z), SLICES):
             some = slice(first, first + SLICES)
-            tally.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
-    return tally.result()
+            yield dose[:, :, some], partial(depth, slab.x, slab.y, slab.z[some]), disc
 
 
 class _Tally:
-    """Least and greatest doses by distance from the surface, over all slabs so far."""
+    """Least and greatest doses by distance from the surface."""
 
     def __init__(self, voxel: float, reach: float, bins: int) -> None:
         self.voxel, self.width, self.bins = voxel, reach / bins, bins
@@ -135,18 +156,27 @@ class _Tally:
         known = ~np.isnan(depth)
         if not known.all():  # nothing is asked there
             dose, depth = dose[known], depth[known]
-        self.peak = max(self.peak, float(dose.max(initial=0.0)))
-        inside = depth >= 0
-        value, step = self._binned(dose[inside], depth[inside])
-        np.minimum.at(self.least, step, value)
-        self.count += np.bincount(step, minlength=self.bins + 1)
-        value, step = self._binned(dose[~inside], -depth[~inside])
-        np.maximum.at(self.greatest, step, value)
+        self.peak = float(dose.max(initial=0.0))
+        far = self.width * self.bins
+        for inside, ends, best in ((depth >= 0, self.least, np.minimum), (depth < 0, self.greatest, np.maximum)):
+            beyond = inside & (np.abs(depth) >= far)  # most voxels, all of the last step
+            near = inside & ~beyond
+            step = (np.abs(depth[near]) / self.width + _ROUNDING * self.voxel / self.width).astype(np.int64)
+            step = np.minimum(step, self.bins)
+            best.at(ends, step, dose[near].astype(np.float64))
+            values = dose[beyond]
+            if values.size:
+                ends[-1] = best(ends[-1], best.reduce(values))
+            if best is np.minimum:
+                self.count += np.bincount(step, minlength=self.bins + 1)
+                self.count[-1] += values.size
 
-    def _binned(self, dose: Array, distance: Array) -> tuple[Array, npt.NDArray[np.int64]]:
-        """Doses as float64, and the last step of the curve that each distance reaches."""
-        step = (distance / self.width + _ROUNDING * self.voxel / self.width).astype(np.int64)
-        return dose.astype(np.float64), np.minimum(step, self.bins)
+    def join(self, other: _Tally) -> None:
+        """Add what was counted elsewhere."""
+        np.minimum(self.least, other.least, out=self.least)
+        np.maximum(self.greatest, other.greatest, out=self.greatest)
+        self.count += other.count
+        self.peak = max(self.peak, other.peak)
 
     def result(self) -> ToleranceWindow:
         if not self.count.any():
@@ -166,12 +196,13 @@ def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | Non
     """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked."""
     # pitch [mm]; voxel [mm]; reach [mm]
     reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
-    halo = ceil(reach) + 2
+    halo, alone = ceil(reach) + 2, Lock()
 
     def depth(x: Array, y: Array, z: Array) -> Array:
         middle = (_middle(x), _middle(y), _middle(z))
         grid = Grid((len(x), len(y), len(z) + 2 * halo), pitch)
-        fraction = target.resampled(grid, middle).numpy()
+        with alone:  # a device does one thing after the other
+            fraction = target.resampled(grid, middle).numpy()
         return signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
 
     return depth

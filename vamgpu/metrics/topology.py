@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -44,26 +44,36 @@ def topology(mask: Mask) -> Topology:
     # Holes follow from the Euler characteristic of each body: holes = 1 + cavities − (corners − edges + faces − cubes)
     # of the complex whose corners are the voxels (T. Y. Kong and A. Rosenfeld, Digital topology, Comput. Vis. Graph.
     # Image Process. 48 (1989) 357).
-    from scipy.ndimage import label
-
-    found: Any = label(mask)
-    body, count = found
-    cavity = _cavities(mask)
-    size = np.bincount(body.ravel(), minlength=count + 1)[1:]
-    cavity_size = np.bincount(cavity.ravel())[1:]
-    inside = np.bincount(_owners(body, cavity), minlength=count + 1)[1:]
-    return Topology(body, cavity, size, 1 + inside - _euler(body, count), cavity_size)
+    mask = np.ascontiguousarray(mask)
+    body, size = _labeled(mask, 6)
+    cavity, cavity_size = _cavities(mask)
+    inside = np.bincount(_owners(body, cavity), minlength=size.size + 1)[1:]
+    return Topology(body, cavity, size, 1 + inside - _euler(mask, body, size.size), cavity_size)
 
 
-def _cavities(mask: Mask) -> Labels:
-    """Numbers of void voxels that no path of voxels leads out from."""
-    from scipy.ndimage import label
+def _labeled(mask: Mask, neighbors: Literal[6, 26]) -> tuple[Labels, npt.NDArray[np.int64]]:
+    """Numbers of the pieces of a volume from 1 on, 0 beside them, and their sizes."""
+    import cc3d
 
-    found: Any = label(np.pad(~mask, 1, constant_values=True), np.ones((3, 3, 3)))
-    void, count = found
-    number = np.arange(-1, count, dtype=np.int32)  # the void around everything is number 1: it comes first
-    number[:2] = 0
-    return number[void[1:-1, 1:-1, 1:-1]]
+    found: Any = cc3d.connected_components(mask, connectivity=neighbors, return_N=True, out_dtype=np.uint32)
+    labels, count = found
+    if count < 2:
+        return labels.view(np.int32), np.full(count, np.count_nonzero(mask), np.int64)
+    return labels.view(np.int32), cc3d.statistics(labels)["voxel_counts"][1:].astype(np.int64)
+
+
+def _cavities(mask: Mask) -> tuple[Labels, npt.NDArray[np.int64]]:
+    """Numbers of void voxels that no path of voxels leads out from, and how many each has."""
+    void, size = _labeled(~mask, 26)
+    closed = np.ones(size.size + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            closed[np.unique(void.take(end, axis))] = False
+    closed[0] = False
+    if not closed.any():
+        return np.zeros(mask.shape, np.int32), size[:0]
+    number = np.where(closed, np.cumsum(closed), 0).astype(np.int32)
+    return number[void], size[closed[1:]]
 
 
 def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:
@@ -75,18 +85,21 @@ def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:
     return body[x - 1, y, z].astype(np.int64)
 
 
-def _euler(body: Labels, count: int) -> npt.NDArray[np.int64]:
+def _euler(mask: Mask, body: Labels, count: int) -> npt.NDArray[np.int64]:
     """Euler characteristic of each body."""
-    total = np.zeros(count + 1, np.int64)
-    for first in range(0, body.shape[0], _SLAB):
-        labels = body[first : first + _SLAB + 1]
+    # Every corner has the edges, faces and cube that go on from it along the axes; within a body they add up to none.
+    total = np.zeros(count + 1)
+    for first in range(0, mask.shape[0], _SLAB):
+        cells = np.pad(mask[first : first + _SLAB + 1], ((0, 0), (0, 1), (0, 1)))
+        full, own = cells.view(np.int8), np.zeros(cells.shape, np.int8)
         for axes in (axes for number in range(4) for axes in combinations(range(3), number)):
-            full = labels > 0
+            part = full
             for axis in axes:
                 low, high = [slice(None)] * 3, [slice(None)] * 3
                 low[axis], high[axis] = slice(None, -1), slice(1, None)
-                full = full[tuple(low)] & full[tuple(high)]
-            full = full[:_SLAB]  # the plane after them belongs to the next slab
-            at = labels[: full.shape[0], : full.shape[1], : full.shape[2]][full]
-            total += (-1) ** len(axes) * np.bincount(at, minlength=count + 1)
-    return total[1:]
+                part = part[tuple(low)] & part[tuple(high)]
+            own[: part.shape[0], : part.shape[1], : part.shape[2]] += part if len(axes) % 2 == 0 else -part
+        own = own[:_SLAB, :-1, :-1]  # the plane after them belongs to the next slab
+        at = np.nonzero(own)
+        total += np.bincount(body[first : first + _SLAB][at], own[at], count + 1)
+    return total[1:].astype(np.int64)

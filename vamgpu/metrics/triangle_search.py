@@ -61,7 +61,7 @@ class TriangleSearch:
             for first in range(0, open_points.size, step):
                 chosen = open_points[first : first + step]
                 query: Any = self._tree.query
-                far, piece = query(points[chosen], k=nearest, eps=0.0 if exact else _ROUGH)
+                far, piece = query(points[chosen], k=nearest, eps=0.0 if exact else _ROUGH, workers=-1)
                 best[chosen], weight[chosen], face[chosen] = self._closest(points[chosen], far, piece)
                 sure[first : first + step] = far[:, -1] - self.reach >= best[chosen]
             if count >= min(len(self._parent), most or len(self._parent)) or not exact:
@@ -71,7 +71,7 @@ class TriangleSearch:
 
     def bounds(self, points: Array) -> tuple[Array, Array]:
         """Between which lengths the distances [mm] of points (n, 3) lie; several times faster than the distances."""
-        far, piece = self._tree.query(points)
+        far, piece = self._tree.query(points, workers=-1)
         # The nearest middle is at least `far` away, so no piece comes nearer than that less its reach.
         del piece
         return np.maximum(far - self.reach, 0.0), far

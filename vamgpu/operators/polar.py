@@ -269,17 +269,18 @@ def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, sid
         lit = np.ones_like(lit)
     psi = FULL_TURN / count * np.arange(count)
 
-    def column(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
-        across = (rho + outward) * np.sin(psi) + onward * np.cos(psi)
-        along = -(rho + outward) * np.cos(psi) + onward * np.sin(psi)
-        u, weight = vessel.illuminate(across, along)
-        return u / beam.pitch, weight
+    columns = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
 
-    middle, weight = column(0.0, 0.0)
+    def place(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
+        far = rho + outward
+        return far * np.sin(psi) + onward * np.cos(psi), -far * np.cos(psi) + onward * np.sin(psi)
+
+    middle, weight = vessel.illuminate(*place(0.0, 0.0))
     a, b = (
-        np.abs(column(*way)[0] - column(*(-step for step in way))[0]) for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
+        np.abs(columns(*place(*way)) - columns(*place(*(-step for step in way)))) / beam.pitch
+        for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
     )
-    first = middle + 0.5 * (beam.pixels[0] - 1)
+    first = middle / beam.pitch + 0.5 * (beam.pixels[0] - 1)
     return _Footprints(first, weight * lit * side**2 / beam.pitch, a, b, 1)
 
 
