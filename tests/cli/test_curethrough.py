@@ -47,7 +47,7 @@ def test_correct_writes_slices_beside_the_originals(job: Path, capsys: pytest.Ca
     assert record["job"]["printer"]["speed"] == "1000 mm/h" and record["added slices"] == 4
     assert {file.name: file.read_bytes() for file in (job.parent / "slices").iterdir()} == before
     html = page.read_text()
-    assert html.count("data:image/png") >= 12 and "<svg" in html and "The correction leaves" in html
+    assert html.count("data:image/webp") >= 12 and "<svg" in html and "The correction leaves" in html
     assert main(["curethrough", "correct", str(job)]) == 1
     assert "exists; choose another path" in capsys.readouterr().err
     assert main(["curethrough", "correct", str(job), "--overwrite"]) == 0

@@ -130,7 +130,7 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     made = page(LiveRecord(run / "live"), OFF, (unwatched.iou, ended.iou), ended.conversion)
     text = made.write(run / "live.html").read_text(encoding="utf-8")
     assert all(f"<td>{each['reason']}</td>" in text for each in ended.decisions) and f"{ended.iou:.4f}" in text
-    assert "sensitivity" in text and text.count("data:image/png") == 1 and ">nan<" not in text
+    assert "sensitivity" in text and text.count("data:image/webp") == 1 and ">nan<" not in text
     with pytest.raises(StorageError, match="exists"):
         live(nut, turns=TURNS, folder=run)
 

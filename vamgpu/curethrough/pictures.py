@@ -9,7 +9,7 @@ import numpy as np
 from vamgpu.curethrough.dose import column_doses
 from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import cured
-from vamgpu.reports.chart import PART, WIDE, above, colored, png, svg
+from vamgpu.reports.chart import PART, WIDE, above, colored, picture, svg
 from vamgpu.reports.page import Image
 from vamgpu.reports.style import GLASS, INK, ORANGE
 
@@ -58,8 +58,8 @@ def sections(outcome: Outcome) -> list[list[Image]]:
             if shown is None:
                 continue
             levels, solid = shown.levels[:, which], outcome.solid[:, which]
-            row.append(Image(png(verdict(outcome.machine, levels, solid)), f"print, {name}"))
-            row.append(Image(png(doses(outcome.machine, levels)), f"dose, {name}"))
+            row.append(Image(picture(verdict(outcome.machine, levels, solid)), f"print, {name}"))
+            row.append(Image(picture(doses(outcome.machine, levels)), f"dose, {name}"))
         found.append(row)
     return found
 
@@ -70,7 +70,7 @@ def maps(outcome: Outcome) -> tuple[list[Image], float]:
     kinds = [(kind, name, getattr(one.heights, key)) for name, one in shown
              for kind, key in (("excess", "over"), ("missing", "under"))]  # fmt: skip
     most = max(float(values.max()) for _, _, values in kinds) or 1.0
-    drawn = [Image(png(heat(thinned(values) / most)), f"{kind}, {name}") for kind, name, values in kinds]
+    drawn = [Image(picture(heat(thinned(values) / most)), f"{kind}, {name}") for kind, name, values in kinds]
     return drawn, most
 
 

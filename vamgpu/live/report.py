@@ -59,7 +59,7 @@ def page(
         )
     if conversion is not None:
         part = record.part()
-        picture = Image(chart.png(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
+        picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
         cards.insert(1, Card("Conversion in the end", Images([picture], "panels", 1), note="The part is outlined."))
     verdict = (f"Watched over {len(told)} turns, its light replaced {swaps} times." if found
                else "Nothing was seen that light could be decided by; it went as planned.")  # fmt: skip

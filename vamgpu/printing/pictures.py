@@ -1,4 +1,4 @@
-"""Pictures of volumes and sinograms as PNG data addresses."""
+"""Pictures of volumes and sinograms as data addresses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.reports.chart import colored, png
+from vamgpu.reports.chart import colored, picture
 from vamgpu.reports.page import Image
 
 SLICES = 64
@@ -54,7 +54,7 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
     for index, tile in enumerate(tiles):
         row, column = divmod(index, across)
         pixels[row * height : (row + 1) * height, column * width : (column + 1) * width] = np.stack(tile, -1).round()
-    return {"image": png(pixels), "slices": chosen.tolist(), "across": across, "width": width, "height": height}
+    return {"image": picture(pixels), "slices": chosen.tolist(), "across": across, "width": width, "height": height}
 
 
 def viewer(sheet: dict[str, Any], heights: list[float], first: int) -> dict[str, Any]:
@@ -70,9 +70,9 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
         wanted, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
         found.append(
             [
-                Image(png(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
-                Image(png(colored(given / (peak or 1.0), "magma")), f"dose, {name}, upright"),
-                Image(png(COLORS[verdict_here]), f"printed, {name}"),
+                Image(picture(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
+                Image(picture(colored(given / (peak or 1.0), "magma")), f"dose, {name}, upright"),
+                Image(picture(COLORS[verdict_here]), f"printed, {name}"),
             ]
         )
     return found
@@ -81,10 +81,12 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
 def sinogram(light: np.ndarray, full: float) -> Image:
     """The middle row [angle, r] of a sinogram [angle, r, z], angles downwards."""
     middle = colored(light[:, :, light.shape[2] // 2] / full, "inferno")
-    return Image(png(middle), "Light of the middle row over all angles")
+    return Image(picture(middle), "Light of the middle row over all angles")
 
 
 def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[Image]:
     """``count`` frames [z, r] as they leave the projector, and their angles [°]."""
     chosen = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
-    return [Image(png(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen]
+    return [
+        Image(picture(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen
+    ]

@@ -19,6 +19,10 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False, "axes.grid": True, "grid.color": "#eef1f5", "axes.axisbelow": True,
     "legend.frameon": False, "svg.hashsalt": "vamgpu",
 }  # fmt: skip
+QUICK: dict[str, Any] = {"method": 0, "quality": 20}
+"""How WebP is encoded: of a slice 140 kB in a fifth of the time in which 105 kB are found, or a PNG of 235 kB."""
+LARGEST = 16383
+"""Rows or columns of an image in WebP."""
 WIDE, NARROW = 11.6, 7.2
 """Widths [inch] of a chart in a card over both columns, and over one."""
 
@@ -45,14 +49,15 @@ def above(axis: Any, columns: int) -> None:
     axis.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def png(pixels: np.ndarray) -> str:
+def picture(pixels: np.ndarray) -> str:
     """Encode an image as a data address."""
-    # pixels [row, column] [row, column, channel]
+    # pixels [row, column] [row, column, channel]; lossless WebP is a fifth of the work of the smallest PNG, and smaller
     from PIL import Image
 
     stream = BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    kind, how = ("WEBP", {"lossless": True, **QUICK}) if max(pixels.shape) <= LARGEST else ("PNG", {})
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, kind, **how)
+    return f"data:image/{kind.lower()};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
 def colored(values: np.ndarray, name: str) -> np.ndarray:

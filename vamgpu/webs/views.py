@@ -9,7 +9,7 @@ import numpy as np
 
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.pictures import COLORS, upright, verdicts
-from vamgpu.reports.chart import NARROW, PART, REST, WARN, WIDE, above, colored, png, svg
+from vamgpu.reports.chart import NARROW, PART, REST, WARN, WIDE, above, colored, picture, svg
 from vamgpu.reports.page import Image
 from vamgpu.reports.style import FAINT, INK
 from vamgpu.web import Propagation, WebGrid
@@ -43,9 +43,9 @@ class Strips:
         """Target, dose and verdict; the outer face of the film is up."""
         expected, given, verdict = (upright(np.concatenate(part)) for part in zip(*self._parts, strict=True))
         return [
-            Image(png(247 - (expected * 191).astype(np.uint8)), "target of the whole web, outer face up"),
-            Image(png(colored(given / peak, "magma")), "dose"),
-            Image(png(COLORS[verdict]), "printed"),
+            Image(picture(247 - (expected * 191).astype(np.uint8)), "target of the whole web, outer face up"),
+            Image(picture(colored(given / peak, "magma")), "dose"),
+            Image(picture(COLORS[verdict]), "printed"),
         ]
 
 
@@ -121,11 +121,11 @@ def frame_pictures(proof: WebProof, count: int = 3) -> list[Image]:
     """Frames along the web; with focus planes, each plane's part of the middle one besides."""
     folder = proof.folder
     numbers = [round((k + 1) * folder.frames / (count + 1)) for k in range(count)]
-    found = [Image(png(colored(folder.frame(n) / 255.0, "inferno")), f"frame {n}") for n in numbers]
+    found = [Image(picture(colored(folder.frame(n) / 255.0, "inferno")), f"frame {n}") for n in numbers]
     focus = folder.details["frames"]["focus"]
     if focus is not None:
         middle, chosen = folder.frame(numbers[count // 2]), np.array(focus["bin"])
         for number, plane in enumerate(focus["planes"]):
-            image = png(colored(np.where(chosen == number, middle, 0) / 255.0, "inferno"))
+            image = picture(colored(np.where(chosen == number, middle, 0) / 255.0, "inferno"))
             found.append(Image(image, f"frame {numbers[count // 2]}, focused at {plane:.2f} mm".replace("-", "−")))
     return found
