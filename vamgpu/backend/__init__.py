@@ -1,7 +1,7 @@
 """Devices: where kernels run, found by name.
 
-``numpy`` · ``opencl:<platform>:<index>`` · ``warp:cpu`` · ``warp:cuda:<index>``. The default is Warp on CUDA, else an
-OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
+``numpy`` · ``opencl:<platform>:<index>`` · ``warp:cpu`` · ``warp:cuda:<index>``. The default is NVIDIA's
+OpenCL, else Warp on CUDA, else another OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
 
 Several share the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2`` those that are
 named. ``gpu`` and ``cpu`` are the best of their kind, and so is a part of a name: ``cuda``, ``cuda:1``, ``intel``.
@@ -32,19 +32,23 @@ BESIDE = 1_000_000_000
 @cache
 def devices() -> tuple[str, ...]:
     """Names of every device that works here, best first; an OpenCL device counts once it has run a kernel."""
-    gpus, processors = _opencl_names()
-    working = [name for name in (*gpus, *processors) if _opencl_works(name)]
-    gpus, processors = [n for n in working if n in gpus], [n for n in working if n in processors]
     warp = ["warp:cpu"] if importlib.util.find_spec("warp") else []
-    return (*_cuda_names(), *gpus, *processors, *warp, "numpy")
+    working = (name for name in (*_gpus(), *_opencl_names()[1]) if name.startswith("warp") or _opencl_works(name))
+    return (*working, *warp, "numpy")
 
 
 @cache
 def default_device() -> str:
     """Name of the best device here; looks no further than the first that works."""
-    gpus, processors = _opencl_names()
-    cuda = _cuda_names()
-    return cuda[0] if cuda else next((n for n in (*gpus, *processors) if _opencl_works(n)), None) or devices()[0]
+    names = (*_gpus(), *_opencl_names()[1])
+    return next((name for name in names if name.startswith("warp") or _opencl_works(name)), None) or devices()[0]
+
+
+def _gpus() -> tuple[str, ...]:
+    """GPUs, best first: on NVIDIA's, products on rings are four times as fast in OpenCL as in Warp."""
+    found = _opencl_names()[0]
+    nvidia = tuple(name for name in found if name.startswith("opencl:nvidia"))
+    return (*nvidia, *_cuda_names(), *(name for name in found if name not in nvidia))
 
 
 def open_device(name: str | Device | None = None) -> Device:
@@ -140,8 +144,7 @@ def _full(name: str) -> str:
     in_full = name in ("numpy", "warp:cpu") or (name.startswith(("opencl:", "warp:")) and not name[-1].isalpha())
     if in_full or "+" in name or not name[:1].isalpha():
         return name
-    gpus, processors = _opencl_names()
-    kinds = {"gpu": (*_cuda_names(), *gpus), "cpu": (*processors, "warp:cpu", "numpy")}
+    kinds = {"gpu": _gpus(), "cpu": (*_opencl_names()[1], "warp:cpu", "numpy")}
     alike = kinds.get(name) or [each for each in devices() if f":{name}:" in f":{each}:"]
     return next((each for each in devices() if each in alike), name)
 

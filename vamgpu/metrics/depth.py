@@ -14,6 +14,7 @@ from math import ceil
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
@@ -32,6 +33,8 @@ _THIN = 1e-4
 """Least component of a normal that the fraction of a cube is computed with."""
 _STEPS = 7
 """Newton's steps to a plane's place in its voxel."""
+_PLANES = 32
+"""Planes along x that a thread works on."""
 _BITS = 5
 _NONE = np.uint32(1 << 30)
 """Above every packed number, with room for what the passes add."""
@@ -61,8 +64,18 @@ def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
         raise BadInput(f"reach is {reach:g} voxels; expected at most {LARGEST_REACH - 2}: judge finer voxels in steps")
     depth = np.full(values.shape, -reach, np.float32)
     box = _box(values, span)
-    if box is not None:
-        depth[box] = _near(np.pad(values[box], ((1, 1), (1, 1), (1, 1)), mode="edge"), span, float(reach))
+    if box is None:
+        return depth
+    padded, inner, halo = np.pad(values[box], ((1, 1), (1, 1), (1, 1)), mode="edge"), depth[box], span + 1
+
+    def planes(first: int) -> Array:
+        begin = max(first - halo, 0)
+        near = _near(padded[begin : first + _PLANES + halo + 2], span, float(reach))
+        return near[first - begin : first - begin + _PLANES]
+
+    firsts = range(0, inner.shape[0], _PLANES)
+    for first, near in zip(firsts, ahead(planes, firsts), strict=True):
+        inner[first : first + _PLANES] = near
     return depth
 
 

@@ -33,7 +33,7 @@ BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
 SLICES = 32
 """Slices that are judged at once: memory beside the dose itself stays small."""
-AT_ONCE = 6
+AT_ONCE = 2
 """Times as many slices, at most, where there are cores for them."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""

@@ -45,7 +45,7 @@ class TriangleSearch:
         self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
         self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
         self.reach: float = float(self._reaches.max())
-        self._tree = KDTree(self._middles, leafsize=_LEAF)
+        self._tree = KDTree(self._middles, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
     def __call__(self, points: Array, *, exact: bool = True, most: int | None = None) -> tuple[Array, Array, Indices]:
         """Nearest points of the triangles."""

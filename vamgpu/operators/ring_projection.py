@@ -306,10 +306,11 @@ def unsupported_reason(A: Any) -> str:
 
 def prefers_rings(A: Any) -> bool:
     """Whether rings support an operator and were measured to be faster."""
-    # Measured in OpenCL, from 48 voxels (128 on GPUs) and 90 angles on, with short transforms.
-    if unsupported_reason(A) or not A.device.name.startswith("opencl") or A.motion.angles < 90:
+    # Measured from 48 voxels (128 on GPUs) and 90 angles on, with short transforms; not on one thread of Warp.
+    is_gpu = getattr(A.device, "is_gpu", False)
+    if unsupported_reason(A) or not (is_gpu or A.device.name.startswith("opencl")) or A.motion.angles < 90:
         return False
-    if min(A.grid.shape[:2]) < (128 if getattr(A.device, "is_gpu", False) else 48):
+    if min(A.grid.shape[:2]) < (128 if is_gpu else 48):
         return False
     return max(passes([A.motion.angles], ONE_SUM.__ge__)[0]) <= ONE_SUM
 
