@@ -252,11 +252,13 @@ def doctor(*, limit: float = 120.0) -> int:
 
 @app.command
 def bench(
-    *, size: int = 128, angles: int = 360, repeats: int = 5, device: list[str] | None = None, record: Path | None = None
-) -> None:
-    """Time the projectors on the devices here.
+    *, job: Path | None = None, size: int = 128, angles: int = 360, repeats: int = 5, device: list[str] | None = None,
+    record: Path | None = None, settings: Settings = None,
+) -> None:  # fmt: skip
+    """Time the projectors on the devices here, or tell where the time of a job goes.
 
     Args:
+        job: TOML file of a vial's job, which is solved, proved and reported in a folder that is thrown away
         size: voxels along each axis
         angles: how many over a full turn
         repeats: runs that a median is taken of
@@ -268,6 +270,8 @@ def bench(
     from vamgpu.jobs.bench import table as records
     from vamgpu.storage.atomic import replacing
 
+    if job is not None:
+        return _bench_job(job, settings)
     timings = list(run(size, angles, repeats, device))
     sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
     for timing in timings:
@@ -278,6 +282,25 @@ def bench(
         text = json.dumps({"machine": machine(), "timings": records(timings)}, indent=2) + "\n"
         with replacing(record, overwrite=True) as draft:
             draft.write_text(text, encoding="utf-8")
+
+
+def _bench_job(job: Path, settings: list[str] | None) -> None:
+    """Tell the stages of a job, with their seconds and shares."""
+    from vamgpu.cli.progress import STAGES
+    from vamgpu.jobs.bench import stages
+    from vamgpu.jobs.read import read_job
+    from vamgpu.jobs.web import is_web
+
+    if is_web(job):
+        raise BadInput(f"{str(job)!r} is a web; expected the job of a vial, whose stages are known")
+    checked = read_job(job, settings or ())
+    found = stages(checked)
+    whole = sum(stage.seconds for stage in found)
+    sheet = Table("stage", "seconds", "share", "by bytes alone", title=f"{job.name}: {whole:.1f} s")
+    for stage in found:
+        least = "" if stage.least is None else f"{stage.least:.2g} s"
+        sheet.add_row(STAGES.get(stage.name, stage.name), f"{stage.seconds:.2f}", f"{stage.seconds / whole:.0%}", least)
+    console().print(sheet)
 
 
 def _demo_web(out: Path, settings: list[str] | None) -> None:

@@ -23,6 +23,8 @@ from vamgpu.jobs.run import StageProgress
 STAGES = {
     "patterns": "reading the patterns",
     "voxels": "voxelizing the part",
+    "open": "opening the device",
+    "rays": "tracing the light of a pose",
     "light": "finding the light",
     "frames": "packing the frames",
     "folder": "writing the job",

@@ -1,4 +1,4 @@
-"""Time the projectors on the devices here."""
+"""Time the projectors on the devices here, and the stages of a job."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import platform
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from math import prod
 from os import cpu_count
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,6 +19,10 @@ from vamgpu.backend import devices, open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.jobs.read import Job
+from vamgpu.jobs.run import prove, solve
+from vamgpu.methods.surface import as_fine_as_light
+from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
 
@@ -83,6 +90,52 @@ def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str
 def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
     """Turn timings into plain records."""
     return [asdict(t) | {"giga_updates": t.n**3 * t.angles / t.forward / 1e9} for t in timings]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a job did for how long."""
+
+    name: str  # as a progress bar is told it
+    seconds: float
+    least: float | None = None  # what its bytes take at the bandwidth of the device; None where nobody counts them
+
+
+def stages(job: Job) -> list[Stage]:
+    """Solve a job, prove it and draw its report, in a folder that is thrown away; returns how long each stage took.
+
+    Raises what `vamgpu.jobs.run.solve` and `prove` raise.
+    """
+    took: dict[str, float] = {}
+    last, began = "open", time.perf_counter()
+
+    def watched(stage: str, share: float) -> None:  # noqa: ARG001 - the share is for people who wait
+        nonlocal last, began
+        if stage != last:
+            now = time.perf_counter()
+            took[last] = took.get(last, 0.0) + now - began
+            last, began = stage, now
+
+    device = open_device(job.file.solve.device)
+    with TemporaryDirectory(prefix="vamgpu-bench-") as place:
+        folder = solve(job, Path(place) / "job.vam", progress=watched)
+        proven = prove(folder.path, device.name, progress=watched)
+        watched("report", 0.0)
+        proven.report(Path(place) / "job.html")
+        watched("", 0.0)
+        spent, A = proven.plan.history[-1]["evaluations"] if proven.plan.history else 0.0, proven.proof.operator
+    fine = as_fine_as_light(A) if job.file.method is None and job.file.solve.method in ("ramp", "default") else None
+    fields = prod((A if fine is None else fine).domain.shape) + prod(A.range.shape)
+    nbytes = 2.0 * spent * fields * device.real.itemsize  # an evaluation reads and writes both fields once
+    return [Stage(name, each, nbytes / bandwidth(device) if name == "light" else None) for name, each in took.items()]
+
+
+def bandwidth(device: Device, nbytes: int = 1 << 28) -> float:
+    """Bytes that a device reads and writes in a second, by copying a field."""
+    shape = (64, 64, nbytes // (64 * 64 * device.real.itemsize))
+    x = device.upload(np.ones(shape, device.real))
+    out = device.empty(shape)
+    return 2.0 * nbytes / _median(lambda: combine(1.0, x, 0.0, x, out), device, 5)
 
 
 def _ball(n: int) -> np.ndarray:

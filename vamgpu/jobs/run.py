@@ -223,6 +223,7 @@ def _one(
     describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
     check_dither(file.frames.dither, A, target, file.frames.bits)
     if (tell := getattr(progress, "tell", None)) is not None:
+        progress("rays", 0.0)
         corners = 1 if file.tolerances is None else len(file.tolerances.corners())
         tell(str(expected(A, target, method, file.solve.evaluations or limit * method.cost * corners, corners)))
     progress("light", 0.0)
