@@ -60,3 +60,5 @@ def test_specks_that_sampling_breaks_off_are_no_bodies() -> None:
         part[edge + 5, 2, 2 : 2 + speck] = True
         found = body_changes(topology(part), topology(printed), 1.0)
         assert (found.bodies, found.bodies_lost) == (bodies, bodies - 1) and found.none == (bodies == 1)
+        printed[edge + 1 : edge + 6, 2, 2 : 2 + speck] = True
+        assert body_changes(topology(part), topology(printed), 1.0).bodies_merged == bodies - 1

@@ -54,15 +54,16 @@ def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> Body
     lost = (printed_share < _LOST) & ~speck
     touched = np.zeros(printed.bodies + 1, bool)
     touched[other] = True
-    main = _main(table, part.bodies)[~lost]
+    kept = ~(lost | speck)
+    main = _main(table, part.bodies)[kept]
     pieces = np.bincount(_main((other, one, shared), printed.bodies), minlength=part.bodies + 1)[1:]
     closed, opened = _holes(part, printed, table, lost)
     filled, extra = _cavities(part, printed)
     return BodyChanges(
         bodies=int((~speck).sum()),
         bodies_lost=int(lost.sum()),
-        bodies_merged=int((~lost).sum() - len(np.unique(main))),
-        bodies_broken=int((pieces[~lost] > 1).sum()),
+        bodies_merged=int(kept.sum() - len(np.unique(main))),
+        bodies_broken=int((pieces[kept] > 1).sum()),
         bodies_extra=int((~touched[1:]).sum()),
         extra_volume=float(printed.size[~touched[1:]].sum()) * voxel_volume,
         holes=int(part.holes.sum()),
