@@ -142,6 +142,8 @@ def test_a_part_thinner_than_four_pixels_bears_as_much_less_as_its_deepest_voxel
     over = verdict_of(replace(proof, scores=replace(proof.scores, threshold=0.3 * proof.scores.threshold)),
                       proof.judgement)  # fmt: skip
     assert not over and not [remedy for remedy in over.remedies if "expose 0 " in remedy]
+    dim = verdict_of(replace(proof, scores=replace(proof.scores, threshold=1.1 * deepest)), proof.judgement)
+    assert dim.latitude[0] == 1.0 and "prints wrong" not in dim.sentence  # nothing of it lies two pixels deep
 
 
 def changed(proof: Proof, **changes: int) -> Judgement:
