@@ -5,11 +5,12 @@ tells how many pixels of the resin make a part's radius; with 147 the boat's are
 the same voxels, three quarters of a pixel, and the same projector evaluations; each keeps its own default thresholds.
 
 The judge takes from a light its 8-bit frames and nothing else. Its voxels are half a pixel wide and reach from the axis
-as far as light does. It asks the vial which ray lights a point, at several places of the arc that a frame is lit on,
-and knows the point spread in closed form. Depths are distances from points drawn on the mesh; voxels of the mesh tell
-inside from outside. Three doses may be those from which resin is solid: midway between part and void half a pixel from
-the surface, midway one pixel from it, and that of the best overlap. The one with the fewest bodies and voids too many
-or too few counts, so that no method suffers from a threshold that suits another.
+as far as every pose lights. It asks the vial which ray lights a point, at several places of the arc that a frame is lit
+on, and knows the point spread in closed form. From there to the wall, where rays cross each other, it traces them.
+Depths are distances from points drawn on the mesh; voxels of the mesh tell inside from outside. Three doses may be
+those from which resin is solid: midway between part and void half a pixel from the surface, midway one pixel from it,
+and that of the best overlap. The one with the fewest bodies and voids too many or too few counts, so that no method
+suffers from a threshold that suits another.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import warp as wp
 import vamgpu
 from profiling.common import HERE, machine, write_record
 from vamgpu.errors import Diverged, DivergenceWarning, OpticsWarning, SamplingWarning
+from vamgpu.geometry import centers
 from vamgpu.targets import shapes
 from vamgpu.targets.shapes import csg
 from vamgpu.targets.solid import Solid
@@ -53,7 +55,9 @@ SPREAD = 0.5
 DEPTHS = (0.5, 1.0, 2.0)
 """Pixels from the surface at which windows are told."""
 FINE = 2
-"""The judge's voxels along a pixel."""
+"""The judge's voxels along a pixel, and its cells beside the lit cylinder."""
+TRACED = 16
+"""Rays traced across such a cell, and steps along each."""
 PLACES = 4
 """Fewest places of the arc of a frame; there are two for every pixel that the rim of the part turns."""
 REACH = 3.0
@@ -152,7 +156,7 @@ def _shine(
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Exposes the frames of a part on voxels of half a pixel, and compares them with its mesh.
+    """Exposes the frames of a part on voxels narrower than a pixel, and compares them with its mesh.
 
     Args:
         solid: The part, centered.
@@ -161,6 +165,7 @@ class Judge:
         radius, height: Of the cylinder that is judged [mm].
         pixel: Width in the resin [mm].
         on: Warp's device.
+        fine: Voxels along a pixel.
     """
 
     solid: Solid
@@ -170,23 +175,24 @@ class Judge:
     height: float
     pixel: float
     on: str = "cpu"
+    fine: int = FINE
 
     @classmethod
-    def of(cls, posed: Posed) -> Judge:
+    def of(cls, posed: Posed, fine: int = FINE) -> Judge:
         """That of a part in the vial."""
         A = posed.A
         on = "cuda:0" if wp.is_cuda_available() else "cpu"
         height = A.grid.shape[2] * A.grid.pitch
-        return cls(posed.solid, A.beam, A.vessel, A.grid.inscribed_radius, height, posed.pixel, on)
+        return cls(posed.solid, A.beam, A.vessel, A.grid.inscribed_radius, height, posed.pixel, on, fine)
 
     @property
     def pitch(self) -> float:
         """Width of a voxel [mm]."""
-        return self.pixel / FINE
+        return self.pixel / self.fine
 
     @cached_property
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Centers of voxels along x and y, and along z [mm]: out to where light comes, and a row above all light."""
+        """Centers of voxels along x and y, and along z [mm]: as far as every pose lights, and a row above light."""
         far, high = self.vial.lit_radius, 0.5 * (self.beam.pixels[1] + 2) * self.beam.pitch
         n, nz = (2 * ceil(length / self.pitch) for length in (far, high))
         return (np.arange(n) - 0.5 * (n - 1)) * self.pitch, (np.arange(nz) - 0.5 * (nz - 1)) * self.pitch
@@ -205,7 +211,7 @@ class Judge:
 
     @cached_property
     def beyond(self) -> np.ndarray:
-        """Voxels of all other resin that light comes to by one ray, a pixel or more from the part, [x, y, z]."""
+        """Voxels of all other resin that every pose lights, a pixel or more from the part, [x, y, z]."""
         return (self.away <= self.vial.lit_radius)[:, :, None] & ~self.cylinder & (self.depth <= -1.0)
 
     @cached_property
@@ -222,33 +228,52 @@ class Judge:
         A voxel that the surface cuts has it (f − ½) of its width from its center. Others have the nearest of many
         points that are drawn on the surface.
         """
-        import trimesh
         from scipy.ndimage import distance_transform_edt as distance
-        from scipy.spatial import cKDTree
 
-        filled, (x, z) = self.filled, self.axes
+        filled, (x, z), (tree, _) = self.filled, self.axes, self._drawn
         solid = filled >= 0.5
         depth = np.where(solid, REACH, -REACH).astype(np.float32)
-        mesh = trimesh.Trimesh(self.solid.vertices, self.solid.faces, process=False)
-        drawn = max(ceil(POINTS * mesh.area / self.pixel**2), 1000)
-        tree = cKDTree(trimesh.sample.sample_surface(mesh, drawn, seed=1)[0])
         for side in (solid, ~solid):
-            band = side & (distance(side) <= FINE * (REACH + 1.0))
+            band = side & (distance(side) <= self.fine * (REACH + 1.0))
             i, j, k = np.nonzero(band & (np.abs(filled - 0.5) > 0.49))
             away = tree.query(np.stack([x[i], x[j], z[k]], axis=1), workers=-1)[0] / self.pixel
             depth[i, j, k] = np.minimum(away, REACH) * np.sign(depth[i, j, k])
         cut = np.abs(filled - 0.5) <= 0.49
-        depth[cut] = (filled[cut] - 0.5) / FINE
+        depth[cut] = (filled[cut] - 0.5) / self.fine
         return depth
+
+    @cached_property
+    def bodies(self) -> np.ndarray:
+        """Numbers of the bodies of the mesh in the cylinder, 0 in the void, [x, y, z]; voxels break thin ones."""
+        from scipy.ndimage import label
+
+        (x, z), (tree, body) = self.axes, self._drawn
+        pieces, count = label((self.depth > 0.0) & self.cylinder)  # type: ignore[misc]
+        i, j, k = np.nonzero(pieces)
+        nearest = body[tree.query(np.stack([x[i], x[j], z[k]], axis=1), workers=-1)[1]]
+        votes = np.zeros((count + 1, body.max() + 2), int)
+        np.add.at(votes, (pieces[i, j, k], nearest + 1), 1)
+        return votes.argmax(axis=1)[pieces]
+
+    @cached_property
+    def _drawn(self) -> tuple[Any, np.ndarray]:
+        """Points drawn on the mesh, in a tree, and the body of the mesh that each is on."""
+        import trimesh
+        from scipy.spatial import cKDTree
+
+        mesh = trimesh.Trimesh(self.solid.vertices, self.solid.faces, process=False)
+        drawn = max(ceil(POINTS * mesh.area / self.pixel**2), 1000)
+        points, face = trimesh.sample.sample_surface(mesh, drawn, seed=1)
+        body = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+        return cKDTree(points), body[face]
 
     def dose(self, light: np.ndarray, motion: Any) -> np.ndarray:
         """Of light [angle, r, z] on the judge's voxels [x, y, z], 0 where it is not known."""
         (x, z), (columns, rows) = self.axes, self.beam.pixels
         i, j = np.nonzero(self.away <= self.vial.lit_radius)
         at_x, at_y = x[i], x[j]
-        samples = (np.arange((columns + 8) * OVERSAMPLED) + 0.5) / OVERSAMPLED - 0.5 * (columns + 8)
-        across = _profile(samples[:, None] - (np.arange(columns) - 0.5 * (columns - 1)))
-        up = _profile(z[:, None] / self.beam.pitch - (np.arange(rows) - 0.5 * (rows - 1)))
+        samples = centers((columns + 8) * OVERSAMPLED, 1.0 / OVERSAMPLED)
+        across, up = _profile(samples, columns), _profile(z / self.beam.pitch, rows)
         out = wp.zeros((at_x.size, z.size), dtype=float, device=self.on)
         offset, weight, first, step = self._rays()
         for frame, theta, arc, lasts in zip(light, motion.poses, motion.arcs, motion.times, strict=True):
@@ -271,6 +296,25 @@ class Judge:
         dose = np.zeros((x.size, x.size, z.size), np.float32)
         dose[i, j] = out.numpy()
         return dose
+
+    def beside(self, dose: np.ndarray, light: np.ndarray, motion: Any) -> float:
+        """The greatest dose that is not judged, a pixel or more from the part: of voxels, and of cells to the wall."""
+        lit = max(self.vial.lit_radius, self.solid.radius + self.pixel)
+        return max(float(each.max(initial=0.0)) for each in (dose[self.beyond], self.traced(light, motion, lit)))
+
+    def traced(self, light: np.ndarray, motion: Any, first: float) -> np.ndarray:
+        """Dose from a radius [mm] to the wall in cells of half a pixel [ring, angle, z], of all rays in them."""
+        (columns, rows), cell, wall = self.beam.pixels, self.pixel / FINE, self.vial.inner_radius
+        rings, turns = ceil((wall - first) / cell), ceil(2.0 * np.pi * wall / cell)
+        count = (columns + 8) * FINE * TRACED
+        u = centers(count, (columns + 8) / count)
+        pose = _traced(self.vial, u * self.beam.pitch, np.linspace(first, wall, rings + 1), turns)
+        pose = (pose @ _profile(u, columns)).reshape(rings, turns, columns)
+        # each frame turns the light of one pose to its angle, and smears it along its arc
+        wave = np.arange(turns // 2 + 1)[:, None]
+        turned = motion.times * np.exp(-1j * wave * motion.poses) * np.sinc(wave * motion.arcs / (2.0 * np.pi))
+        shown = np.tensordot(turned, light @ _profile(self.axes[1] / self.beam.pitch, rows).T, 1)
+        return np.fft.irfft(np.einsum("rwc,wcz->rwz", np.fft.rfft(pose, axis=1), shown, optimize=True), turns, axis=1)
 
     def _places(self, arc: float) -> int:
         """Of the arc of a frame."""
@@ -308,7 +352,7 @@ class Judge:
             "rms": float(np.sqrt(np.mean(off**2))) if off.size else nan,
             "p95": float(np.quantile(off, 0.95)) if off.size else nan,
             "deepest": float(wrong.max()) if wrong.size else 0.0,
-            "beside": _end(dose[self.beyond], np.max) / at,
+            "beside": self.beside(dose, light, motion) / at,
             "efficiency": float((dose * self.filled)[inner].sum(dtype=np.float64)) * self.pitch**3 / sent,
         }  # fmt: skip
         return numbers, dose / at
@@ -327,11 +371,11 @@ class Judge:
         return np.concatenate(found)
 
 
-def _profile(pixels: np.ndarray) -> np.ndarray:
-    """Light of a full pixel so many pixels from its middle, blurred by the point spread."""
+def _profile(at: np.ndarray, count: int) -> np.ndarray:
+    """Light of so many full pixels in a row, blurred by the point spread, at places [pixels] about its middle."""
     from scipy.special import erf
 
-    width = np.sqrt(2.0) * SPREAD
+    pixels, width = at[:, None] - centers(count, 1.0), np.sqrt(2.0) * SPREAD
     return 0.5 * (erf((pixels + 0.5) / width) - erf((pixels - 0.5) / width))
 
 
@@ -344,6 +388,32 @@ def _between(maps: tuple[np.ndarray, ...], i: np.ndarray, j: np.ndarray) -> list
         (m[a, b] * (1 - p) + m[a + 1, b] * p) * (1 - q) + (m[a, b + 1] * (1 - p) + m[a + 1, b + 1] * p) * q
         for m in maps
     ]
+
+
+def _traced(vial: Any, u: np.ndarray, edges: np.ndarray, turns: int) -> Any:
+    """Light [1/mm] in cells (rings × angles) of one pose per light of rays even offsets u [mm] apart, sparse."""
+    from scipy.sparse import csr_array
+
+    absorption, wall = vial.absorption, vial.inner_radius
+    passed, turn = np.ones((2, u.size)), np.zeros(u.size)
+    entering = np.abs(u) < vial.aperture
+    for radius, before, after in ((vial.radius, vial.bath_index, vial.wall_index),
+                                  (wall, vial.wall_index, vial.resin_index)):  # fmt: skip
+        i, t = (np.arcsin(np.clip(u * vial.bath_index / (index * radius), -1.0, 1.0)) for index in (before, after))
+        a, b = (np.array([[before], [after]]) * np.cos(i), np.array([[after], [before]]) * np.cos(t))  # s, then p
+        passed, turn = passed * (1.0 - ((a - b) / (a + b)) ** 2), turn + i - t
+    p, steps = u * vial.bath_index / vial.resin_index, ceil(2.0 * wall / (edges[1] - edges[0]) * TRACED)
+    half = np.sqrt(np.maximum(wall**2 - p**2, 0.0))
+    along = half * centers(steps, 2.0 / steps)[:, None]
+    across, away = p * np.cos(turn) - along * np.sin(turn), p * np.sin(turn) + along * np.cos(turn)
+    light = entering * passed.mean(axis=0) * absorption * np.exp(-absorption * (along + half)) * 2.0 * half / steps
+    ring = np.searchsorted(edges, np.hypot(across, away), side="right") - 1
+    step, ray = np.nonzero((ring >= 0) & (ring < len(edges) - 1))
+    ring = ring[step, ray]
+    angle = np.floor(np.arctan2(across[step, ray], -away[step, ray]) / (2.0 * np.pi) * turns).astype(int) % turns
+    area = np.pi * np.diff(edges**2)[ring] / turns
+    shape = ((len(edges) - 1) * turns, u.size)
+    return csr_array((light[step, ray] * (u[1] - u[0]) / area, (ring * turns + angle, ray)), shape)
 
 
 def _end(values: np.ndarray, which: Any) -> float:

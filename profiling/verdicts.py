@@ -1,10 +1,10 @@
 """Verdicts of proofs beside those of a judge apart: parts × methods × evaluations.
 
 Parts, vial, light and judge are those of `profiling.below_voxel`. The judge exposes the same 8-bit frames on voxels of
-its own, at the exposure that the proof tells. It says whether bodies and voids of mesh and print are the same, one for
-one; whether anything prints wrong two pixels or more from the surface or the surface is off by more than a pixel in
-95 %; and whether resin beyond the judged cylinder prints. A verdict agrees where all three are what the proof's faults
-say.
+its own, for the seconds that the proof tells. It says whether bodies and cavities of mesh and print are the same, one
+for one; whether anything prints wrong two pixels or more from the surface or the surface is off by more than a pixel in
+95 %; and whether resin beyond the judged cylinder prints, a pixel or more from the part. A verdict agrees where all
+three are what the proof's faults say.
 """
 
 from __future__ import annotations
@@ -26,45 +26,55 @@ from vamgpu.printing.proof import Proof
 METHODS = ("ramp", "lbfgs", "osmo")
 BUDGETS = (40, 120)
 SIZE = 14
+FINE = 4
+"""The judge's voxels along a pixel: with 2 the dose where two bodies come closest is missed by up to 1 %."""
 SPECK = 8
-"""Voxels of the judge below which a body of the part is what sampling breaks off a sharp edge."""
+"""Voxels of the judge below which a piece of the part or its print is what sampling breaks off a sharp edge."""
 
 
 def judged(job: Posed, judge: Judge, proof: Proof) -> dict[str, bool]:
     """What is right, by the judge's dose at the proof's exposure."""
-    dose, inner = judge.dose(proof.frames.irradiance(job.A.device).numpy(), job.A.motion), judge.cylinder
-    part, own = judge.filled >= 0.5, proof.target.numpy() >= 0.5
-    at = proof.scores.threshold * dose[part & inner].mean() / proof.dose.numpy()[own].mean()
+    light, motion, inner = proof.frames.irradiance(job.A.device).numpy(), job.A.motion, judge.cylinder
+    dose = judge.dose(light, motion)
+    assert proof.seconds is not None
+    frame = LAMP["irradiance"] / proof.frames.scale * proof.seconds / motion.angles
+    at = LAMP["critical_dose"] / frame
     values, depth = dose[inner], judge.depth[inner]
     wrong = np.abs(depth[(values >= at) != (depth > 0.0)])
     off = np.abs(judge._off(dose, at))
     return {
-        "bodies": same_pieces(dose >= at, judge.depth > 0.0, inner),
+        "bodies": same_pieces(dose >= at, judge.bodies, inner),
         "surface": bool(wrong.max(initial=0.0) < 2.0 and off.size and np.quantile(off, 0.95) <= 1.0),
-        "stray": bool(dose[judge.beyond].max(initial=0.0) < at),
+        "stray": judge.beside(dose, light, motion) < at,
     }
 
 
-def same_pieces(printed: np.ndarray, part: np.ndarray, judged: np.ndarray) -> bool:
-    """Whether bodies and voids in the judged cylinder are the part's, one for one, at least half of each in place."""
-    faces, all_sides = None, np.ones((3, 3, 3))  # bodies hang together by faces, voids by corners too
-    return _one_for_one(printed & judged, part & judged, faces) and _one_for_one(
-        ~printed & judged, ~part & judged, all_sides
+def same_pieces(printed: np.ndarray, bodies: np.ndarray, judged: np.ndarray) -> bool:
+    """Whether bodies in the judged cylinder, and cavities, are the part's, one for one, half of each in place."""
+    # bodies hang together by faces, voids by corners too; those that come to the end of the cylinder are open there
+    corners, print_ = np.ones((3, 3, 3)), printed & judged
+    return _one_for_one(_pieces(print_), bodies) and _one_for_one(
+        _pieces(~print_, corners), _pieces(bodies == 0, corners)
     )
 
 
-def _one_for_one(printed: np.ndarray, part: np.ndarray, sides: Any) -> bool:
-    """Whether pieces overlap one for one; those of the part that are specks of its sampling do not count."""
+def _pieces(mask: np.ndarray, sides: Any = None) -> np.ndarray:
     from scipy.ndimage import label
 
-    (own, count), (other, others) = label(part, sides), label(printed, sides)  # type: ignore[misc]
-    size = np.bincount(own.ravel(), minlength=count + 1)[1:]
-    wanted = np.flatnonzero(size >= min(SPECK, 1e-4 * size.max(initial=0))) + 1
-    both = np.isin(own, wanted) & (other > 0)
-    pairs, shared = np.unique(np.stack([own[both], other[both]]), axis=1, return_counts=True)
-    most = np.zeros(count + 1, int)
-    np.maximum.at(most, pairs[0], shared)
-    return len(wanted) == others == len(pairs[0]) and bool((most[wanted] >= 0.5 * size[wanted - 1]).all())
+    return label(mask, sides)[0]  # type: ignore[index]
+
+
+def _one_for_one(printed: np.ndarray, own: np.ndarray) -> bool:
+    """Whether pieces overlap one for one; specks that sampling breaks off the part or its print do not count."""
+    both = (own > 0) & (printed > 0)
+    pairs, shared = np.unique(np.stack([own[both], printed[both]]), axis=1, return_counts=True)
+    size, found = (np.bincount(each.ravel()) for each in (own, printed))
+    size[0] = found[0] = 0
+    wanted, other = (each >= max(min(SPECK, 1e-4 * each.max()), 1) for each in (size, found))
+    other |= (found > 0) & ~np.isin(np.arange(found.size), pairs[1])  # loose ones do
+    (one, two), shared = (each[..., wanted[pairs[0]] & other[pairs[1]]] for each in (pairs, shared))
+    counts = {int(wanted.sum()), int(other.sum()), np.unique(one).size, np.unique(two).size, one.size}
+    return len(counts) == 1 and bool((shared >= 0.5 * size[one]).all())
 
 
 def proved(proof: Proof) -> dict[str, bool]:
@@ -94,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
     cases: list[dict[str, Any]] = []
     for name in args.parts:
         job = posed(part(name), args.size, device)
-        judge = Judge.of(job)
+        judge = Judge.of(job, FINE)
         for method in args.methods:
             for budget in args.budgets:
                 began = time.perf_counter()

@@ -123,6 +123,24 @@ def test_two_balls_printed_as_one_are_one_merged() -> None:
     assert cut.changes.bodies_broken == 2 and cut.changes.bodies_extra == 0
 
 
+def test_bodies_are_those_of_the_mesh_however_voxels_break_them() -> None:
+    """Two balls on a wire that no voxel sees are one body; a ball in a hollow one is a body of its own."""
+    import trimesh
+
+    at, apart = points(), ((-1.2, 0.0, 0.0), (1.2, 0.0, 0.0))
+    balls = np.minimum(*(ball_distance(1.0, at, place) for place in apart))
+    wire = box((-1.2, 0.51 * FINE, 0.51 * FINE), (1.2, 0.6 * FINE, 0.6 * FINE))
+    part = solid_of(trimesh.boolean.union([*(ball(1.0, place) for place in apart), wire], engine="manifold"))
+    bridge = np.maximum(np.hypot(at[1], at[2]) - 0.2, np.abs(at[0]) - 1.2)
+    assert judged(np.minimum(balls, bridge), part).changes.none
+    broken = judged(balls, part).changes
+    assert (broken.bodies, broken.bodies_lost, broken.bodies_merged, broken.bodies_broken) == (1, 0, 0, 1)
+    nested = solid_of(ball(2.0), ball(1.2).invert(), ball(0.8))
+    shell = np.maximum(ball_distance(2.0, at), -ball_distance(1.2, at))
+    assert judged(np.minimum(shell, ball_distance(0.8, at)), nested).changes.bodies == 2
+    assert judged(shell, nested).changes.bodies_lost == 1
+
+
 def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
     """A plate with a round hole, and the distances of the plate and of the hole's wall."""
     import trimesh

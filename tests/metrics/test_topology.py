@@ -52,7 +52,7 @@ def test_an_empty_volume_has_nothing() -> None:
 
 
 def test_specks_that_sampling_breaks_off_are_no_bodies() -> None:
-    """Seven voxels beside 125,000 are none; eight are one, and so are seven beside a small part."""
+    """Seven voxels beside 125,000 are none, of the part or its print; eight are one, and seven beside a small part."""
     for edge, speck, bodies in ((50, 7, 1), (50, 8, 2), (10, 7, 2)):
         part = np.zeros((edge + 12, edge + 4, edge + 4), bool)
         part[2 : 2 + edge, 2 : 2 + edge, 2 : 2 + edge] = True
@@ -60,3 +60,7 @@ def test_specks_that_sampling_breaks_off_are_no_bodies() -> None:
         part[edge + 5, 2, 2 : 2 + speck] = True
         found = body_changes(topology(part), topology(printed), 1.0)
         assert (found.bodies, found.bodies_lost) == (bodies, bodies - 1) and found.none == (bodies == 1)
+        printed[edge + 1 : edge + 6, 2, 2 : 2 + speck] = True
+        assert body_changes(topology(part), topology(printed), 1.0).bodies_merged == bodies - 1
+        printed[3, 2, 2 : 3 + speck] = printed[2, 3, 2 : 3 + speck] = printed[2, 2, 2 + speck] = False
+        assert body_changes(topology(part), topology(printed), 1.0).bodies_broken == bodies - 1

@@ -426,6 +426,21 @@ def test_what_prints_beyond_the_cylinder_spoils_a_proof() -> None:
         assert "esin beyond the judged cylinder prints too" in str(bad.verdict)
 
 
+def test_resin_within_a_pixel_of_the_part_is_its_surface_where_the_grid_ends_with_it() -> None:
+    """Light as high as the part, and one row and two rows higher."""
+    A = vam.Projection(vam.Grid((20, 20, 4), 0.2), vam.Beam((32, 12), 0.2), vam.Turntable(24), SMALL)
+    target = np.broadcast_to((A.grid.axes()[0][:, None] ** 2 + A.grid.axes()[1] ** 2 < 1.0)[:, :, None], A.grid.shape)
+    found = []
+    for top in (8, 9, 10):
+        light = np.zeros(A.range.shape)
+        light[:, 11:21, 4:top] = 1.0
+        found.append(vam.simulate(A, Shown(light), target.astype(float)))
+    near = IndependentExposure(A).averaged(found[1].frames.irradiance(A.device))[1]
+    assert near is not None and near.place[2] == pytest.approx(0.5) and near.dose > found[1].solid_from
+    assert found[0].outer_share < 1.0 and found[1].outer_share < 1.0 < found[2].outer_share
+    assert found[2].outer is not None and found[2].outer.place[2] == pytest.approx(0.7)
+
+
 def test_voxels_of_the_part_that_nobody_judges_are_told_and_counted() -> None:
     """A bar through the whole grid, whose ends lie beyond the judged cylinder."""
     A = vam.Projection(vam.Grid((16, 22, 3), 0.2), vam.Beam((32, 3), 0.2), vam.Turntable(24), SMALL)

@@ -142,6 +142,8 @@ def test_a_part_thinner_than_four_pixels_bears_as_much_less_as_its_deepest_voxel
     over = verdict_of(replace(proof, scores=replace(proof.scores, threshold=0.3 * proof.scores.threshold)),
                       proof.judgement)  # fmt: skip
     assert not over and not [remedy for remedy in over.remedies if "expose 0 " in remedy]
+    dim = verdict_of(replace(proof, scores=replace(proof.scores, threshold=1.1 * deepest)), proof.judgement)
+    assert dim.latitude[0] == 1.0 and "prints wrong" not in dim.sentence  # nothing of it lies two pixels deep
 
 
 def changed(proof: Proof, **changes: int) -> Judgement:
@@ -290,5 +292,13 @@ def test_the_judge_of_the_records_compares_pieces_one_for_one() -> None:
     moved[12, 8:11, 8:11], moved[14, 8:11, 8:11] = True, False
     bridge, thinner = part.copy(), part & np.roll(part, 1, 1)
     bridge[6:10, 5, 5] = True
-    assert verdicts.same_pieces(thinner, part, judged)
-    assert not any(verdicts.same_pieces(one, part, judged) for one in (other, moved, bridge))
+    bodies = np.where(np.arange(20)[:, None, None] < 8, 1, 2) * part
+    assert verdicts.same_pieces(thinner, bodies, judged)
+    assert not any(verdicts.same_pieces(one, bodies, judged) for one in (other, moved, bridge))
+    assert verdicts.same_pieces(bridge, part.astype(int), judged)  # one body of the mesh, which voxels broke
+    judged[:, :, 10:] = False  # its end cuts a hole, which is a void only where the mouth prints closed
+    hole, closed = (np.zeros((20, 20, 20), int) for _ in range(2))
+    hole[2:18, 2:18, :10] = closed[2:18, 2:18, :10] = 1
+    hole[8:12, 8:12, 4:] = 0
+    closed[8:12, 8:12, 4:9] = 0
+    assert verdicts.same_pieces(hole > 0, hole, judged) and not verdicts.same_pieces(closed > 0, hole, judged)

@@ -12,7 +12,7 @@ from vamgpu.metrics.topology import Labels, Topology
 _LOST = 0.5
 """A body or a cavity of which less than this share is left is lost."""
 _SPECK, _TINY = 8, 1e-4
-"""Voxels, and share of the largest body, below which a body is what sampling breaks off a sharp edge of a mesh."""
+"""Voxels, and share of the largest body, below which a body is what sampling breaks off a sharp edge of either."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,20 @@ def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> Body
     table = _shared(part.body, printed.body)
     one, other, shared = table
     printed_share = np.bincount(one, shared, part.bodies + 1)[1:] / np.maximum(part.size, 1)
-    speck = part.size < min(_SPECK, _TINY * part.size.max(initial=0))
+    speck, dust = (each.size < min(_SPECK, _TINY * each.size.max(initial=0)) for each in (part, printed))
     lost = (printed_share < _LOST) & ~speck
     touched = np.zeros(printed.bodies + 1, bool)
     touched[other] = True
-    main = _main(table, part.bodies)[~lost]
-    pieces = np.bincount(_main((other, one, shared), printed.bodies), minlength=part.bodies + 1)[1:]
+    kept = ~(lost | speck)
+    main = _main(table, part.bodies)[kept]
+    pieces = np.bincount(_main((other, one, shared), printed.bodies)[~dust], minlength=part.bodies + 1)[1:]
     closed, opened = _holes(part, printed, table, lost)
     filled, extra = _cavities(part, printed)
     return BodyChanges(
         bodies=int((~speck).sum()),
         bodies_lost=int(lost.sum()),
-        bodies_merged=int((~lost).sum() - len(np.unique(main))),
-        bodies_broken=int((pieces[~lost] > 1).sum()),
+        bodies_merged=int(kept.sum() - len(np.unique(main))),
+        bodies_broken=int((pieces[kept] > 1).sum()),
         bodies_extra=int((~touched[1:]).sum()),
         extra_volume=float(printed.size[~touched[1:]].sum()) * voxel_volume,
         holes=int(part.holes.sum()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vamgpu.targets.repair import repaired
+from vamgpu.targets.repair import bodies, repaired
 from vamgpu.targets.solid import Solid
 
 
@@ -17,14 +17,14 @@ def joined(solid: Solid) -> Solid:
     from vamgpu.targets.shapes.csg import from_triangles, union
 
     solid = repaired(solid)
-    if not _several(solid):
+    if not bodies(solid.faces, len(solid.vertices)).any():
         return solid
     whole = from_triangles(solid.vertices, solid.faces)
     if whole.status() != Error.NoError:
         return solid
     parts = whole.decompose()
-    bodies = [part for part in parts if part.volume() > 0]
-    boxes = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
+    outer = [part for part in parts if part.volume() > 0]
+    boxes = np.array([body.bounding_box() for body in outer]).reshape(-1, 2, 3)
     if not _overlap(boxes):
         return solid
     for cavity in (part for part in parts if part.volume() < 0):
@@ -34,21 +34,9 @@ def joined(solid: Solid) -> Solid:
             owner = int(around[np.prod(np.ptp(boxes[around], axis=1), axis=1).argmin()])
             mesh = cavity.to_mesh64()
             faces = np.asarray(mesh.tri_verts)[:, ::-1]
-            bodies[owner] -= from_triangles(np.asarray(mesh.vert_properties)[:, :3], faces)
-    mesh = union(bodies).to_mesh64()
+            outer[owner] -= from_triangles(np.asarray(mesh.vert_properties)[:, :3], faces)
+    mesh = union(outer).to_mesh64()
     return Solid(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), solid.name)
-
-
-def _several(solid: Solid) -> bool:
-    """Whether the mesh has more than one connected surface."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    a, b, c = solid.faces.T
-    size = len(solid.vertices)
-    ends = np.concatenate([a, b]), np.concatenate([b, c])
-    _, label = connected_components(coo_array((np.ones(2 * len(a), np.int8), ends), (size, size)))
-    return bool((label[a] != label[a[0]]).any())
 
 
 def _overlap(boxes: np.ndarray) -> bool:

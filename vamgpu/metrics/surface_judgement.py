@@ -18,10 +18,11 @@ from vamgpu.metrics.mesh_mask import mesh_mask
 from vamgpu.metrics.nearest import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
 from vamgpu.metrics.surface_distance import double_areas, drawn_on, iso_solid
-from vamgpu.metrics.topology import topology
+from vamgpu.metrics.topology import Topology, topology
 from vamgpu.metrics.triangle_search import Array, TriangleSearch
 from vamgpu.metrics.unjudged import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.walls import walls
+from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid
 
 SAMPLES = 10_000
@@ -137,7 +138,7 @@ def judge_surface(
     corners = near.search.corners
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
     inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
-    changes = body_changes(topology(inside), topology(around.mask), around.pitch**3)
+    changes = body_changes(_own_bodies(part, topology(inside), around), topology(around.mask), around.pitch**3)
     points, face = drawn_on(corners, number)
     lost_walls = _walls(near, points, face, around, _WIDEST * grid.pitch)
     triangles = around.triangles()
@@ -163,6 +164,25 @@ def judge_surface(
     return SurfaceJudgement(
         distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
     )  # fmt: skip
+
+
+def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
+    """Bodies on voxels, those of one body of the mesh together: where a wall is thin, voxels break it."""
+    if found.bodies < 2:
+        return found
+    number = bodies(part.faces, len(part.vertices))
+    cuts = np.bincount(number).cumsum()[:-1]
+    meshes = [Solid(part.vertices, faces) for faces in np.split(part.faces[number.argsort(kind="stable")], cuts)]
+    boxes = [np.stack([at.min(axis=0), at.max(axis=0)]) for at in (one.vertices[one.faces.ravel()] for one in meshes)]
+    group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
+    for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # what lies in a cavity comes after its shell
+        low, high = np.rint((boxes[k] - around.origin) / around.pitch).astype(np.int64) + [[0], [1]]
+        mask = mesh_mask(meshes[k], around.origin + low * around.pitch, around.pitch, tuple((high - low).tolist()))
+        there = found.body[tuple(map(slice, low, high))][mask]
+        shared = np.bincount(there, minlength=found.bodies + 1)[1:]
+        its = (shared > 0) & (shared >= most)
+        group[its], most[its] = k, shared[its]
+    return found.together(group)
 
 
 def _walls(

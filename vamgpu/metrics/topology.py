@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -37,6 +37,13 @@ class Topology:
     def cavities(self) -> int:
         """Number of cavities."""
         return len(self.cavity_size)
+
+    def together(self, group: npt.NDArray[np.int64]) -> Topology:
+        """The same, where all bodies of a group count as one; group: the number of each body's, (bodies,)."""
+        _, number = np.unique(group, return_inverse=True)
+        body = np.concatenate([[0], number + 1]).astype(np.int32)[self.body]
+        size, holes = (np.bincount(number, each).astype(np.int64) for each in (self.size, self.holes))
+        return replace(self, body=body, size=size, holes=holes)
 
 
 def topology(mask: Mask) -> Topology:

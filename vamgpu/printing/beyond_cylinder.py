@@ -11,11 +11,12 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.geometry import Grid
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
+from vamgpu.metrics.unjudged import IN_THE_PART
 
 
 @dataclass(frozen=True)
 class Outer:
-    """The greatest dose beside, above and below the cylinder that is judged.
+    """The greatest dose beside, above and below the cylinder that is judged, a pixel or more from the part.
 
     dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: of the voxel [mm]: the part's,
     or wider beyond the corners of the grid where the resin reaches much farther.  radius: how far from the axis was
@@ -43,16 +44,43 @@ def corner_of(grid: Grid) -> float:
     return 0.5 * grid.pitch * hypot(*grid.shape[:2])
 
 
+class Around:
+    """Resin within a pixel of the voxels of a part: its surface, which may be off by as much on every side."""
+
+    def __init__(self, fraction: np.ndarray, grid: Grid, pixel: float) -> None:
+        # fraction [x, y, z] of the grid; pixel [mm]
+        from scipy.spatial import KDTree
+
+        self._reach = reach = (pixel + 0.5 * grid.pitch) * (1.0 + 1e-9)
+        x, y, z = grid.axes()
+        away, high = np.hypot(x[:, None], y), np.abs(z)
+        ends = (away > grid.inscribed_radius - reach)[:, :, None] | (high > 0.5 * grid.shape[2] * grid.pitch - reach)
+        i, j, k = np.nonzero(ends & (fraction >= IN_THE_PART))
+        self._far, self._high = (float(ends.max(initial=-inf)) + reach for ends in (away[i, j], high[k]))
+        self._tree = KDTree(np.stack([x[i], y[j], z[k]], axis=1))
+
+    def leave_out(self, beyond: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:
+        """Clear what of a mask beyond the judged cylinder is such resin."""
+        # beyond [column, column, z]; x, y [column, column] [mm]; z [mm]
+        i, j, k = np.nonzero(beyond & (np.hypot(x, y) <= self._far)[:, :, None] & (np.abs(z) <= self._high))
+        points = np.stack([x[i, j], y[i, j], z[k]], axis=1)
+        near = self._tree.query(points, distance_upper_bound=self._reach, workers=-1)[0] < inf
+        beyond[i[near], j[near], k[near]] = False
+
+
 def greatest_beyond(
-    grid: Grid, radius: float, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None = None
-) -> Outer | None:
-    """The greatest dose that the scores do not judge."""
+    grid: Grid, radius: float, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float,
+    best: Outer | None = None, around: Around | None = None,
+) -> Outer | None:  # fmt: skip
+    """The greatest dose that the scores do not judge, and that is not around the part."""
     # radius [mm]; dose [x, y, z]; axes [mm]; width [mm]
     x, y, z = axes
     distance = np.hypot(x[:, None], y[None, :])
     beside, off = distance > grid.inscribed_radius * (1.0 + 1e-12), np.abs(z) > 0.5 * grid.shape[2] * grid.pitch
     beyond = np.zeros(dose.shape, bool)
     beyond[:, :, : z.size] = (distance <= radius)[:, :, None] & (beside[:, :, None] | off)
+    if around is not None:
+        around.leave_out(beyond[:, :, : z.size], *np.meshgrid(x, y, indexing="ij"), z)
     if not beyond.any():
         return best
     greatest = extremes(Parts(dose, dose.device.upload(beyond), reach=EVERYWHERE), per_slice=True).greatest[:, IN]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil, floor, inf, sqrt
 from typing import Any
 
@@ -26,7 +26,7 @@ from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.traced_pose import TracedPose, trace_pose
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
-from vamgpu.printing.beyond_cylinder import Outer, corner_of, greatest_beyond
+from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
 from vamgpu.printing.spread import TAIL, column_shares, row_shares, spread_of
 
 MEMORY = 1 << 29
@@ -158,27 +158,27 @@ class IndependentExposure:
             yield FineSlab(dose, disc.axis, disc.axis, z[part], disc.width, disc.radius)
 
     def averaged(
-        self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None
+        self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None, part: Around | None = None
     ) -> tuple[DeviceArray, Outer | None]:
-        """The dose on the part's own voxels, the mean of the fine ones."""
+        """The dose on the part's own voxels, the mean of the fine ones, and the greatest beyond but around a part."""
         # Along z the mean over a slice is that of its parts, whatever they are, so it is taken in one step.
         # light [angle, r, z]; returns [x, y, z]
         far, pitch, disc = self._is_far, self.grid.pitch, self._near
         around = self.grid if far else self._around
-        beyond = self._above_and_below(light)
+        beyond, greatest = self._above_and_below(light), partial(greatest_beyond, self.grid, self.radius, around=part)
         dose, z, outer = self.device.empty(self.grid.shape), self.grid.axes()[2], None
         every = z.size + beyond.size
-        for part, fine in self.onto(light, dose):
+        for some, fine in self.onto(light, dose):
             if not far:
-                outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], z[part]), pitch, outer)
-            progress(min(part.stop, z.size) / every)
+                outer = greatest(self._averaged(disc, fine, around), (*around.axes()[:2], z[some]), pitch, outer)
+            progress(min(some.stop, z.size) / every)
         if far:
-            outer = self._greatest(dose, self.grid.axes(), pitch, None)
-        for part in self._slabs(disc, beyond.size):
-            fine = self._expose(disc, light, beyond[part], pitch)
-            outer = self._greatest(self._averaged(disc, fine, around), (*around.axes()[:2], beyond[part]), pitch, outer)
-            progress((z.size + min(part.stop, beyond.size)) / every)
-        return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer) if far else outer
+            outer = greatest(dose, self.grid.axes(), pitch, None)
+        for some in self._slabs(disc, beyond.size):
+            fine = self._expose(disc, light, beyond[some], pitch)
+            outer = greatest(self._averaged(disc, fine, around), (*around.axes()[:2], beyond[some]), pitch, outer)
+            progress((z.size + min(some.stop, beyond.size)) / every)
+        return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer, greatest) if far else outer
 
     def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
         """The dose on the part's own voxels alone, slab by slab."""
@@ -239,13 +239,13 @@ class IndependentExposure:
         k = np.arange(floor(low + 1e-9), ceil(high - 1e-9))
         return self.grid.axes()[2][0] + k[(k < 0) | (k >= self.grid.shape[2])] * self.grid.pitch
 
-    def _farther(self, light: DeviceArray, z: np.ndarray, outer: Outer | None) -> Outer | None:
+    def _farther(self, light: DeviceArray, z: np.ndarray, outer: Outer | None, greatest: Any) -> Outer | None:
         """`Outer` out to the wall, on voxels so wide that the whole vessel has no more than the grid has fine ones."""
         width = self.grid.pitch * ceil(0.5 * self.radius / self.corner)
         disc = self._disc(width, self.radius)
         for part in self._slabs(disc, z.size):
             dose = self._expose(disc, light, z[part], self.grid.pitch)
-            outer = self._greatest(dose, (disc.axis, disc.axis, z[part]), width, outer)
+            outer = greatest(dose, (disc.axis, disc.axis, z[part]), width, outer)
         return outer
 
     # ---- tables -----------------------------------------------------------------------------------------------------
@@ -360,11 +360,6 @@ class IndependentExposure:
         more = (ceil(max(self.radius / self.grid.pitch - 0.5 * n, 0.0)) for n in self.grid.shape[:2])
         nx, ny = (n + 2 * m for n, m in zip(self.grid.shape[:2], more, strict=True))
         return Grid((nx, ny, self.grid.shape[2]), self.grid.pitch)
-
-    def _greatest(
-        self, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float, best: Outer | None
-    ) -> Outer | None:
-        return greatest_beyond(self.grid, self.radius, dose, axes, width, best)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.backend.array import DeviceArray
-from vamgpu.geometry import Grid, centers
+from vamgpu.geometry import centers
 from vamgpu.metrics.depth import LARGEST_REACH
 from vamgpu.metrics.interpolation import interpolated
 from vamgpu.metrics.line import Line, length
@@ -25,7 +24,7 @@ from vamgpu.metrics.tolerance import (
     tolerance_window,
 )
 from vamgpu.operators.projection import Projection
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent import FineSlab, IndependentExposure
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
 from vamgpu.targets.target import Target
@@ -84,7 +83,7 @@ def judged(proof: Proof) -> Judgement:
     # projector evaluations for the finer dose, and some seconds of a processor for the surface.
     A, at = proof.operator, proof.scores.threshold
     radius, voxels, finer, pixel = A.grid.inscribed_radius, prod(A.grid.shape), 1, A.grid.pitch
-    slabs: Iterable[Any] = [OwnVoxels(A.grid, proof.dose)]
+    slabs: Iterable[FineSlab] = [FineSlab(proof.dose, *A.grid.axes(), A.grid.pitch, radius)]
     if isinstance(A, Projection):
         exposure = IndependentExposure(A)
         pixel, finer = exposure.column, exposure.halves if proof.independent else 1
@@ -142,13 +141,11 @@ def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, f
     return np.asarray(interpolated(dose, places)), width
 
 
-def _asked(proof: Proof, slab: Any) -> _Asked:
+def _asked(proof: Proof, slab: FineSlab) -> FineSlab:
     """A slab with its dose over the limits of the part's voxels."""
     assert proof.limits is not None
     scale = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
-    dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
-    pitch = getattr(slab, "pitch", proof.operator.grid.pitch)
-    return _Asked(dose * scale(slab.x, slab.y, slab.z), slab.x, slab.y, slab.z, pitch)
+    return replace(slab, dose=np.asarray(slab.dose) * scale(slab.x, slab.y, slab.z))
 
 
 def _where_asked(proof: Proof, depth: Depth) -> Depth:
@@ -156,26 +153,3 @@ def _where_asked(proof: Proof, depth: Depth) -> Depth:
     assert proof.limits is not None
     judged = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
     return lambda x, y, z: np.where(judged(x, y, z) > 0.0, depth(x, y, z), np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """Some slices of a dose over its limits."""
-
-    dose: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    pitch: float
-
-
-class OwnVoxels:
-    """The whole dose of a grid, as one slab."""
-
-    x: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-
-    def __init__(self, grid: Grid, dose: DeviceArray) -> None:
-        self.dose = dose
-        self.x, self.y, self.z = grid.axes()

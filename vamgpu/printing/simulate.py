@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import cos, sin
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,7 +22,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection, direct
 from vamgpu.operators.space import require
 from vamgpu.optics.outer_resin import OuterResin, outer_resin
-from vamgpu.printing.beyond_cylinder import Outer, corner_of, greatest_beyond
+from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
 from vamgpu.printing.black_level import check_dose
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
@@ -115,7 +114,8 @@ def simulate(
         claimed = score(held.dose, held.target, threshold=threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
-    dose, outer = judge.averaged(light, progress)
+    pixel = IndependentExposure(A).column if isinstance(A, Projection) else A.grid.pitch
+    dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
     held = judged_parts(dose, fraction, limits)
     scores = score(held.dose, held.target, threshold=threshold)
@@ -180,21 +180,30 @@ class _Itself:
         """Width of the voxels that the dose is found on [mm]."""
         return self.operator.grid.pitch
 
-    def averaged(self, light: DeviceArray, progress: Callable[[float], None]) -> tuple[DeviceArray, Outer | None]:  # noqa: ARG002
+    def averaged(
+        self,
+        light: DeviceArray,
+        progress: Callable[[float], None],
+        part: Around,  # noqa: ARG002
+    ) -> tuple[DeviceArray, Outer | None]:
         """Its own dose, and the greatest beyond the judged cylinder."""
         # All that the light of a projector reaches, in cells. Of other operators nothing is known beyond their grid.
         dose, grid = self.dose, self.operator.grid
         if not isinstance(self.operator, Projection):
-            return dose, greatest_beyond(grid, corner_of(grid), dose, grid.axes(), grid.pitch)
-        found = [_greatest(each, each.T(light).numpy()) for each in outer_resin(self.operator)]
+            return dose, greatest_beyond(grid, corner_of(grid), dose, grid.axes(), grid.pitch, around=part)
+        found = [_greatest(each, each.T(light).numpy(), part) for each in outer_resin(self.operator)]
         return dose, max(found, key=lambda one: one.dose, default=None)
 
 
-def _greatest(outer: OuterResin, dose: np.ndarray) -> Outer:
-    """The brightest of cells [angle, cell, z]."""
-    at, cells = np.unravel_index(int(np.argmax(dose)), dose.shape), outer.cells
-    radius, angle = (float(each[at[:2]]) for each in np.broadcast_arrays(*cells.places))
-    place = (radius * cos(angle), radius * sin(angle), float(cells.z[at[2]]))
+def _greatest(outer: OuterResin, dose: np.ndarray, part: Around) -> Outer:
+    """The brightest of cells [angle, cell, z] that are not around a part."""
+    cells, counted = outer.cells, np.ones(dose.shape, bool)
+    radius, angle = np.broadcast_arrays(*cells.places)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    part.leave_out(counted, x, y, cells.z)
+    dose = np.where(counted, dose, 0.0)
+    at = np.unravel_index(int(np.argmax(dose)), dose.shape)
+    place = (float(x[at[:2]]), float(y[at[:2]]), float(cells.z[at[2]]))
     return Outer(float(dose[at]), place, cells.pitch, cells.inner + cells.rings * cells.pitch)
 
 

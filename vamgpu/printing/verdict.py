@@ -44,8 +44,8 @@ class Verdict:
         faults: All that is wrong, worst first.
         made: What prints, in words.
         latitude: Exposures over the proved one, least and greatest, between which no resin farther than two pixels from
-            the surface, or as deep as a thin part is, prints wrong, and none beyond the judged cylinder; (inf, 0) where
-            there are none.
+            the surface prints wrong, and none beyond the judged cylinder; (inf, 0) where there are none. Of a part that
+            is nowhere so deep, the deepest voxels tell how much less it bears.
         proved: Whether it is by rays traced apart from the solver. One that is not is coarse.
         not_judged: What nobody judged, sentence by sentence; empty where everything was.
     """
@@ -115,11 +115,12 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
 
 def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
     """Exposures over that of the proof between which nothing deep prints wrong, as far as resin is judged."""
-    least, greatest = judgement.over_tolerance.limits(judgement.deep)
-    at = proof.scores.threshold
-    if not least > 0.0:
-        return inf, 0.0
-    return at / least, at / greatest if greatest > 0.0 else inf
+    told, at = judgement.over_tolerance, proof.scores.threshold
+    least, greatest = told.limits(judgement.deep)
+    low, high = (at / dose if dose > 0.0 else inf for dose in (least, greatest))
+    if not told.judged_at(judgement.deep):  # then surface and bodies alone say what the part lacks
+        return min(low, 1.0), high
+    return (low, high) if least > 0.0 else (inf, 0.0)
 
 
 def _dose(proof: Proof) -> Iterator[Fault]:

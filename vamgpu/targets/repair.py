@@ -112,7 +112,7 @@ def _fix_winding(vertices: Vertices, faces: Faces) -> Mended:
     fixed = np.asarray(mesh.faces, dtype=np.int32)
     before, after = _area_vectors(vertices, faces), _area_vectors(vertices, fixed)
     same = np.einsum("ij,ij->i", before, after)
-    body = _bodies(fixed, len(vertices))
+    body = bodies(fixed, len(vertices))
     agreement = np.bincount(body, weights=same / np.maximum(_norm(after), 1e-300))
     wrong = agreement[body] < 0.0
     fixed[wrong] = fixed[wrong][:, ::-1]
@@ -166,7 +166,7 @@ def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
     """Flip everything if the total volume is negative, then every inward body that lies inside no outward one."""
     if not len(faces):
         return vertices, faces, ()
-    body = _bodies(faces, len(vertices))
+    body = bodies(faces, len(vertices))
     origin = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - origin)[faces], 1, 0)
     volume = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
@@ -188,7 +188,7 @@ def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
     return vertices, np.where(flip[body][:, None], faces[:, ::-1], faces), done
 
 
-def _bodies(faces: Faces, vertices: int) -> npt.NDArray[np.intp]:
+def bodies(faces: Faces, vertices: int) -> npt.NDArray[np.intp]:
     """Number of the connected body of each face (bodies share no vertex)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
