@@ -27,15 +27,8 @@ def threads() -> int:
 
 
 def ahead(work: Callable[[In], Out], items: Iterable[In]) -> Iterator[Out]:
-    """Work on items in as many threads as there are cores, a few items ahead of whoever takes the results.
-
-    Args:
-        work: What is done with each item; it must let other threads run, as NumPy does.
-        items: In order; they are asked for in this thread.
-
-    Yields:
-        The results, in the same order.
-    """
+    """Results of work on items, in order, by as many threads as cores, a few items ahead of whoever takes them."""
+    # The work must let other threads run, as NumPy does; items are asked for in this thread.
     rest = iter(items)
     some = list(islice(rest, 2))
     if len(some) < 2 or threads() < 2:
