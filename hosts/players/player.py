@@ -31,7 +31,10 @@ class StatusPoll:
     final: bool = False  # whether no print can go on after that fault
 
 
-Renew = Callable[[int], None]  # renews a lease: the light may stay for so long [ns] more
+class Renew(Protocol):
+    """Renews a lease."""
+
+    def __call__(self, length: int) -> None: ...  # keep the light for ``length`` [ns] more
 
 
 class Player(Protocol):

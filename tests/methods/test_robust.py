@@ -51,7 +51,8 @@ def entries() -> list[Any]:
 def optimum(name: str) -> float:
     """That of one light and one threshold for all corners."""
     inside, near = part(name).ravel(), projection().grid.cylinder().ravel()
-    return widest(*(sparse.vstack([each[where & near] for each in entries()]) for where in (inside, ~inside)))
+    wanted, void = (sparse.vstack([each[where & near] for each in entries()]) for where in (inside, ~inside))
+    return widest(wanted, void)
 
 
 def judged(light: np.ndarray, name: str, axis: float, spread: float) -> tuple[float, float, float]:
