@@ -90,21 +90,9 @@ class RunProof:
 def prove_run(
     path: str | Path, device: str | None = None, job: str | Path | Sequence[str | Path] = ()
 ) -> tuple[RunProof, ...]:
-    """Prove what a run of a vial printed, by the light in its record.
-
-    Args:
-        path: The run folder.
-        device: Where to compute; the best device here by default.
-        job: Folders of jobs that were moved since, in any order; without, they are looked for where they were, and
-            beside the run.
-
-    Returns:
-        A proof for each projector.
-
-    Raises:
-        BadInput: The run is no vial's, has no light, or its job was changed since.
-        StorageError: The run or its job cannot be read.
-    """
+    """Prove what a run of a vial printed, by the light in its record. Raises `BadInput`, `StorageError`."""
+    # One proof for each projector.  job: folders of jobs that were moved since, in any order; without, they are looked
+    # for where they were, and beside the run.
     from vamgpu.jobs.run import prove
 
     run = read_run(path)

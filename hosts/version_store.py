@@ -4,8 +4,6 @@ be shown. A print that is resumed, and the proof of a run, read them from there.
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.frames import Frames
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import replacing
 
 PLANS = "plans"
 
@@ -32,17 +30,10 @@ def kept_at(run: Path, number: int) -> Path:
 
 def keep(run: Path, number: int, frames: Sequence[Frames], facts: Mapping[str, Any]) -> None:
     """Keep a version in a run's folder, whole or not at all. Raises `StorageError`."""
-    place = kept_at(run, number)
-    draft = place.with_name(f".{place.name}")
-    try:
-        draft.mkdir(parents=True)
+    with replacing(kept_at(run, number)) as draft:
+        draft.mkdir()
         for engine, each in enumerate(frames, 1):
             save_frames(draft / f"projector-{engine}", each, inputs=dict(facts))
-        os.replace(draft, place)
-    except OSError as error:
-        raise explained("write", place, error) from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def kept_frames(run: Path, number: int, engine: int, device: Any = None) -> Frames:

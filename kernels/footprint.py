@@ -70,14 +70,9 @@ def exposed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np
 
 
 def share(distance: np.ndarray, a: np.ndarray, b: np.ndarray, fill: float, sigma: float) -> np.ndarray:
-    """Mean over a voxel of the light of a pixel that is ``distance`` columns off; sums to 1 over pixels.
-
-    Args:
-        distance: column of the voxel's middle − column of the pixel.
-        a: width of one of the trapezoid's boxes [columns]; b: of the other.
-        fill: width of the lit box of a pixel [columns].
-        sigma: of the point spread [columns].
-    """
+    """Mean over a voxel of the light of a pixel ``distance`` columns off; sums to 1 over pixels."""
+    # All in columns: a and b are widths of the trapezoid's boxes, fill that of a pixel's lit box, sigma the point
+    # spread's.
     a, b = sides(a, b, sigma)
     total = np.zeros(np.broadcast(distance, a).shape)
     for x, sign in ((distance + 0.5 * fill, 1.0), (distance - 0.5 * fill, -1.0)):

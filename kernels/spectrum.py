@@ -56,15 +56,9 @@ columns that light them there, the tile, and that whose entries are conjugate.""
 
 
 def factors(radix: int) -> tuple[int, int, int, int]:
-    """First, second, third and last factor by which a group of a GPU takes a transform at once.
-
-    Args:
-        radix: Samples of the transform.
-
-    Returns:
-        As few as are at most `FACTOR` each, of those the ones whose sum is least, the greatest first, 1 for a second or
-        third that is not needed; zeros where there are none, or more samples than `AT_ONCE`.
-    """
+    """First, second, third and last factor by which a group of a GPU takes a transform of a radix at once."""
+    # As few as are at most `FACTOR` each, of those the ones whose sum is least, the greatest first, 1 for a second or
+    # third that is not needed; zeros where there are none, or more samples than `AT_ONCE`.
     if radix > AT_ONCE:
         return (0, 0, 0, 0)
     for count in range(1, 5):
@@ -85,30 +79,17 @@ def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
 
 
 def is_even(band: tuple[int, ...]) -> bool:
-    """Whether the samples that a pass makes one of, and those that it makes, are evenly apart in their fields.
-
-    Args:
-        band: The columns of `RingBands`, but the last two.
-
-    Returns:
-        Whether no step from one to the next passes the n of their places.
-    """
+    """Whether the samples that a pass of a band takes, and those it makes, are evenly apart in their fields."""
+    # No step from one to the next passes the n of their places.
     _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = band
     read = n // radix % source == 0 or source >= n
     return read and (done % sink == 0 or sink % (done * radix) == 0 or sink >= n)
 
 
 def in_groups(bands: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
-    """`RingBands`: the columns of a pass, and how groups of a GPU share them out.
-
-    Args:
-        bands: Of each band all columns but the last two.
-        whole: Whether a group takes one transform, of a radix of several factors.
-
-    Returns:
-        The whole table. Its last columns: how many rings a group takes at once, 0 where it takes direct sums, as of
-        samples that are unevenly apart; the band's first group.
-    """
+    """`RingBands` from its columns but the last two, which say how groups of a GPU share a pass out."""
+    # The last two: how many rings a group takes at once, 0 where it takes direct sums, as of samples that are unevenly
+    # apart; the band's first group.  whole: whether a group takes one transform, of a radix of several factors.
     found, group = [], 0
     for band in bands:
         _, n, rings, radix, *_ = band

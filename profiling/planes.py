@@ -181,16 +181,15 @@ def _copy(queue: Any, target: Any, source: Any) -> None:
 
 def to_the_host(device: Device, splitter: Splitter, runs: int) -> dict[str, Any]:
     """Milliseconds a picture: planes split before read into buffers of a print, and split right into them."""
-    with pinned_buffers(ROTATION, splitter.shape, device) as ring:
-        found: dict[str, Any] = {"pinned": ring.locked}
-        device.synchronize()
-        times = [seconds(lambda k=k: splitter.outs[k % ROTATION].numpy(ring[k % ROTATION])) for k in range(runs)]
-        found["read_ms"] = spread([each / BATCH for each in times[2:]])
-        if not is_gpu(device):
-            borrowed = [device.borrow(array) for array in ring]
-            times = [seconds(lambda k=k: (splitter.launch(k, borrowed), device.synchronize())) for k in range(runs)]
-            found["borrowed_ms"] = spread([each / BATCH for each in times[2:]])
-            del borrowed
+    ring = pinned_buffers(ROTATION, splitter.shape, device)
+    found: dict[str, Any] = {"pinned": is_gpu(device)}
+    device.synchronize()
+    times = [seconds(lambda k=k: splitter.outs[k % ROTATION].numpy(ring[k % ROTATION])) for k in range(runs)]
+    found["read_ms"] = spread([each / BATCH for each in times[2:]])
+    if not is_gpu(device):
+        borrowed = [device.borrow(array) for array in ring]
+        times = [seconds(lambda k=k: (splitter.launch(k, borrowed), device.synchronize())) for k in range(runs)]
+        found["borrowed_ms"] = spread([each / BATCH for each in times[2:]])
     return found
 
 

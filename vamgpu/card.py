@@ -16,17 +16,9 @@ SIDE = 220
 
 
 def card(title: str, numbers: Mapping[str, object], pictures: Mapping[str, np.ndarray | None] | None = None) -> str:
-    """Write the HTML of one object. Everything given is escaped.
-
-    Args:
-        title: What it is.
-        numbers: Name → value, with its unit in brackets where it has one.
-        pictures: Caption → plane [horizontal, vertical], from dark at its least value to bright at its greatest; None
-            for one that is too large to be drawn.
-
-    Returns:
-        HTML that needs nothing beside it.
-    """
+    """The HTML of one object that needs nothing beside it; everything given is escaped."""
+    # numbers: name → value, with its unit in brackets where it has one.  pictures: caption → plane [horizontal,
+    # vertical], from dark at its least value to bright at its greatest; None for one that is too large to be drawn.
     drawn = "".join(_figure(caption, plane) for caption, plane in (pictures or {}).items())
     aside = "text-align:left;vertical-align:top"
     rows = "".join(

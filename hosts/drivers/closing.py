@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from vamgpu.errors import DeviceNotFound
+from vamgpu.errors import DeviceError, DeviceNotFound
+from vamgpu.hosts.run_all import Closing
+
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class Closable(Protocol):
@@ -32,3 +36,23 @@ def extra(name: str, need: str) -> Iterator[None]:
         yield
     except ImportError as error:
         raise DeviceNotFound(f'{need}: pip install "vamgpu[{name}]"') from error
+
+
+class ClosedOnce(Closing):
+    """A machine that is brought to rest and let go of once; what fails of that is logged, and the rest is done."""
+
+    called: str  # in the log
+    _open = True
+
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Acts that bring it to rest and let go of it, in order."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Bring it to rest, and let go of it; more than once does no harm."""
+        for act in self.endings() if self._open else ():
+            try:
+                act()
+            except DeviceError as error:
+                log.warning("closing %s: %s", self.called, error)
+        self._open = False  # not before: what a key interrupts is done again

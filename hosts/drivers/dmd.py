@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from ctypes import byref
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceRefused, OutOfMemory, WrongDevice
+from vamgpu.errors import BadInput, DeviceBusy, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
-from vamgpu.hosts.drivers.closing import closed_on_error
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -39,13 +40,14 @@ class SequenceLimits:
     on_us: int
 
 
-class Dmd(Closing):
+class Dmd(ClosedOnce):
     """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first."""
+
+    called = "the DMD"
 
     def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None) -> None:
         self._alp = Alp(library)
         self.device: int = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
-        self._open = True
         with closed_on_error(self):
             self.width: int = self.inquire(alp.DISPLAY_WIDTH)
             self.height: int = self.inquire(alp.DISPLAY_HEIGHT)
@@ -123,21 +125,14 @@ class Dmd(Closing):
         self.call("AlpProjHalt")
         self.call("AlpDevHalt")
 
-    def close(self) -> None:
-        """Halt, rest the mirrors and let go of the device; more than once does no harm."""
-        if not self._open:
-            return
-        self._open = False
-        for name, arguments in (
-            ("AlpProjHalt", ()),
-            ("AlpDevHalt", ()),
-            ("AlpDevControl", (alp.DMD_MODE, alp.DMD_FLOAT)),
-            ("AlpDevFree", ()),
-        ):
-            try:
-                self.call(name, *arguments)
-            except DeviceError as error:
-                log.warning("closing the DMD: %s", error)
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Halt, rest the mirrors and let go of the device."""
+        return (
+            partial(self.call, "AlpProjHalt"),
+            partial(self.call, "AlpDevHalt"),
+            partial(self.call, "AlpDevControl", alp.DMD_MODE, alp.DMD_FLOAT),
+            partial(self.call, "AlpDevFree"),
+        )
 
 
 class PlaneSequence:

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Callable
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceLost
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error
 from vamgpu.hosts.drivers.wire import open_wire
-from vamgpu.hosts.run_all import Closing
 
-log: logging.Logger = logging.getLogger(__name__)
 LINES = ("rts", "dtr")
 
 
-class TtlLamp(Closing):
+class TtlLamp(ClosedOnce):
     """A laser's TTL input on a serial port's RTS or DTR, dark while low; invert it where low is light."""
 
     name: str
+    called = "the lamp"
 
     def __init__(self, port: Any, name: str = "the lamp", line: str = "rts") -> None:
         if line not in LINES:
             port.close()
             raise BadInput(f"a serial port has no output {line!r}; give one of {', '.join(LINES)}")
-        self._port, self.name, self._line, self._open = port, name, line, True
+        self._port, self.name, self._line = port, name, line
         with closed_on_error(port):
             self._set(False)
 
@@ -47,13 +46,6 @@ class TtlLamp(Closing):
         """Light off."""
         self._set(False)
 
-    def close(self) -> None:
-        """Light off, and let go of the port; more than once does no harm."""
-        if not self._open:
-            return
-        self._open = False
-        try:
-            self.off()
-        except DeviceLost as error:
-            log.warning("closing the lamp: %s", error)
-        self._port.close()
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Light off, and let go of the port."""
+        return self.off, self._port.close

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Self
 
-from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
+from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
 from vamgpu.hosts.protocols import dlpc350
-from vamgpu.hosts.run_all import Closing, close_all
-
-log: logging.Logger = logging.getLogger(__name__)
+from vamgpu.hosts.run_all import close_all
 
 
-class LightCrafter(Closing):
+class LightCrafter(ClosedOnce):
     """The projector's controller on hidapi's device: patterns from the video cable, LEDs off until `on`."""
+
+    called = "the projector"
 
     def __init__(
         self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 5.0
     ) -> None:
         self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
-        self._number, self._lit, self._open = 0, False, True
+        self._number, self._lit = 0, False
         with closed_on_error(device):
             self.off()
 
@@ -112,17 +112,9 @@ class LightCrafter(Closing):
         self._ask(dlpc350.LED_ENABLE, b"\0", "light off")
         self._lit = False
 
-    def close(self) -> None:
-        """Dark, stop, and let go; more than once does no harm."""
-        if not self._open:
-            return
-        self._open = False
-        try:
-            self.off()
-            self._ask(dlpc350.DISPLAY, b"\0", "the stop")
-        except DeviceError as error:
-            log.warning("closing the projector: %s", error)
-        self._device.close()
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Dark, stop, and let go."""
+        return self.off, partial(self._ask, dlpc350.DISPLAY, b"\0", "the stop"), self._device.close
 
 
 class LightCrafterScreen(HdmiProjector):

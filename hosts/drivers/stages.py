@@ -7,13 +7,13 @@ import sys
 import time
 import types
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
+from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.protocols import zaber
-from vamgpu.hosts.run_all import Closing
 
 
 @runtime_checkable
@@ -36,10 +36,11 @@ log: logging.Logger = logging.getLogger(__name__)
 POLL = 0.02  # between two questions whether an axis moves [s]
 
 
-class PolledStage(Closing):
+class PolledStage(ClosedOnce):
     """An axis that is asked whether it still moves; closed, it stops and lets go of its line."""
 
     unit: str
+    called = "a stage"
 
     def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
         self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
@@ -65,13 +66,9 @@ class PolledStage(Closing):
             self._pause(POLL)
             waited += POLL
 
-    def close(self) -> None:
-        """Stop, and let go of the line; more than once does no harm."""
-        try:
-            self.stop()
-        except DeviceError as error:
-            log.warning("closing a stage: %s", error)
-        self.release()
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Stop, and let go of the line."""
+        return self.stop, self.release
 
 
 def above_zero(speed: float) -> None:
@@ -280,18 +277,18 @@ def _axis(uri: str) -> Any:
     return highlevel.Axis(uri)
 
 
-class StandaStage(Closing):
+class StandaStage(ClosedOnce):
     """One axis of libximc's ``highlevel.Axis``, with so many full steps a unit, each of ``fraction`` microsteps."""
 
     steps: float
     measured = True
+    called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
         if not steps > 0 or unit not in ("mm", "deg"):
             raise BadInput(f"{steps} steps a {unit!r} are no stage; give what screw or gear make, in mm or deg")
         self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
         self._call("open_device")
-        self._open = True
 
     @classmethod
     def open(cls, uri: str, steps: float, unit: str = "deg", fraction: int = 256) -> Self:
@@ -347,13 +344,6 @@ class StandaStage(Closing):
         """Begin to come to rest."""
         self._call("command_sstp")
 
-    def close(self) -> None:
-        """Stop, and let go of the axis; more than once does no harm."""
-        if not self._open:
-            return
-        self._open = False
-        for name in ("command_sstp", "close_device"):
-            try:
-                self._call(name)
-            except DeviceError as error:
-                log.warning("closing a stage: %s", error)
+    def endings(self) -> tuple[Callable[[], object], ...]:
+        """Stop, and let go of the axis."""
+        return self.stop, partial(self._call, "close_device")

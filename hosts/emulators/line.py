@@ -10,21 +10,10 @@ import errno
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from vamgpu.hosts.emulators.clock import VirtualClock
 
 SECOND = 1_000_000_000
-
-
-class LineMachine(Protocol):
-    """An emulated machine on a line; times in ns."""
-
-    def receive(self, data: bytes, now: int) -> None: ...  # take bytes that have arrived
-    def take(self, now: int) -> bytes: ...  # give the bytes that have left by now
-    def ready(self) -> int | None: ...  # when the next bytes will have left; None while there are none
-    def due(self) -> int | None: ...  # when the machine acts by itself next
-    def advance(self, now: int) -> None: ...  # carry the state to ``now``
 
 
 class LineDevice:
@@ -45,12 +34,16 @@ class LineDevice:
             if line:
                 yield line
 
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes that have arrived."""
+        raise NotImplementedError
+
     def take(self, now: int) -> bytes:
-        """See `LineMachine`."""
+        """Give the bytes that have left by now."""
         return self._out.take(now)
 
     def ready(self) -> int | None:
-        """See `LineMachine`."""
+        """When the next bytes will have left; None while there are none."""
         return self._out.ready()
 
     def due(self) -> int | None:
@@ -128,7 +121,7 @@ class Faults:
 class Cable:
     """One way of a line: bytes arrive at a machine after the time they take."""
 
-    def __init__(self, machine: LineMachine, baud: int = 0) -> None:
+    def __init__(self, machine: LineDevice, baud: int = 0) -> None:
         self.machine = machine
         self._flight = Outbox(round(10 * SECOND / baud) if baud else 0)
 
@@ -152,11 +145,11 @@ class Cable:
 class VirtualPort:
     """A port on a virtual clock: reading waits in virtual time."""
 
-    machine: LineMachine
+    machine: LineDevice
     clock: VirtualClock
     faults: Faults
 
-    def __init__(self, machine: LineMachine, clock: VirtualClock, timeout_s: float, baud: int, faults: Faults) -> None:
+    def __init__(self, machine: LineDevice, clock: VirtualClock, timeout_s: float, baud: int, faults: Faults) -> None:
         self.machine, self.clock, self.faults = machine, clock, faults
         self.timeout_ns: int = round(timeout_s * SECOND)
         self._cable = Cable(machine, baud)
@@ -234,7 +227,7 @@ class VirtualPort:
 
 
 def plug(
-    machine: LineMachine, clock: VirtualClock, timeout_s: float = 0.25, baud: int = 0, faults: Faults | None = None,
+    machine: LineDevice, clock: VirtualClock, timeout_s: float = 0.25, baud: int = 0, faults: Faults | None = None,
 ) -> VirtualPort:  # fmt: skip
     """A port to a machine on a virtual clock; ``baud`` 0 means that sending takes no time."""
     return VirtualPort(machine, clock, timeout_s, baud, faults or Faults())

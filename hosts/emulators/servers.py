@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from vamgpu.hosts.emulators.line import SECOND, Faults, LineMachine
+from vamgpu.hosts.emulators.line import SECOND, Faults, LineDevice
 
 if TYPE_CHECKING:
     from vamgpu.hosts.emulators.controller import EmulatedController
@@ -23,7 +23,7 @@ log: logging.Logger = logging.getLogger(__name__)
 class Server:
     """A thread that carries bytes between a file descriptor and a machine, in real time."""
 
-    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+    def __init__(self, machine: LineDevice, faults: Faults | None = None) -> None:
         self.machine = machine
         self.faults: Faults = faults or Faults()
         self.lock: threading.RLock = threading.RLock()
@@ -80,7 +80,7 @@ class Server:
 class PtyServer(Server):
     """A machine on a pseudo terminal; ``url`` is what a driver opens."""
 
-    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+    def __init__(self, machine: LineDevice, faults: Faults | None = None) -> None:
         super().__init__(machine, faults)
         import tty
 

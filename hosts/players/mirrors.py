@@ -17,7 +17,7 @@ from vamgpu.errors import BadInput, DeviceError, Underrun
 from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.dmd import SlotTiming
 from vamgpu.hosts.drivers.memory import MirrorMemory
-from vamgpu.hosts.frames.late import LatePolicy, Repeats
+from vamgpu.hosts.frames.late import Repeats
 from vamgpu.hosts.frames.packer import packer
 from vamgpu.hosts.frames.sources import FrameSource
 from vamgpu.hosts.frames.upload import BUFFERS, UploadQueue, guard, length
@@ -40,9 +40,8 @@ class MirrorPlayer(ABC, Generic[M]):
 
     sources: of each projector.  depth: frames of a sequence of the mirrors, by default `length`.  sequences: of
     them; enough for all frames make them resident.  turn: slots of a vial that fit into them together, and are then
-    uploaded once however often they come round.  policy: decides on late frames, one for each projector.
-    threaded: whether frames are made and uploaded in threads; by default where time is real.  versions: of the
-    frames, on the sources. Raises `BadInput`.
+    uploaded once however often they come round.  threaded: whether frames are made and uploaded in threads; by default
+    where time is real.  versions: of the frames, on the sources. Raises `BadInput`.
     """
 
     schedule: Schedule
@@ -53,7 +52,7 @@ class MirrorPlayer(ABC, Generic[M]):
 
     def __init__(
         self, schedule: Schedule, machines: M, sources: Sequence[FrameSource], *, depth: int | None = None,
-        sequences: int = 2, turn: int | None = None, policy: Callable[[Schedule], LatePolicy] = late_policy,
+        sequences: int = 2, turn: int | None = None,
         threaded: bool | None = None, versions: FrameVersions | None = None, preroll: int = 0,
     ) -> None:  # fmt: skip
         if len(sources) != schedule.engines or len(machines.mirrors) != schedule.engines:
@@ -70,7 +69,7 @@ class MirrorPlayer(ABC, Generic[M]):
         sizes = (each.bits * prod(dmd.plane_shape) for each, dmd in zip(sources, machines.mirrors, strict=True))
         self.versions: FrameVersions | None = versions
         self._sources: tuple[FrameSource, ...] = tuple(sources) if versions is None else versions.sources
-        self._missed = tuple(Repeats(policy(schedule)) for _ in sources)
+        self._missed = tuple(Repeats(late_policy(schedule)) for _ in sources)
         self._depth = length(schedule.rate, max(sizes)) if depth is None else whole("depth", depth)
         self._sequences, self._turn = whole("sequences", sequences, 2), turn
         self._threaded = machines.clock.real if threaded is None else threaded
@@ -155,6 +154,20 @@ class MirrorPlayer(ABC, Generic[M]):
             for queue, order in zip(self._queues, self._orders, strict=False):
                 queue.replace(begin - self._first, order[begin:])
             return True
+
+    def _counted(self) -> list[int]:
+        """Frames that the mirrors of each projector have shown, black ones before the first slot included."""
+        return [queue.shown() for queue in self._queues]
+
+    def _supply(self) -> tuple[float, float]:
+        """How full the buffers are, 0..1, and how long the frames at the mirrors last [s]."""
+        ahead = min(queue.ahead for queue in self._queues)
+        return min(queue.share for queue in self._queues), ahead / self.schedule.rate
+
+    def feed(self) -> None:
+        """Black for what is late."""
+        for queue in self._queues:
+            queue.feed()
 
     def wait(self) -> None:
         """Return when the next poll is due."""

@@ -108,7 +108,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
                 )
             self._motion = SpeedMonitor(self.schedule) if abs(error) > EVEN else self._motion
         low, high = self._triggers(here)
-        shown = [queue.shown() for queue in self._queues]
+        shown = self._counted()
         if abs(error) > EVEN or not all(low <= each <= high + 1 for each in shown):
             raise InterlockOpen(
                 f"the stage is {error:+.2g} angles from its speed and fired {low} triggers, of which the mirrors "
@@ -130,14 +130,18 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         whole = self.machines.microsteps * self._pose
         fired = (position - self._fired_at) * self.machines.microsteps / whole
         low, high = (floor(fired + sign * STEP / whole) for sign in (-1, 1))
-        total = self._preroll + len(self.schedule) - self._first if self._ended is None else self._ended
-        return max(0, min(low, total)), max(0, min(high, total))
+        return max(0, min(low, self._total)), max(0, min(high, self._total))
+
+    @property
+    def _total(self) -> int:
+        """Triggers of this run segment."""
+        return self._preroll + len(self.schedule) - self._first if self._ended is None else self._ended
 
     def poll(self) -> StatusPoll:
         """Compare where the stage is with what the mirrors counted."""
-        before = [queue.shown() for queue in self._queues]
+        before = self._counted()
         now, here = self._ask()
-        after = [queue.shown() for queue in self._queues]
+        after = self._counted()
         low, high = self._triggers(here)
         counted = min(high, *before)  # mirrors that were halted count all that they had
         agreed = all(one <= high and low <= two for one, two in zip(before, after, strict=True))
@@ -149,13 +153,12 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         zero = self._fired_at if self._zero is None else self._zero
         return StatusPoll(
             not self._over(here, counted), error, scheduled if agreed else counted, scheduled, frames, here - zero,
-            min(queue.share for queue in self._queues),
-            min(queue.ahead for queue in self._queues) / self.schedule.rate, closed,
+            *self._supply(), closed,
         )  # fmt: skip
 
     def _over(self, here: float, counted: int) -> bool:
         """Whether the light of the last frame is over: the mirrors are dark from then on, as none is queued."""
-        total = self._preroll + len(self.schedule) - self._first if self._ended is None else self._ended
+        total = self._total
         lit = float(self.schedule.speed) * float(self.schedule.on[0]) / SECOND
         return counted >= total and here - self._fired_at >= total * self._pose + lit
 
@@ -166,16 +169,11 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         status = self.machines.controller.status()
         return None if status.light else f"the controller closed the light: {status.fault}"
 
-    def feed(self) -> None:
-        """Black for what is late."""
-        for queue in self._queues:
-            queue.feed()
-
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
         """No trigger after the frame on its way, so that none is cut."""
         self._stage.trigger_every(0.0)
-        self._ended = min(queue.shown() for queue in self._queues)
+        self._ended = min(self._counted())
 
     def _triggered(self) -> int:
         """Frames of this run segment that the stage may have triggered."""

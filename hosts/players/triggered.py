@@ -123,14 +123,14 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
 
     def poll(self) -> StatusPoll:
         """Compare what the controller triggered with what the mirrors counted."""
-        before = [queue.shown() for queue in self._queues]
+        before = self._counted()
         began = self.clock.now()
         try:
             now, status = self._ask()
         except DeviceError:
             self._blind = self._blind or (max(before), self.clock.now() - began)
             raise
-        after = [queue.shown() for queue in self._queues]
+        after = self._counted()
         count = status.shown if status.play == self._play else 0  # of an earlier play
         counts = (each for low, each in zip(before, after, strict=True) if not low <= count <= each)
         error, frames = self._motion.error(now, status.at), self._since(count)
@@ -139,9 +139,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         self._polled, self._free = now, status.free
         return StatusPoll(
             status.state == "running", error, next(counts, count), count, frames,
-            status.at / self.machines.microsteps - self._rows.origin,
-            min(queue.share for queue in self._queues),
-            min(queue.ahead for queue in self._queues) / self.schedule.rate, self._fault(status),
+            status.at / self.machines.microsteps - self._rows.origin, *self._supply(), self._fault(status),
             self._forgotten(status) is not None,
         )  # fmt: skip
 
@@ -162,8 +160,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
 
     def feed(self) -> None:
         """Black for what is late, and rows onward."""
-        for queue in self._queues:
-            queue.feed()
+        super().feed()
         self._send(self._free)
 
     def _send(self, free: int) -> None:

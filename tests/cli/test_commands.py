@@ -233,6 +233,20 @@ def test_used_up_memory_is_an_error_without_a_traceback(capsys, monkeypatch):
     assert "memory is used up: Unable to allocate 880 GiB; use larger pitches" in capsys.readouterr().err
 
 
+def test_bench_tells_the_stages_of_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from vamgpu.jobs.demo import JOB
+
+    (tmp_path / "job.toml").write_text(JOB, encoding="utf-8")
+    small = ["target.pitch=900 um", "beam.pitch=1200 um", "turntable.angles=20", "solve.iterations=2"]
+    assert main(["bench", "--job", str(tmp_path / "job.toml"), *(f"--set={each}" for each in small)]) == 0
+    said = capsys.readouterr().out
+    told = {line.split("│")[1].strip(): line.split("│")[2:] for line in said.splitlines() if line.count("│") > 3}
+    assert list(told)[1:4] == ["voxelizing the part", "finding the light", "packing the frames"]
+    shares = [float(cells[1].strip().rstrip("%")) for cells in told.values()]
+    assert abs(sum(shares) - 100.0) <= len(shares) and told["finding the light"][2].strip().endswith(" s")
+    assert [path.name for path in tmp_path.iterdir()] == ["job.toml"]
+
+
 @pytest.mark.parametrize("wrong", [["--size", "0"], ["--repeats", "0"], ["--angles", "-1"]])
 def test_bench_refuses_counts_below_one(wrong, capsys):
     assert main(["bench", *wrong]) == 1

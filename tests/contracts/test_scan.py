@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from points import PointProjection
 
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.points import PointProjection
 from vamgpu.operators.dwell import Dwell
 from vamgpu.units import deg
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,14 @@ from vamgpu.hosts.frames.upload import UploadQueue
 from vamgpu.hosts.players import mirrors
 from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
 from vamgpu.hosts.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.resume import asked_for, limits
+from vamgpu.hosts.rig import PrintPlan, player, rehearsal
 from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.state import Board
+from vamgpu.hosts.version_store import planned_versions
 
 if TYPE_CHECKING:
     import pytest
@@ -107,3 +111,27 @@ def late(monkeypatch: pytest.MonkeyPatch, *feeds: set[int]) -> None:
             return False if self.made - PREROLL in slots and self.uploaded <= self.made else super().make(timeout)
 
     monkeypatch.setattr(mirrors, "UploadQueue", Late)
+
+
+class Replaced:
+    """A rehearsal whose frames are replaced while it is printed: what ``happens`` once a slot comes."""
+
+    def __init__(self, path: Path, planned: PrintPlan, allowance: float = 10.0) -> None:
+        self.path, self.planned, self.stand = path, planned, rehearsal(planned)
+        self.versions = planned_versions(planned, allowance)
+        self.play: Any = player(planned, self.stand.machines, None, None, self.versions)
+        self.happens: dict[int, Callable[[], object]] = {}
+
+    def run(self, **options: Any) -> RunRecord:
+        feed = self.play.feed
+
+        def fed() -> None:
+            for slot in [slot for slot in self.happens if slot <= self.print.next]:
+                self.happens.pop(slot)()
+            feed()
+
+        self.play.feed = fed
+        with RunFolder.begin(self.path, asked_for(self.planned), self.planned.rig.text) as folder:
+            self.print = Print(self.play, folder, limits=limits(self.planned.rig), **options)
+            self.print.run()
+        return read_run(self.path)

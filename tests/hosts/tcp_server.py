@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import socket
 
-from vamgpu.hosts.emulators.line import Faults, LineMachine
+from vamgpu.hosts.emulators.line import Faults, LineDevice
 from vamgpu.hosts.emulators.servers import Server
 
 
 class TcpServer(Server):
     """A machine on a socket of this computer; ``url`` is what a driver opens. One caller at a time."""
 
-    def __init__(self, machine: LineMachine, faults: Faults | None = None) -> None:
+    def __init__(self, machine: LineDevice, faults: Faults | None = None) -> None:
         super().__init__(machine, faults)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._caller: socket.socket | None = None

@@ -11,14 +11,14 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.protocols.controller import ControllerRow
 
 SECOND = 1_000_000_000
 
 
-def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
+def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
     return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
 
 

@@ -12,10 +12,10 @@ from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.instruments import EmulatedMeter
-from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
 
 
-def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
+def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
     return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
 
 

@@ -10,14 +10,14 @@ from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import Faults, LineMachine, plug
+from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
 from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.protocols import optotune as ld4
 
 MILLI = 1_000_000
 
 
-def _wire(machine: LineMachine, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
+def _wire(machine: LineDevice, clock: VirtualClock, faults: Faults | None = None, timeout_s: float = 0.1) -> Wire:
     return Wire(plug(machine, clock, timeout_s, faults=faults), "the machine")
 
 

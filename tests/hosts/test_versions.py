@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from doubles import MODEL, STEPS, late
+from doubles import MODEL, STEPS, Replaced, late
 from test_stage_clocked import RIG
 
 from vamgpu.errors import BadInput, StorageError
@@ -21,8 +21,7 @@ from vamgpu.hosts.players.spinning import SpinningPlayer
 from vamgpu.hosts.players.triggered import TriggeredPlayer
 from vamgpu.hosts.proof import _shown
 from vamgpu.hosts.record import FrameRecord, RunFolder, RunRecord, read_run
-from vamgpu.hosts.resume import asked_for, limits
-from vamgpu.hosts.rig import PrintPlan, carry_out, plan, player, read_rig, rehearsal
+from vamgpu.hosts.rig import PrintPlan, carry_out, plan, read_rig
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.run import Print, SafetyLimits
 from vamgpu.hosts.safety.interlock import Budget
@@ -30,7 +29,7 @@ from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.moving import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import PrintState
-from vamgpu.hosts.version_store import keep, planned_versions, sources_of
+from vamgpu.hosts.version_store import keep, sources_of
 from vamgpu.printing.frames import Frames
 
 COUNT = 40
@@ -311,34 +310,16 @@ def shades(planned: PrintPlan, *levels: int) -> list[Frames]:
     return [replace(job, images=job.device.upload(np.full(job.shape, level, np.uint8), table=True)) for level in levels]
 
 
-class Planned:
+class Planned(Replaced):
     """A rehearsal of a job on a rig whose frames are replaced by a shade from turn 1 on, and by another from turn 2."""
 
     def __init__(self, job: Path, run: Path, rig: RigConfig, turns: int = 3) -> None:
-        self.path, self.planned = run, plan(job, rig, turns=turns, rehearsed=True)
-        self.stand = rehearsal(self.planned)
-        self.versions = planned_versions(self.planned, 10.0)
-        self.play: Any = player(self.planned, self.stand.machines, None, None, self.versions)
-        self.happens: dict[int, Callable[[], object]] = {}
+        super().__init__(run, plan(job, rig, turns=turns, rehearsed=True))
 
     def swap(self, level: int, turn: int, **options: Any) -> None:
         frames = shades(self.planned, level)
         number = self.versions.swap(sources_of(frames, self.planned.mirrors), turn, **options)
         keep(self.path, number, frames, {})
-
-    def run(self, **options: Any) -> RunRecord:
-        feed = self.play.feed
-
-        def fed() -> None:
-            for slot in [slot for slot in self.happens if slot <= self.print.next]:
-                self.happens.pop(slot)()
-            feed()
-
-        self.play.feed = fed
-        with RunFolder.begin(self.path, asked_for(self.planned), self.planned.rig.text) as folder:
-            self.print = Print(self.play, folder, limits=limits(self.planned.rig), **options)
-            self.print.run()
-        return read_run(self.path)
 
     def levels(self) -> np.ndarray:
         """What the resin saw of each view, in levels, summed over the turns."""

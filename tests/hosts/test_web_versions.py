@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doubles import Replaced
 from test_live_faults import answered, kinds
 from test_planning import BEAM, MASKS, ROLLER
 from test_stage_clocked import RIG
@@ -21,10 +22,8 @@ from vamgpu.hosts.frames.versions import Boundaries, FrameVersions
 from vamgpu.hosts.live.link import LiveLink, LiveOrder, task_of
 from vamgpu.hosts.players.player import StatusPoll
 from vamgpu.hosts.record import RunFolder, RunRecord, read_run
-from vamgpu.hosts.resume import asked_for, limits
-from vamgpu.hosts.rig import carry_out, check, plan, player, read_rig, rehearsal
+from vamgpu.hosts.rig import carry_out, check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.state import Board, PrintState
 from vamgpu.hosts.version_store import boundary, keep, kept_frames, last_kept, planned_versions, replaced, sources_of
@@ -56,21 +55,16 @@ def web(path: Path, masks: FocusMasks | None = MASKS, seed: int = 6, segment: in
     return folder.path
 
 
-class Rolled:
+class Rolled(Replaced):
     """A rehearsal of webs whose frames from a segment on are replaced by those of a level, and up to six more."""
 
     def __init__(
         self, path: Path, engines: int = 1, rig: RigConfig | None = None, masks: FocusMasks | None = MASKS,
         allowance: float = 10.0,
     ) -> None:  # fmt: skip
-        self.path = path / "run"
         jobs = [web(path / f"web{k}.vam", masks, 6 + k) for k in range(engines)]
-        self.planned = plan(jobs, rig or read_rig("emulated"), rehearsed=True, turns=1)
+        super().__init__(path / "run", plan(jobs, rig or read_rig("emulated"), rehearsed=True, turns=1), allowance)
         self.planes = 1 if masks is None else 3
-        self.stand = rehearsal(self.planned)
-        self.versions = planned_versions(self.planned, allowance)
-        self.play: Any = player(self.planned, self.stand.machines, None, None, self.versions)
-        self.happens: dict[int, Callable[[], object]] = {}
         self.expected = [each.stretch(0, POSES).levels().copy() for each in self.planned.jobs if each.stretch]
 
     def frames(self, level: int, turn: int, segments: int) -> list[Frames]:
@@ -91,20 +85,6 @@ class Rolled:
         for levels, each in zip(self.expected if shown else (), frames, strict=False):
             levels[turn * SEGMENT : turn * SEGMENT + each.shape[0]] = each.levels()
         return number
-
-    def run(self) -> RunRecord:
-        feed = self.play.feed
-
-        def fed() -> None:
-            for slot in [slot for slot in self.happens if slot <= self.print.next]:
-                self.happens.pop(slot)()
-            feed()
-
-        self.play.feed = fed
-        with RunFolder.begin(self.path, asked_for(self.planned), self.planned.rig.text) as folder:
-            self.print = Print(self.play, folder, limits=limits(self.planned.rig))
-            self.print.run()
-        return read_run(self.path)
 
     def fits(self) -> None:
         """What the resin saw is what was expected, wherever it was replaced."""

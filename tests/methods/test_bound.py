@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import sparse
-from scipy.optimize import linprog
+from widest import entries_of, widest
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
@@ -38,29 +37,11 @@ def part(name: str) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def entries() -> Any:
-    """Dose of every voxel by light of every pixel, read off the operator voxel by voxel."""
-    A, unit, rows = operator("numpy"), np.zeros((SIZE, SIZE, 1), np.float32), []
-    for voxel in range(SIZE**2):
-        unit[:] = 0.0
-        unit.flat[voxel] = 1.0
-        rows.append(sparse.csr_matrix(np.asarray(A(unit), np.float64).reshape(1, -1)))
-    return sparse.vstack(rows).tocsr()
+    return entries_of(operator("numpy"))
 
 
 def optimum(entries: Any, inside: np.ndarray, near: np.ndarray) -> float:
-    """Greatest a − b of light ≥ 0 whose dose is at least a and at most 1 in the part, and at most b elsewhere."""
-    wanted, void = entries[inside & near] / entries.max(), entries[~inside & near] / entries.max()
-    ones, none = (lambda k: np.ones((k, 1))), (lambda k: sparse.csr_matrix((k, 1)))
-    k, rest = wanted.shape[0], void.shape[0]
-    limits = sparse.vstack([
-        sparse.hstack([-wanted, ones(k), none(k)]), sparse.hstack([void, none(rest), -ones(rest)]),
-        sparse.hstack([wanted, none(k), none(k)]),
-    ])  # fmt: skip
-    cost = np.zeros(entries.shape[1] + 2)
-    cost[-2:] = -1.0, 1.0
-    found = linprog(cost, limits, np.r_[np.zeros(k + rest), np.ones(k)], method="highs").fun
-    assert found is not None
-    return -found
+    return widest(entries[inside & near], entries[~inside & near])
 
 
 def strict(entries: Any, light: np.ndarray, inside: np.ndarray, near: np.ndarray) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from points import PointProjection
 
 from vamgpu import Beam, Grid, Projection, Turntable, Vat, open_device
 from vamgpu.backend.device import Device
@@ -11,7 +12,6 @@ from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 from vamgpu.methods.dual import METHODS, Colors, DualColor, LeastSquares, Tolerant, superpose
 from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.methods.dual.passes import DualState
-from vamgpu.methods.dual.points import PointProjection
 
 N = 32
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import sparse
-from scipy.optimize import linprog
+from widest import entries_of, widest
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning, SamplingWarning
@@ -38,23 +37,10 @@ def cross() -> np.ndarray:
 
 @cache
 def optimum(brightness: float) -> float:
-    """Greatest a − b of light from 0 to brightness·(a + b)/2 with a ≤ dose ≤ 1 in the part and dose ≤ b elsewhere."""
     exact = operator("numpy")
-    A = np.stack([np.asarray(exact(unit)).ravel() for unit in np.eye(SIZE**2).reshape(-1, SIZE, SIZE, 1)])
     inside, near = cross().ravel() > 0.5, exact.grid.cylinder().ravel()
-    scale = A.max()
-    part, void = sparse.csr_matrix(A[inside & near] / scale), sparse.csr_matrix(A[~inside & near] / scale)
-    n, k, rest = A.shape[1], int((inside & near).sum()), int((~inside & near).sum())
-    one, none = (lambda m: np.ones((m, 1))), (lambda m: sparse.csr_matrix((m, 1)))
-    half = float(0.5 * brightness * scale)
-    limits = sparse.vstack([
-        sparse.hstack([-part, one(k), none(k)]), sparse.hstack([void, none(rest), -one(rest)]),
-        sparse.hstack([part, none(k), none(k)]), sparse.hstack([sparse.identity(n), -half * one(n), -half * one(n)]),
-    ])  # fmt: skip
-    cost = np.r_[np.zeros(n), -1.0, 1.0]
-    found = linprog(cost, limits, np.r_[np.zeros(k + rest), np.ones(k), np.zeros(n)], method="highs").fun
-    assert found is not None
-    return -found
+    entries = entries_of(exact)
+    return widest(entries[inside & near], entries[~inside & near], brightness)
 
 
 def seconds_of(plan: Any) -> float:

@@ -6,13 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from points import PointProjection
 
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.losses import Band, cross_entropy
 from vamgpu.methods import BCLP, LBFGS, OSMO, GradientDescent, Linear, PenaltyMinimization, Recipe
 from vamgpu.methods import optimize as run
 from vamgpu.methods.dual import Colors, Tolerant, superpose
-from vamgpu.methods.dual.points import PointProjection
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.ramp import capped_ramp, identity

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt
-from scipy.optimize import linprog
 from scipy.stats import norm
+from widest import entries_of, widest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput, Cancelled
@@ -43,35 +43,16 @@ def part(name: str) -> np.ndarray:
 
 @cache
 def entries() -> list[Any]:
-    """Dose of every voxel by light of every pixel, at every corner, read off the operators voxel by voxel."""
-    found, unit = [], np.zeros((SIZE, SIZE, 1), np.float32)
-    for corner in OFF.corners():
-        A, rows = at(projection(), corner), []
-        for voxel in range(SIZE**2):
-            unit[:] = 0.0
-            unit.flat[voxel] = 1.0
-            rows.append(sparse.csr_matrix(np.asarray(A(unit), np.float64).reshape(1, -1)))
-        found.append(sparse.vstack(rows).tocsr())
-    return found
+    """Those of every corner."""
+    return [entries_of(at(projection(), corner)) for corner in OFF.corners()]
 
 
 @cache
 def optimum(name: str) -> float:
-    """Greatest a − b of light ≥ 0 whose dose is at least a and at most 1 in the part, at most b outside, everywhere."""
+    """That of one light and one threshold for all corners."""
     inside, near = part(name).ravel(), projection().grid.cylinder().ravel()
-    unit = max(each.max() for each in entries())
-    wanted, void = (sparse.vstack([e[where & near] for e in entries()]) / unit for where in (inside, ~inside))
-    ones, none = (lambda k: np.ones((k, 1))), (lambda k: sparse.csr_matrix((k, 1)))
-    k, rest = wanted.shape[0], void.shape[0]
-    limits = sparse.vstack([
-        sparse.hstack([-wanted, ones(k), none(k)]), sparse.hstack([void, none(rest), -ones(rest)]),
-        sparse.hstack([wanted, none(k), none(k)]),
-    ])  # fmt: skip
-    cost = np.zeros(wanted.shape[1] + 2)
-    cost[-2:] = -1.0, 1.0
-    found = linprog(cost, limits, np.r_[np.zeros(k + rest), np.ones(k)], method="highs").fun
-    assert found is not None
-    return -found
+    wanted, void = (sparse.vstack([each[where & near] for each in entries()]) for where in (inside, ~inside))
+    return widest(wanted, void)
 
 
 def judged(light: np.ndarray, name: str, axis: float, spread: float) -> tuple[float, float, float]:

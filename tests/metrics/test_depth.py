@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from vamgpu.errors import BadInput
-from vamgpu.metrics.depth import box_fraction, signed_depth
+from vamgpu.metrics.depth import signed_depth
 
 SHAPE = (44, 42, 40)
 REACH = 4.0
@@ -77,18 +77,6 @@ def test_slabs_with_a_halo_agree_with_the_whole() -> None:
         part = signed_depth(fraction[:, :, low : start + 8 + halo], REACH)
         assert np.abs(part[:, :, start - low : start - low + 8] - whole[:, :, start : start + 8]).max() < 0.15
         assert np.mean(part[:, :, start - low : start - low + 8] != whole[:, :, start : start + 8]) < 1e-3
-
-
-def test_the_fraction_of_a_cut_cube_matches_counted_points() -> None:
-    rng = np.random.default_rng(3)
-    normal = np.abs(rng.normal(size=(40, 3)))
-    normal[0] = 1, 0, 0
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    place = rng.uniform(-0.8, 0.8, 40)
-    steps = (np.arange(30) + 0.5) / 30 - 0.5
-    points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    counted = (points @ normal.T + place > 0).mean(axis=0)
-    assert box_fraction(normal, place) == pytest.approx(counted, abs=0.02)
 
 
 def test_nothing_and_everything() -> None:

@@ -11,7 +11,7 @@ from vamgpu import Beam, Grid, Projection, Turntable, Vial
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning, ShapeMismatch
-from vamgpu.printing.dose import absorbed_dose, dose_unit
+from vamgpu.operators.dose_unit import dose_unit
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.simulate import simulate
@@ -47,7 +47,7 @@ def shown(A: Projection, scale: float = 2.0) -> Shown:
 def test_calibrated_dose_follows_the_equation(device: Device) -> None:
     A = Projection(GRID, BEAM, TURN, VIAL, device)
     light = np.random.default_rng(0).random(A.range.shape)
-    got = absorbed_dose(A, A.device.upload(light), dwell=0.75, unit=3.0).numpy()
+    got = dose_unit(A, dwell=0.75, unit=3.0) * np.asarray(A.T(light), float)
     matrix = Projection(GRID, BEAM, TURN, VIAL, "numpy")
     wanted = np.asarray(matrix.T(3.0 * light)) * 0.25**2 * 0.75 / 0.2**3
     assert np.abs(got - wanted).max() <= 1e-5 * wanted.max()
@@ -61,7 +61,7 @@ def test_energy_absorbed_is_the_energy_sent_times_the_absorbed_share() -> None:
     u = beam.columns()
     lit = np.maximum(1 - (u / 2.2) ** 2, 0)
     light = np.broadcast_to(5.0 * lit[None, :, None], A.range.shape)
-    dose = absorbed_dose(A, A.device.upload(light), dwell=2.0).numpy()
+    dose = dose_unit(A, dwell=2.0) * np.asarray(A.T(light), float)
     share = -np.expm1(-0.2 * 2 * np.sqrt(np.maximum(2.8**2 - u**2, 0)))
     absorbed = 37 * 3 * np.sum(5.0 * lit * share) * beam.pixel_area * 2.0
     assert dose.sum() * grid.voxel_volume == pytest.approx(absorbed, rel=1e-3)

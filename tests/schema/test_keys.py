@@ -7,6 +7,7 @@ import tomllib
 from typing import Any
 
 import pytest
+from web_machine import MACHINE
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput
@@ -14,7 +15,6 @@ from vamgpu.jobs.curethrough import EXAMPLE
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.demo import WEB_JOB as WEB
 from vamgpu.jobs.keys import FILES, HEADS, keys_of, reference, schema_of
-from vamgpu.jobs.limits import MACHINE
 
 
 def test_the_page_of_keys_has_every_table_with_its_keys(capsys: pytest.CaptureFixture[str]) -> None:

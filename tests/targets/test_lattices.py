@@ -10,7 +10,7 @@ from scipy.ndimage import label
 
 from vamgpu.errors import BadInput, EmptyMesh
 from vamgpu.geometry import Grid
-from vamgpu.targets.implicit import Implicit, to_target, voxelize
+from vamgpu.targets.implicit import Implicit, voxelize
 from vamgpu.targets.lattices import (
     Capsules,
     CubicLattice,
@@ -23,6 +23,7 @@ from vamgpu.targets.lattices import (
 )
 from vamgpu.targets.shapes.csg import rod, to_solid
 from vamgpu.targets.stream import Repeated, stream, tile
+from vamgpu.targets.target import Target
 from vamgpu.web import WebGrid
 
 ALL: tuple[Any, ...] = (
@@ -174,7 +175,7 @@ def test_a_mesh_repeats_along_the_web() -> None:
 
 
 def test_a_lattice_is_a_target_for_a_vial() -> None:
-    target = to_target(CubicLattice(), Grid((48, 48, 48), 0.125), "cube")
+    target = Target.from_array(voxelize(CubicLattice(), Grid((48, 48, 48), 0.125)), 0.125, "cube")
     volume = 8 * (3 * np.pi * 0.25**2 * 3.0 - 8 * np.sqrt(2.0) * 0.25**3)
     assert target.name == "cube" and target.volume == pytest.approx(volume, rel=5e-3)
 

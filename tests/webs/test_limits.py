@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from web_machine import MACHINE
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
-from vamgpu.jobs.limits import MACHINE, parse_limits
+from vamgpu.jobs.limits import parse_limits
 from vamgpu.optics.film import Film
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller

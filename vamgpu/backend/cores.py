@@ -27,16 +27,8 @@ def threads() -> int:
 
 
 def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> Iterator[Out]:
-    """Work on items in as many threads as there are cores, a few items ahead of whoever takes the results.
-
-    Args:
-        work: What is done with each item; it must let other threads run, as NumPy does.
-        items: In order; they are asked for in this thread.
-        most: Threads, at most.
-
-    Yields:
-        The results, in the same order.
-    """
+    """Results of work on items, in order, by as many threads as cores, a few items ahead of whoever takes them."""
+    # The work must let other threads run, as NumPy does; items are asked for in this thread.
     rest = iter(items)
     some = list(islice(rest, 2))
     workers = min(threads(), most)

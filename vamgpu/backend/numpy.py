@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import prod
 from typing import Any
 
@@ -59,9 +58,6 @@ class NumpyDevice(Device):
 
     def synchronize(self) -> None:
         pass
-
-    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
-        return run
 
     def adopt(self, foreign: Any) -> DeviceArray:
         array = from_host(self, foreign)

@@ -7,7 +7,6 @@ import os
 import tempfile
 import warnings
 import weakref
-from collections.abc import Callable
 from functools import lru_cache
 from math import prod
 from typing import Any
@@ -259,9 +258,6 @@ class OpenclDevice(Device):
 
     def synchronize(self) -> None:
         self.queue.finish()
-
-    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
-        return run
 
     def adopt(self, foreign: Any) -> DeviceArray:
         if isinstance(foreign, cla.Array):

@@ -191,9 +191,6 @@ class RemoteDevice(Device):
         given = {key: _Ref(value.number) if isinstance(value, _Handle) else value for key, value in bound.items()}
         self._orders.append(("launch", kernel.concept, kernel.name, given, sizes, lanes))
 
-    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
-        return run
-
     # ---- arrays of others ------------------------------------------------------------------------------------
     def adopt(self, foreign: Any) -> DeviceArray:
         return self.upload(from_host(self, foreign), table=True)

@@ -7,7 +7,7 @@ other runs on the first member alone, on the whole field.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from math import prod
 from typing import Any
@@ -333,9 +333,6 @@ class SlabDevice(Device):
     def synchronize(self) -> None:
         for member in self.members:
             member.synchronize()
-
-    def capture(self, run: Callable[[], None]) -> Callable[[], None]:
-        return run
 
     # ---- arrays of others ------------------------------------------------------------------------------------
     def adopt(self, foreign: Any) -> DeviceArray:

@@ -111,8 +111,8 @@ class PowerVerdict:
 
 
 @dataclass(frozen=True)
-class PowerWindow:
-    """Powers at which a number of turns is legal: low < power < high; none where low ≥ high."""
+class LegalRange:
+    """What makes a number of turns legal: all between low and high, nothing where low ≥ high."""
 
     turns: int
     low: float
@@ -120,8 +120,12 @@ class PowerWindow:
 
     @property
     def legal(self) -> bool:
-        """Whether any power is."""
+        """Whether anything does."""
         return self.low < self.high
+
+
+class PowerWindow(LegalRange):
+    """Powers at which a number of turns is legal."""
 
     @property
     def middle(self) -> float:
@@ -167,28 +171,12 @@ def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
     return count
 
 
-@dataclass(frozen=True)
-class StaticInhibition:
-    """Delay of the thresholds [dose] that makes a number of turns legal: low < dose < high."""
-
-    turns: int
-    low: float
-    high: float
-
-    @property
-    def legal(self) -> bool:
-        """Whether any amount works."""
-        return self.low < self.high
-
-
-def static_inhibition(
-    doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0
-) -> StaticInhibition:  # fmt: skip
+def static_inhibition(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> LegalRange:
     """The delay [dose] that makes ``turns`` turns at a power legal: (b) with (c) is N_R·ΔD > ΔT. Raises `BadInput`."""
     n, power = counts("turns", (turns,), 1)[0], positive("power", power)
     hottest = max(n * doses.out_most, (n - 1) * doses.in_most)
     low = max(power * hottest - thresholds.optical, -thresholds.optical)
-    return StaticInhibition(n, low, n * power * doses.in_least - thresholds.mechanical)
+    return LegalRange(n, low, n * power * doses.in_least - thresholds.mechanical)
 
 
 def static_turns(doses: TurnDoses, thresholds: Thresholds, power: float = 1.0) -> float:

@@ -21,41 +21,6 @@ from vamgpu.schema.section import Section
 from vamgpu.webs.display import Display
 from vamgpu.webs.limits import WebLimits
 
-MACHINE = """\
-# The machine of the roll-to-roll paper at its greatest speed.
-
-[film]
-thickness = "3 mm"
-resin_index = 1.49
-bath_index = 1.33
-absorption = "2.2 1/cm"
-
-[roller]
-radius = "7.5 mm"
-step = "0.5 deg"
-legs = "14.14 mm"
-
-[lens]
-bins = 3
-settle = "5 ms"
-depth_of_focus = "3.8 mm"
-
-[display]
-rate = "266 Hz"
-pixels = [1920, 1080]
-pitch = "14.4 um"
-bits = 8
-
-[web]
-speed = "48 mm/min"
-length = "600 mm"
-
-[resin]
-density = "1100 kg/m3"
-"""
-"""An example of such a file."""
-
-
 Roll = Annotated[Partial, noun("wrap", kind="roller", without=("film",))]
 Depth = Annotated[Length, Field(description="of the projector: where its light is less than √2 wider")]
 Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})]

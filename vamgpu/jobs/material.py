@@ -17,8 +17,7 @@ TABLES = ("vial", "vat", "vessel", "light")
 
 
 def with_material(data: Any, folder: Path | None) -> Any:
-    """The tables of a file, with index, absorption and critical dose of its [resin] where they are needed and absent.
-    The tables of a file, with index, absorption and critical dose of its [resin] where they are needed and absent."""
+    """The tables of a file, with what they lack of index, absorption and critical dose of its [resin]."""
     table = data.get("resin") if isinstance(data, dict) else None
     if not isinstance(table, dict) or not isinstance(table.get("material"), str):
         return data

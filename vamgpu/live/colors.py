@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.live.fields import scaled
-from vamgpu.live.replan import ROUNDING, SURE, Forecast, finite
+from vamgpu.live.replan import ROUNDING, SURE, Forecast, allowed_turns, finite
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.joint.descent import ColorDescent, gains_of
@@ -103,7 +102,7 @@ class ColorReplanner:
             BadInput: A state or light that is no number, or no turns.
             ShapeMismatch: An array of another geometry.
         """
-        counts, allowed = _counts(turns, planned), positive("evaluations", evaluations)
+        counts, allowed = allowed_turns(turns, planned), positive("evaluations", evaluations)
         state, light = _on_device(model, delivered, plan)
         now = state.effective_dose(model.resin)
         judge = OptimizerState(model.operators[0], self._fractions, {}, "loss")
@@ -173,14 +172,6 @@ class ColorReplanner:
         threshold = 0.5 * (self.weights.outside + self.weights.inside) if self.threshold is None else self.threshold
         iou = float(score(dose, self._fractions, threshold=threshold).iou)
         return Forecast(turns, judge.window(dose)[0], iou)
-
-
-def _counts(turns: Sequence[int], planned: int) -> list[int]:
-    """Numbers of further turns, in order. Raises `BadInput`."""
-    counts = sorted({int(count) for count in turns})
-    if not counts or counts[0] < 0 or planned < 0:
-        raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
-    return counts
 
 
 def _on_device(model: KineticModel, delivered: SpeciesFields, plan: Pair) -> tuple[SpeciesFields, Pair]:

@@ -56,6 +56,14 @@ def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
     return device.field(values)
 
 
+def allowed_turns(turns: Sequence[int], planned: int) -> list[int]:
+    """Numbers of further turns, in order. Raises `BadInput`."""
+    counts = sorted({int(count) for count in turns})
+    if not counts or counts[0] < 0 or planned < 0:
+        raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
+    return counts
+
+
 @dataclass(frozen=True)
 class Forecast:
     """Forecast of a print.
@@ -170,9 +178,7 @@ class Replanner:
             BadInput: A dose or light that is no number, or no turns.
             ShapeMismatch: An array of another geometry.
         """
-        counts = sorted({int(count) for count in turns})
-        if not counts or counts[0] < 0 or planned < 0:
-            raise BadInput(f"got turns {list(turns)} and {planned} planned; expected whole numbers from 0 on")
+        counts = allowed_turns(turns, planned)
         target, border = self._part(operator)
         state = OptimizerState(operator, target, {}, "loss")  # type: ignore[arg-type]
         state.most_evaluations = positive("evaluations", evaluations)

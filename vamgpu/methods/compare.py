@@ -37,22 +37,9 @@ LABELS = {
 
 
 def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -> Method:
-    """A method by its name in `LABELS` that asks for given thresholds, everything else its own default.
-
-    Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half way
-    between the two. The recipe asks for doses, not for thresholds, filtered back projection for none: both stay.
-
-    Args:
-        name: Of the method.
-        outside: Most dose of a void voxel, in units of the part's.
-        inside: Least dose of a part voxel.
-
-    Returns:
-        The method.
-
-    Raises:
-        BadInput: For another name, or unless 0 ≤ outside < inside ≤ 1.
-    """
+    """A method by its name in `LABELS` that asks for thresholds, in units of the part's dose. Raises `BadInput`."""
+    # Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half
+    # way between the two. The recipe asks for doses, not for thresholds, filtered back projection for none: both stay.
     Band.thresholds(outside, inside)
     middle = Logistic(middle=0.5 * (outside + inside))
     made: dict[str, Method] = {

@@ -64,39 +64,15 @@ class ExposureLimit:
         )
 
     def brightness(self, operator: Any) -> float:
-        """Greatest light of a pixel over the dose at the threshold, in the operator's units [1/mm].
-
-        Args:
-            operator: A projection.
-
-        Returns:
-            The ratio.
-
-        Raises:
-            BadInput: The operator has no turns and pixels to tell times by, or nothing says what the resin absorbs.
-        """
+        """Greatest light of a pixel over the dose at the threshold, in operators' units [1/mm]. Raises `BadInput`."""
         return self.seconds / self._time(operator)
 
     def seconds_of(self, operator: Any, light: DeviceArray, threshold: float) -> float:
-        """How long an exposure lasts [s].
-
-        Args:
-            operator: A projection.
-            light: [angle, r, z] on its device.
-            threshold: Dose of that light at which resin is to be solid.
-
-        Returns:
-            The time, infinite where the threshold is dark.
-        """
+        """How long light [angle, r, z] takes until its dose ``threshold`` is solid [s]; infinite for none."""
         return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
 
     def check(self, operator: Any, even: float) -> None:
-        """Refuse a time in which not even full-on pixels everywhere would do.
-
-        Args:
-            operator: A projection.
-            even: Least dose of the part by light 1 everywhere.
-        """
+        """Refuse a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(

@@ -105,16 +105,7 @@ def _stepped(values: DeviceArray, at: float, reach: float = EVERYWHERE) -> Devic
 
 
 def idle_light(operator: Any, light: DeviceArray, lit: DeviceArray) -> float:
-    """Tell which share of light is sent by pixels whose rays never meet a part.
-
-    Args:
-        operator: A projector.
-        light: [angle, r, z], on its device.
-        lit: What `lit_pixels` gives.
-
-    Returns:
-        The share; 0 of dark light.
-    """
+    """Share of light [angle, r, z] in pixels whose rays never meet a part, by `lit_pixels`; 0 of dark light."""
     sent = Dwell(operator.motion, operator.device).weighted(light)
     whole = total(sent)
     return max(1.0 - dot(sent, lit) / whole, 0.0) if whole > 0.0 else 0.0

@@ -163,13 +163,6 @@ def _place(normal: Floats, filled: Floats) -> Floats:
     return np.where(filled < 0.5, cut - half, half - cut)
 
 
-def box_fraction(normal: npt.ArrayLike, place: npt.ArrayLike) -> Floats:
-    """Share of a unit cube on the inner side of a plane."""
-    # normal (n, 3); place (n,); returns (n,)
-    sides = np.maximum(np.asarray(normal, np.float64), _THIN)
-    return np.clip(_corner(sides, np.asarray(place, np.float64) + 0.5 * sides.sum(axis=1))[0], 0.0, 1.0)
-
-
 def _corner(sides: Floats, cut: Floats) -> tuple[Floats, Floats]:
     """Share of the unit cube with sides · y <= cut, and its derivative by the cut; sides (n, 3), all > 0."""
     a, b, c = sides.T

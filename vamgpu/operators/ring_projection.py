@@ -24,12 +24,11 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import column_in_resin
-from vamgpu.operators.ring_means import BLOCK
 from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.spectral import SpectralProjection, passes
-from vamgpu.operators.traced import WHOLE, SparseEntries
+from vamgpu.operators.traced import BLOCK, WHOLE, SparseEntries
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6

@@ -30,6 +30,8 @@ SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""
 WHOLE = 1 << 24
 """Float32 tells whole numbers apart up to here."""
+BLOCK = 1 << 24
+"""Columns of a matrix that are read together."""
 PLANES, POSES = 32, 45
 """Planes of voxels, and poses, whose entries are gathered together, so that neighbors find them in the cache."""
 PATIENCE = 8

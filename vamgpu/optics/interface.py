@@ -53,26 +53,15 @@ def fresnel(cos_before: Floats, cos_after: Floats, index_before: Index, index_af
 
 
 def left(shares: Floats, polarization: str) -> Floats:
-    """Share of the light's power that is left of it.
-
-    Args:
-        shares: what is left of s and of p light, shape (..., 2).
-        polarization: of the light, one of `POLARIZATIONS`; light without one is half s, half p.
-    """
+    """Share of the power that is left of light, by what is left of s and of p (..., 2); without one half of each."""
     return shares.mean(axis=-1) if polarization == "none" else shares[..., POLARIZATIONS.index(polarization) - 1]
 
 
 def transmittance(crossings: Iterable[Crossing], polarization: str = "none") -> Floats:
-    """Share of the power that crosses all the faces one after the other.
-
-    At every face s light stays s and p light stays p, so that each has its own product over the faces. Unpolarized
-    light leaves the mean of the two products. The product of the means is another number: what the first face let
-    pass is richer in p, which the next face lets pass better.
-
-    Args:
-        crossings: of each face the four arguments of `fresnel`.
-        polarization: of the light, one of `POLARIZATIONS`.
-    """
+    """Share of the power that crosses all faces, given by the arguments of `fresnel`, one after the other."""
+    # At every face s light stays s and p light stays p, so that each has its own product over the faces. Unpolarized
+    # light leaves the mean of the two products. The product of the means is another number: what the first face let
+    # pass is richer in p, which the next face lets pass better.
     return left(np.prod([fresnel(*crossing) for crossing in crossings], axis=0), polarization)
 
 

@@ -26,12 +26,11 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_means import BLOCK
 from vamgpu.operators.ring_projection import RingProjection, direct
 from vamgpu.operators.row_resampler import RowResampler, mean_light
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 from vamgpu.operators.spectral import SpectralProjection
-from vamgpu.operators.traced import SparseEntries
+from vamgpu.operators.traced import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
 from vamgpu.schema.quantities import Thickness
 

@@ -18,7 +18,7 @@ from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.interface import Polarization, polarized
 from vamgpu.optics.roller_cells import cells, walks
 from vamgpu.optics.roller_index import FilmIndex
-from vamgpu.optics.roller_rays import Layers, Traced, trace
+from vamgpu.optics.roller_rays import Layers, Segments, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, Gain, HalfAngle, Index, Length, Place, Share, Step, Thickness
@@ -275,17 +275,11 @@ class Roller:
             BadInput: The grid is not as thick as the film, or a column misses it.
             RayError: A column is reflected totally.
         """
-        map = self.map(grid)
-        columns = self._columns(beam)
-        offsets, leans = self._bundle(beam.pitch)
-        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device)
-        n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
-        shape, per_column = (columns.size, n_rho, n_l), offsets.size * leans.size
-        *entries, weight = cells(map, traced.segments, traced.segments.ray // per_column, self.film.absorption, shape,
+        map, segments, rays, shape = self._segments(grid, beam, device)
+        *entries, weight = cells(map, segments, segments.ray // rays, self.film.absorption, shape,
                                  (grid.edges[1], grid.edges[0]))  # fmt: skip
-        gain = np.ones(columns.size) if self.compensation is None else self.gain(columns)
         r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
-        weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
+        weight = weight * self._power(beam, rays)[r] * self._dense(map, grid, rho, l)
         return Propagation(shape, r, rho, l, weight, map.middle, self.lit_share * self.advance / grid.edges[0])
 
     def rays_of(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> WebRays:
@@ -303,18 +297,28 @@ class Roller:
             BadInput: The grid is not as thick as the film, or a column misses it.
             RayError: A column is reflected totally.
         """
+        map, segments, rays, shape = self._segments(grid, beam, device)
+        ray, rho, l, length, weight = walks(  # noqa: E741 - the web's axis
+            map, segments, self.film.absorption, shape[1:], (grid.edges[1], grid.edges[0])
+        )
+        r = ray // rays
+        weight = weight * self._power(beam, rays)[r] * self._dense(map, grid, rho, l)
+        return WebRays(shape, ray, r, rho, l, length, weight, self.film.absorption, map.middle)
+
+    def _segments(
+        self, grid: WebGrid, beam: Beam, device: str | Device | None
+    ) -> tuple[WrapMap, Segments, int, tuple[int, int, int]]:
+        """The map, the pieces of all rays of a pose, the number of rays of a column, and the shape (r, rho, l)."""
         map, columns = self.map(grid), self._columns(beam)
         offsets, leans = self._bundle(beam.pitch)
         traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device)
-        n_rho, n_l = grid.shape[1], round(map.length / grid.edges[0])
-        absorption, per_column = self.film.absorption, offsets.size * leans.size
-        ray, rho, l, length, weight = walks(  # noqa: E741 - the web's axis
-            map, traced.segments, absorption, (n_rho, n_l), (grid.edges[1], grid.edges[0])
-        )
-        r, gain = ray // per_column, np.ones(columns.size) if self.compensation is None else self.gain(columns)
-        shape = (columns.size, n_rho, n_l)
-        weight = weight * (gain / per_column)[r] * self._dense(map, grid, rho, l)
-        return WebRays(shape, ray, r, rho, l, length, weight, absorption, map.middle)
+        shape = (columns.size, grid.shape[1], round(map.length / grid.edges[0]))
+        return map, traced.segments, offsets.size * leans.size, shape
+
+    def _power(self, beam: Beam, rays: int) -> Floats:
+        """Power of one of so many rays of each column."""
+        columns = self._columns(beam)
+        return (np.ones(columns.size) if self.compensation is None else self.gain(columns)) / rays
 
     def _dense(self, map: WrapMap, grid: WebGrid, rho: np.ndarray, l: np.ndarray) -> Floats | float:  # noqa: E741
         """Factor from energy of voxels to the energy per volume asked for."""

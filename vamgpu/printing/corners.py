@@ -16,21 +16,8 @@ from vamgpu.printing.simulate import ShownLight
 
 
 def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerances) -> CornerDoses:
-    """Expose frames at every corner, by rays traced for it where its operator is a `Projection`, else by itself.
-
-    Args:
-        A: What the frames were solved with, the nominal operator.
-        frames: As for `simulate`.
-        target: A `Target`, or fractions [x, y, z].
-        tolerances: How far the print may be off.
-
-    Returns:
-        The doses at all corners.
-
-    Raises:
-        ToleranceError: A tolerance contradicts the operator.
-        BadInput: Frames or target are of another geometry.
-    """
+    """Doses of frames at every corner, for arguments as of `simulate`. Raises `ToleranceError`, `BadInput`."""
+    # By rays traced for each corner where its operator is a `Projection`, else by the operator itself.
     A = direct(A)
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)

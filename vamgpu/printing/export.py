@@ -66,18 +66,7 @@ class Canvas:
         object.__setattr__(self, "offset", (right, up))
 
     def images(self, frames: Frames) -> Iterator[np.ndarray]:
-        """The pictures one after the other.
-
-        Args:
-            frames: What is shown.
-
-        Returns:
-            Gray levels uint8 [row, column], those of a turn ``repeats`` times.
-
-        Raises:
-            BadInput: Frames of 1 bit are rotated by parts of a quarter turn.
-            ShapeMismatch: They do not fit the canvas.
-        """
+        """The pictures, uint8 [row, column], of ``repeats`` turns. Raises `BadInput`, `ShapeMismatch`."""
         each = max(BLOCK // max(frames.shape[1] * frames.shape[2], 1), 1)
         for _ in range(self.repeats):
             for first in range(0, frames.shape[0], each):

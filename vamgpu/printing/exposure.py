@@ -10,8 +10,8 @@ from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, OpticsWarning
 from vamgpu.geometry import positive
 from vamgpu.metrics import Scores
+from vamgpu.operators.dose_unit import dose_unit
 from vamgpu.operators.projection import Projection
-from vamgpu.printing.dose import dose_unit
 from vamgpu.schema.quantities import Dose, Irradiance, measured
 from vamgpu.units import mJ_cm3, mW_cm2
 
@@ -67,7 +67,7 @@ def expose(
 ) -> ExposureTimes:
     """Times of a print whose angles share the exposure, evenly or by their dwell, turn after turn."""
     # scores: of Aᵀ(light). sent: Σ light · time of its angle over the mean. full: light of a full-on pixel. irradiance:
-    # that pixel's [mW/mm²]. critical_dose: [mJ/mm³]; both also as text with units. absorption: as for `absorbed_dose`.
+    # that pixel's [mW/mm²]. critical_dose: [mJ/mm³]; both also as text with units. absorption: as for `dose_unit`.
     irradiance, wanted = _given("irradiance", irradiance), _given("critical_dose", critical_dose)
     unit = irradiance / positive("light of a full-on pixel", full)
     rate = dose_unit(A, 1.0 / A.motion.angles, unit=unit, absorption=absorption)

@@ -23,10 +23,10 @@ from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
 from vamgpu.metrics.parts import EVERYWHERE, IN
 from vamgpu.metrics.unjudged import Unjudged, unjudged
+from vamgpu.operators.dose_unit import absorbs
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.beyond_cylinder import Outer
 from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
-from vamgpu.printing.dose import absorbs
 from vamgpu.printing.exposure import ExposureTimes
 from vamgpu.printing.independent import FineSlab, IndependentExposure
 

@@ -14,8 +14,8 @@ import numpy as np
 import vamgpu
 from vamgpu.methods.papers import CAL, OBJECT_SPACE, THRESHOLDS, VIAL
 from vamgpu.methods.tolerances import CornerDose, CornerDoses
+from vamgpu.operators.dose_unit import absorbs
 from vamgpu.printing import charts, pictures, surface
-from vamgpu.printing.dose import absorbs
 from vamgpu.printing.judgement import WHOLE, Judgement
 from vamgpu.printing.proof import Proof, efficiency
 from vamgpu.printing.summary import headline, summary

@@ -82,7 +82,7 @@ def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> st
 
 def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> tuple[np.ndarray, str]:
     """A whole array and its SHA-256. Raises `StorageError` where it is missing, damaged, or not as its record says."""
-    with _explained(folder, name):
+    with undamaged(f"array {name!r}", folder, "job"):
         layout, seal = _layout(folder, name, shape, dtype), hashlib.sha256()
         values = layout.entries(range(shape[0]), whole=True, seen=lambda part: seal.update(part.view(np.uint8).data))
         return values, seal.hexdigest()
@@ -90,16 +90,16 @@ def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> tuple[n
 
 def read_one(folder: Path, name: str, shape: tuple[int, ...], dtype: str, index: int) -> np.ndarray:
     """One entry of the first axis. Raises `StorageError` as `read` does."""
-    with _explained(folder, name):
+    with undamaged(f"array {name!r}", folder, "job"):
         return _layout(folder, name, shape, dtype).entries(range(index, index + 1), whole=True)[0]
 
 
 def read_parts(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Iterator[np.ndarray]:
     """A whole array, some entries at a time. Raises `StorageError` as `read` does."""
-    with _explained(folder, name):
+    with undamaged(f"array {name!r}", folder, "job"):
         parts = _layout(folder, name, shape, dtype).parts()
     while True:
-        with _explained(folder, name):
+        with undamaged(f"array {name!r}", folder, "job"):
             part = next(parts, None)
         if part is None:
             return
@@ -107,15 +107,16 @@ def read_parts(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> I
 
 
 @contextmanager
-def _explained(folder: Path, name: str) -> Iterator[None]:
+def undamaged(what: str, folder: Path, kind: str) -> Iterator[None]:
+    """Say what cannot be read of a folder of a kind. Raises `StorageError`."""
     try:
         yield
     except StorageError:
         raise
     except Exception as error:  # noqa: BLE001 - damaged files raise whatever the codec that met them raises
         raise StorageError(
-            f"cannot read array {name!r} of {str(folder)!r}: {type(error).__name__}: {error}; "
-            "the job is damaged, write it again"
+            f"cannot read {what} of {str(folder)!r}: {type(error).__name__}: {error}; the {kind} is damaged, write it "
+            "again"
         ) from error
 
 

@@ -148,11 +148,8 @@ def write_folder(
         describe(draft, (Image(name, entry.axes, records[name].shape, entry.spacing)
                          for name, entry in arrays.items() if entry.spacing is not None))  # fmt: skip
         manifest = Manifest(dict(inputs), dict(details), device, records)
-        with open(draft / MANIFEST, "w", encoding="utf-8") as file:
-            file.write(manifest.to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        settle(*draft.rglob(HEADER), *(one for one in draft.rglob("*") if one.is_dir()), draft)
+        (draft / MANIFEST).write_text(manifest.to_json(), encoding="utf-8")
+        settle(draft / MANIFEST, *draft.rglob(HEADER), *(one for one in draft.rglob("*") if one.is_dir()), draft)
     return Folder.open(place)
 
 

@@ -8,9 +8,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import BadInput, EmptyMesh
+from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts
-from vamgpu.targets.target import Target
 from vamgpu.web import WebGrid
 
 Array = npt.NDArray[np.float64]
@@ -69,16 +68,6 @@ def voxelize(
         part = slice(first, first + rows)
         fraction[part] = _filled(shape, x[part] + start, y, z, edges, samples)
     return fraction
-
-
-def to_target(shape: Implicit, grid: Grid, name: str = "", *, samples: int = SAMPLES) -> Target:
-    """The shape's voxels inside the grid as a `Target`. Raises `BadInput`, and `EmptyMesh` where none is filled."""
-    fraction = voxelize(shape, grid, samples=samples)
-    if not fraction.any():
-        raise EmptyMesh(
-            f"{shape!r} fills no voxel of {grid.shape} of {grid.pitch:g} mm; expected some: use a finer grid"
-        )
-    return Target.from_array(fraction, grid.pitch, name or type(shape).__name__)
 
 
 def _edges(grid: Grid | WebGrid) -> tuple[float, float, float]:

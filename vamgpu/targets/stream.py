@@ -27,8 +27,7 @@ MOST_OVERLAPS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Repeated:
-    """A closed surface in a film's coordinates (l, ρ, z) [mm], and its copies every ``period`` [mm] along l, endlessly.
-    A closed surface in a film's coordinates (l, ρ, z) [mm], and its copies every ``period`` [mm] along l, endlessly."""
+    """A closed surface in a film's coordinates (l, ρ, z) [mm], and endless copies, a ``period`` [mm] apart along l."""
 
     solid: Solid
     period: float

@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.storage.arrays import Layout, create
+from vamgpu.storage.arrays import Layout, create, undamaged
 from vamgpu.storage.atomic import explained, replacing, settle
 from vamgpu.storage.folder import digest
 from vamgpu.storage.manifest import plain
@@ -131,23 +130,13 @@ class WebFolder:
         end = self.frames if name == "frames" else self.columns
         if not 0 <= start <= stop <= end:
             raise BadInput(f"{name} {start} to {stop}; expected 0 to {end}")
-        with self._explained(name, range(start, stop)):
+        with undamaged(f"{name} {start} to {stop}", self.path, "web"):
             return Layout.of(self.path / name).entries(range(start, stop))
-
-    @contextmanager
-    def _explained(self, name: str, span: range) -> Iterator[None]:
-        try:
-            yield
-        except Exception as error:  # noqa: BLE001 - damaged files raise whatever the codec that met them raises
-            raise StorageError(
-                f"cannot read {name} {span.start} to {span.stop} of {str(self.path)!r}: {type(error).__name__}: "
-                f"{error}; the web is damaged, write it again"
-            ) from error
 
     def _digest(self, name: str, span: range) -> str:
         """SHA-256 of some entries, read in parts."""
         seal = hashlib.sha256()
-        with self._explained(name, span):
+        with undamaged(f"{name} {span.start} to {span.stop}", self.path, "web"):
             for part in Layout.of(self.path / name).parts(span, whole=False):
                 seal.update(part.view(np.uint8).data)
         return seal.hexdigest()
@@ -181,10 +170,8 @@ class WebFolder:
             "complete": self.complete,
         }
         draft, file = self.path / (RECORD + PARTIAL), self.path / RECORD
-        with open(draft, "w", encoding="utf-8") as stream:
-            json.dump(data, stream, indent=1, ensure_ascii=False)
-            stream.flush()
-            os.fsync(stream.fileno())
+        draft.write_text(json.dumps(data, indent=1, ensure_ascii=False), encoding="utf-8")
+        settle(draft)
         os.replace(draft, file)
         settle(self.path)
 

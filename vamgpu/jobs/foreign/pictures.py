@@ -71,8 +71,7 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
 
 
 def images_of(folder: Path) -> tuple[np.ndarray, str]:
-    """The images of a folder [image, row, column] in the order of their numbers, and what ``frames.json`` says there.
-    The images of a folder [image, row, column] in the order of their numbers, and what ``frames.json`` says there."""
+    """The images of a folder [image, row, column] in the order of their numbers, and ``frames.json`` there as text."""
     names = [each for each in folder.iterdir() if each.suffix.lower() in IMAGES and is_file(each)]
     kinds = {each.suffix.lower() for each in names}
     if len(kinds) != 1:
