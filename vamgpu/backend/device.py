@@ -14,7 +14,7 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import ahead
-from vamgpu.backend.host_memory import from_dlpack, to_read
+from vamgpu.backend.host_memory import fetched, from_dlpack, to_read
 from vamgpu.backend.ledger import Ledger
 from vamgpu.errors import BadInput, DeviceError, KernelError, ShapeMismatch
 from vamgpu.kernels.inhibition import put_poses, take_poses
@@ -288,17 +288,11 @@ class Device(ABC):
         on_host = tuple(getattr(values, "__dlpack_device__", lambda: (0, 0))()) == HOST
         try:
             source = to_read(from_dlpack(self, values)) if on_host else values
-            if on_host and self.is_gpu:
-                return self.upload(source)
-            table = self.adopt(source)
+            table = self.upload(source) if on_host and self.is_gpu else self.adopt(source)
         except DeviceError:
-            if not hasattr(values, "__array__"):
+            if (array := fetched(values)) is None:
                 raise
-            try:
-                return self.upload(np.asarray(values))  # also of types that DLPack or NumPy has not
-            except TypeError:  # what PyTorch raises where it will not fetch
-                pass
-            raise
+            return self.upload(array)
         return self._in_lanes(table)
 
     def _in_lanes(self, array: DeviceArray) -> DeviceArray:

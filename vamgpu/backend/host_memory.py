@@ -26,6 +26,14 @@ def from_dlpack(device: object, foreign: Any) -> np.ndarray:
         ) from error
 
 
+def fetched(foreign: Any) -> np.ndarray | None:
+    """A copy by ``__array__``, also of types that DLPack has not; None where there is none, or a library refuses."""
+    try:
+        return np.asarray(foreign) if hasattr(foreign, "__array__") else None
+    except TypeError:
+        return None
+
+
 def to_read(array: np.ndarray) -> np.ndarray:
     """The same memory for devices to read, also where it is read-only: JAX's arrays never change, but may be shared."""
     if array.flags.writeable or not array.flags.c_contiguous or not array.size:

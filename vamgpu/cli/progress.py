@@ -24,7 +24,7 @@ STAGES = {
     "patterns": "reading the patterns",
     "voxels": "voxelizing the part",
     "open": "opening the device",
-    "rays": "tracing the light of a pose",
+    "rays": "tracing rays",
     "light": "finding the light",
     "frames": "packing the frames",
     "folder": "writing the job",
