@@ -133,7 +133,7 @@ def remembered(function: Callable[..., Any], most: int = 400) -> Callable[..., A
 
 @pytest.fixture(scope="session", autouse=True)
 def shares_of_a_pose_are_found_once() -> Iterator[None]:
-    """The reference finds columns in voxels, and where rays go, anew at every launch; tests launch it thousands of times."""
+    """The reference finds columns and rays in voxels anew at every launch; tests launch it thousands of times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(footprint, "_matrix", remembered(footprint._matrix))
         patch.setattr(traced, "march", remembered(traced.march, most=32))
