@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from importlib import metadata
+from inspect import isgenerator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from needs import missing
 
 import vamgpu
 from vamgpu.backend.device import Device
-from vamgpu.kernels import footprint
+from vamgpu.kernels import footprint, proof, traced
 
 settings.register_profile("same", derandomize=True, deadline=None)  # every run tries the same cases …
 settings.register_profile("search", deadline=None)  # … and pytest --hypothesis-profile=search tries new ones
@@ -123,7 +124,8 @@ def remembered(function: Callable[..., Any], most: int = 400) -> Callable[..., A
         if key not in results:
             if len(results) >= most:
                 results.clear()
-            results[key] = found = function(*arguments)
+            found = function(*arguments)
+            results[key] = found = tuple(found) if isgenerator(found) else found
             for part in (found, *(getattr(found, name, None) for name in ("data", "indices", "indptr"))):
                 if isinstance(part, np.ndarray):
                     part.flags.writeable = False
@@ -134,9 +136,11 @@ def remembered(function: Callable[..., Any], most: int = 400) -> Callable[..., A
 
 @pytest.fixture(scope="session", autouse=True)
 def shares_of_a_pose_are_found_once() -> Iterator[None]:
-    """The reference finds the shares of columns in voxels anew at every launch; tests launch it thousands of times."""
+    """The reference finds columns and rays in voxels anew at every launch; tests launch it thousands of times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(footprint, "_matrix", remembered(footprint._matrix))
+        patch.setattr(traced, "march", remembered(traced.march, most=32))
+        patch.setattr(proof, "spans", remembered(proof.spans, most=2))
         yield
 
 

@@ -155,7 +155,7 @@ def _may_watch(planned: PrintPlan, camera: RedCamera, truth: Truth | None) -> No
 
 def _even_vial(planned: PrintPlan, path: Path, solid: float) -> tuple[Frames, Any, float]:
     """Frames, operator, and the resin's dose in the method's own unit, of a round vial in even light, or `BadInput`."""
-    frames, proof = planned.jobs[0].frames, prove(path, "numpy").proof
+    frames, proof = planned.jobs[0].frames, prove(path).proof
     A = proof.operator
     round_vial = isinstance(A, Projection) and isinstance(A.vessel, Vial)
     if frames is None or not round_vial or not A.motion.is_even or A.motion.angles < 2:

@@ -38,12 +38,11 @@ def test_kernels_agree_with_one_device(kernel: Kernel) -> None:
 def test_kernels_agree_on_devices(fast_device: Device, kernel: Kernel) -> None:
     """A device that is three members of one."""
     shared = SlabDevice("three", [fast_device] * 3)
-    for size in (7, 68):
-        alone, three = (examples.bind(device, kernel, size) for device in (fast_device, shared))
-        alone.launch()
-        three.launch()
-        whole = any(a.dtype.kind in "iu" for a in three.arguments.values() if isinstance(a, DeviceArray))
-        assert three.error(alone) <= (1e-3 if whole else 1e-5)
+    alone, three = (examples.bind(device, kernel, 68) for device in (fast_device, shared))
+    alone.launch()
+    three.launch()
+    whole = any(a.dtype.kind in "iu" for a in three.arguments.values() if isinstance(a, DeviceArray))
+    assert three.error(alone) <= (1e-3 if whole else 1e-5)
 
 
 def lit(device: str | Device, rows: float = 1.0, **more: Any) -> tuple[Any, Any]:
@@ -72,7 +71,7 @@ def test_methods_find_the_same_light(method: str) -> None:
     tolerances = vam.Tolerances(axis=0.1, spread=(0.15, 0.3)) if corners else None
     for device in ("numpy", THREE):
         target, A = lit(device)
-        plans.append(vam.optimize(A, target, name, iterations=6, tolerances=tolerances, progress=False))
+        plans.append(vam.optimize(A, target, name, iterations=3, tolerances=tolerances, progress=False))
     one, other = plans
     np.testing.assert_allclose(other.sinogram.numpy(), one.sinogram.numpy(), rtol=1e-6, atol=1e-7)
     assert other.window == pytest.approx(one.window, abs=1e-8)
@@ -231,5 +230,5 @@ def test_scenarios_stay_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     target, A = lit(THREE)
     tolerances = vam.Tolerances(axis=0.1, spread=(0.15, 0.3))
-    vam.optimize(A, target, iterations=3, tolerances=tolerances, progress=False)
+    vam.optimize(A, target, iterations=2, tolerances=tolerances, progress=False)
     assert not {"put_slices", "resample", "copy_slices"} & set(met)

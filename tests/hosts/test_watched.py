@@ -168,7 +168,7 @@ def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
     nut: Path, run: Path, monkeypatch: pytest.MonkeyPatch, function: str
 ) -> None:
     monkeypatch.setattr(live_print, "FOLLOW", f"live_workers:{function}")
-    monkeypatch.setattr(live_print, "WAIT", 0.01 if function == "silent" else 20.0)
+    monkeypatch.setattr(live_print, "WAIT", 0.004 if function == "silent" else 20.0)
     live(nut, turns=TURNS, folder=run, truth=OFF)
     told = read_run(run)
     kinds = {event["event"] for event in told.events}

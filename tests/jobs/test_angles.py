@@ -64,11 +64,11 @@ def test_a_job_keeps_its_angles_to_the_proof(tmp_path: Path, scan: str) -> None:
     (tmp_path / "scan.csv").write_text("angle_deg,dwell\n" + rows, encoding="utf-8")
     job = job_of(*SMALL, "turntable.angles=20", scan, folder=tmp_path)
     folder = solve(job, tmp_path / "part.vam")
-    proof = prove(tmp_path / "part.vam", "numpy").proof
+    proof = prove(tmp_path / "part.vam").proof
     motion = motion_of(job.file.turntable, tmp_path)
     assert proof.operator.motion == motion and motion.theta is not None
     assert folder.manifest.inputs["geometry"]["turntable"]["theta"] == list(motion.theta)
-    assert abs(proof.scores.window - prove(tmp_path / "part.vam", "numpy").plan.window) <= 1 / 255
+    assert abs(proof.scores.window - prove(tmp_path / "part.vam").plan.window) <= 1 / 255
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def job(tmp_path: Path) -> Path:
 def test_a_folder_is_proven_by_what_its_bodies_ask_for(job: Path, tmp_path: Path) -> None:
     read = Job.read(job)
     solve(read, tmp_path / "task.vam")
-    proof, target = prove(tmp_path / "task.vam", "numpy").proof, target_of(read, vam.open_device("numpy"))
+    proof, target = prove(tmp_path / "task.vam").proof, target_of(read, vam.open_device("numpy"))
     assert isinstance(proof.operator, TracedProjection) and proof.operator.medium.opaque is not None
     assert proof.limits is not None and target.limits is not None
     for name in ("dose", "weight", "body"):

@@ -39,9 +39,9 @@ GRADED = 'radius = "12.4 mm"\nwall = "1 mm"\nwall_index = 1.47\nrays = 65\nrows 
 FORMULA = FormulaField((1.0, 1.0, 0.0), (2.25, -1e-4))
 
 
-def built(text: str, folder: Path = Path()) -> Any:
+def built(text: str, folder: Path = Path(), name: str | None = "numpy") -> Any:
     job = parse_job(HEAD + text, SMALL, folder=folder)
-    device = open_device("numpy")
+    device = open_device(name)
     return with_diffusion(job.file, projection_of(job.file, target_of(job, device), device, folder), folder)
 
 
@@ -163,8 +163,8 @@ RUNS = {
 def test_they_are_solved_written_and_proven(name: str, tmp_path: Path) -> None:
     job = parse_job(HEAD + RUNS[name], SMALL)
     solve(job, tmp_path / "x.vam")
-    proven = prove(tmp_path / "x.vam", "numpy")
-    assert repr(proven.proof.operator) == repr(built(RUNS[name])) and proven.proof.scores.in_voxels > 100
+    proven = prove(tmp_path / "x.vam")
+    assert repr(proven.proof.operator) == repr(built(RUNS[name], name=None)) and proven.proof.scores.in_voxels > 100
     assert proven.plan.method == repr(job.file.method or SurfaceRamp())
 
 
@@ -258,7 +258,7 @@ def test_light_found_for_the_dose_after_diffusion_prints_better(tmp_path: Path) 
 def test_precompensation_starts_the_recipe_and_the_proof_has_diffusion(tmp_path: Path) -> None:
     text = '[resin]\nprecompensate = true\n[resin.diffusion]\ndiffusivity = "1e-2 mm2/s"\nseconds = "20 s"\n'
     solve(parse_job(f'{HEAD}{text}[method]\nkind = "recipe"\n', SMALL), tmp_path / "x.vam")
-    proven = prove(tmp_path / "x.vam", "numpy")
+    proven = prove(tmp_path / "x.vam")
     assert isinstance(proven.proof.operator, Composed) and "diffusion=Diffusion(diffusivity=0.01" in proven.plan.method
     A: Any = proven.proof.operator.outer
     target = vam.Target(A.grid, "boat", proven.proof.target, 5.0, 1.0, 11.5)
@@ -276,14 +276,14 @@ def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> Non
     job = parse_job(text, SMALL)
     assert job.file.colors is not None and job.file.colors.rule == LeastSquares(iterations=20)
     solve(job, tmp_path / "x.vam")
-    proven = prove(tmp_path / "x.vam", "numpy")
-    uv = prove(tmp_path / "x-uv.vam", "numpy").proof
+    proven = prove(tmp_path / "x.vam")
+    uv = prove(tmp_path / "x-uv.vam").proof
     assert (proven.proof.operator.vessel.absorption, uv.operator.vessel.absorption) == (0.05, 0.1)  # type: ignore[union-attr]
     light = proven.proof.frames.irradiance(uv.operator.device), uv.frames.irradiance(uv.operator.device)
     dose = proven.proof.operator.T(light[0]).numpy() - uv.operator.T(light[1]).numpy()
     assert np.allclose(proven.proof.dose.numpy(), dose, atol=1e-5 * dose.max())
     solve(parse_job(f'{HEAD}{vial}[solve]\nmethod = "lbfgs"\n', SMALL), tmp_path / "one.vam")
-    assert proven.proof.scores.iou > prove(tmp_path / "one.vam", "numpy").proof.scores.iou
+    assert proven.proof.scores.iou > prove(tmp_path / "one.vam").proof.scores.iou
     with pytest.raises(BadInput, match=r"\[colors\] got no vessel"):
         solve(parse_job(HEAD + '[colors]\nabsorption = "0.1 1/mm"\n', SMALL), tmp_path / "none.vam")
 

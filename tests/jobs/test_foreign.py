@@ -91,7 +91,7 @@ def test_a_configuration_of_dr_tvam_becomes_a_job_that_proves(tmp_path: Path) ->
     np.savez(tmp_path / "patterns.npz", patterns=np.ones((24, 8, 24), np.float32))
     path = configuration(tmp_path)
     done = import_patterns(path, tmp_path / "flat.vam", device="cpu")
-    flat = prove(done.folder.path, "numpy").proof
+    flat = prove(done.folder.path).proof
     plan: Any = vam.load(tmp_path / "flat.vam", "cpu")
     A, part = plan.plan.operator, plan.plan.target
     assert (A.vessel.radius, A.vessel.inner_radius, A.vessel.absorption) == (8.0, 7.0, 0.1)

@@ -49,7 +49,7 @@ def test_a_job_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
     solve(job(tmp_path), tmp_path / "boat.vam")
     frames: Any = vam.load(tmp_path / "boat.vam", device="numpy")
     assert isinstance(frames.plan.operator, vam.RingProjection)
-    proven = prove(tmp_path / "boat.vam", "numpy")
+    proven = prove(tmp_path / "boat.vam")
     assert proven.plan.ran == f"RingProjection on {open_device('cpu').name}"
     assert isinstance(proven.proof.operator, vam.Projection) and proven.proof.independent
     page = proven.report(tmp_path / "boat.html").read_text()
@@ -72,7 +72,7 @@ def test_what_rings_do_not_take_is_told_with_the_way_out(tmp_path: Path, change:
 def test_light_out_of_focus_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
     blurred = JOB + '[defocus]\nfwhm = "1 mm"\ndepth_of_focus = "3 mm"\n'
     solve(job(tmp_path, blurred), tmp_path / "boat.vam")
-    proven = prove(tmp_path / "boat.vam", "numpy")
+    proven = prove(tmp_path / "boat.vam")
     frames: Any = vam.load(tmp_path / "boat.vam", device="numpy")
     solved, judged = frames.plan.operator, proven.proof.operator
     assert isinstance(solved, vam.Defocused) and isinstance(solved.operator, vam.RingProjection)
@@ -83,7 +83,7 @@ def test_light_out_of_focus_is_solved_on_rings_and_proven_by_rays(tmp_path: Path
 
 def test_auto_takes_rings_only_where_they_pay(tmp_path: Path) -> None:
     solve(job(tmp_path, JOB.replace('"rings"', '"auto"')), tmp_path / "boat.vam")
-    assert prove(tmp_path / "boat.vam", "numpy").plan.ran == f"Projection on {open_device('cpu').name}"
+    assert prove(tmp_path / "boat.vam").plan.ran == f"Projection on {open_device('cpu').name}"
 
 
 def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,7 +94,7 @@ def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monke
     monkeypatch.setattr("vamgpu.operators.projector.prefers_rings", lambda _: True)
     auto = JOB.replace('"rings"', '"auto"\nmethod = "lbfgs"')  # the default has tables of the resin beside the part
     solve(job(tmp_path, auto), tmp_path / "boat.vam")
-    assert prove(tmp_path / "boat.vam", "numpy").plan.ran == f"Projection on {open_device('cpu').name}"
+    assert prove(tmp_path / "boat.vam").plan.ran == f"Projection on {open_device('cpu').name}"
     with pytest.raises(OutOfMemory, match="no room"):
         solve(job(tmp_path), tmp_path / "other.vam")
 

@@ -110,7 +110,7 @@ def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(done: Demo, tmp
     del data["inputs"]["geometry"]["vessel"]["polarization"]
     file.write_text(json.dumps(data), encoding="utf-8")
     with pytest.warns(OpticsWarning, match="fill 1, spread 0.*solve it again"):
-        proof = prove(folder, "numpy").proof
+        proof = prove(folder).proof
     A = proof.operator
     assert (A.beam.fill, A.beam.spread, A.footprint) == (1.0, 0.0, "exact")
     assert A.vessel == done.proven.proof.operator.vessel

@@ -93,7 +93,7 @@ def assert_certified(prices: np.ndarray, inside: np.ndarray, near: np.ndarray, v
     assert value == pytest.approx(1.0 + part.sum() + max(0.0, void.sum() - 1.0), abs=1e-5)
 
 
-@pytest.mark.parametrize("name", ["cross", "bars"])
+@pytest.mark.parametrize("name", ["cross", pytest.param("bars", marks=pytest.mark.slow)])
 def test_a_bound_in_a_vial_is_just_above_what_light_has(fast_device: Device, name: str) -> None:
     """There the part can have the greatest dose everywhere, and its own prices come to less than those outside."""
     radius = 0.5 * SIZE * PITCH / 0.79 * 1.5

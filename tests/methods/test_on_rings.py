@@ -71,11 +71,11 @@ def test_a_projection_on_rings_is_asked_for_the_dose_of_voxels() -> None:
 
 
 def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:
-    target, A = boat("numpy", 0.4)
+    target, A = boat(vam.open_device(None), 0.4)
     R: Any = vam.RingProjection.of(A)
     half, whole = (vam.optimize(R, target, iterations=n) for n in (3, 5))
     half.save(tmp_path / "half.vam")
-    again: Any = vam.load(tmp_path / "half.vam", device="numpy")
+    again: Any = vam.load(tmp_path / "half.vam", device=A.device)
     assert isinstance(again.operator, vam.RingProjection) and again.operator.rings == R.rings
     assert "RingProjection" in repr(again.operator)
     np.testing.assert_array_equal(
@@ -85,7 +85,7 @@ def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:
     assert proof.independent and isinstance(proof.operator, vam.Projection)
     assert proof.scores.window == vam.simulate(A, vam.pack(whole, bits=8), target).scores.window
     with pytest.raises(BadInput, match="dose of"):
-        wider = vam.Target.from_mesh(shapes.build("boat"), height=3.7, pitch=0.4, margin=5, device="numpy")
+        wider = vam.Target.from_mesh(shapes.build("boat"), height=3.7, pitch=0.4, margin=5, device=A.device)
         B = vam.Projection(wider.grid, A.beam, A.motion, VIAL, A.device)
         vam.optimize(B, wider, iterations=5, resume=whole)
 

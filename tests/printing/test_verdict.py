@@ -69,15 +69,19 @@ def own_dose(light: np.ndarray, finer: int = 2, places: int = 5) -> np.ndarray:
     edges = lambda count, at: (at[:, None] - PITCH * (np.arange(count + 1) - 0.5 * count)) / (np.sqrt(2.0) * sigma)  # noqa: E731
     z = width * (np.arange(finer * NZ) - 0.5 * (finer * NZ - 1))
     rows = -0.5 * np.diff(erf(edges(NZ, z)), axis=1)
-    dose, step = np.zeros((n, n, z.size)), 2.0 * np.pi / ANGLES
+    dose, step = np.zeros((n * n, z.size)), 2.0 * np.pi / ANGLES
+    bins = np.arange(-0.75 * N * PITCH, 0.75 * N * PITCH, PITCH / 40)
+    columns = -0.5 * np.diff(erf(edges(BEAM.pixels[0], bins)), axis=1)
     for number, frame in enumerate(light):
-        lit = frame @ rows.T
+        lit = columns @ (frame @ rows.T)
         for k in range(places):
             angle = TURN.poses[number] + step * ((k + 0.5) / places - 0.5)
             r = (x[None, :] * np.cos(angle) - x[:, None] * np.sin(angle)).ravel()
-            columns = -0.5 * np.diff(erf(edges(BEAM.pixels[0], r)), axis=1)
-            dose += (columns @ lit).reshape(n, n, -1) / places
-    return dose
+            place = (r - bins[0]) * 40 / PITCH
+            low = place.astype(int)
+            beyond = (place - low)[:, None] / places
+            dose += (1 / places - beyond) * lit[low] + beyond * lit[low + 1]
+    return dose.reshape(n, n, -1)
 
 
 def own_verdict(name: str, dose: np.ndarray, threshold: float) -> dict[str, bool]:

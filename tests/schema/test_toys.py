@@ -134,7 +134,7 @@ def job(*settings: str) -> str:
 
 def test_a_vessel_from_outside_is_solved_written_and_proven(tmp_path: Path) -> None:
     solve(parse_job(job(), [*SMALL, ABSORBED]), tmp_path / "boat.vam")
-    A = prove(tmp_path / "boat.vam", "numpy").proof.operator
+    A = prove(tmp_path / "boat.vam").proof.operator
     assert type(A.vessel).__name__ == "Veil" and (A.vessel.radius, A.vessel.share) == (12.0, 0.25)  # type: ignore[union-attr]
 
 
