@@ -12,7 +12,6 @@ the step, by their bilinear or trilinear weights.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import prod
 from typing import Annotated
 
 import numpy as np
@@ -111,11 +110,10 @@ def look_up(medium: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.nd
     axes = 2 if medium.shape[2] == 1 else 3
     at = np.clip(position[:, :axes] + MARGIN, 0.0, np.array(medium.shape[:axes]) - 1.0)
     below = np.minimum(at.astype(int), np.array(medium.shape[:axes]) - 2)
-    beyond = (at - below).T
-    near = np.stack([1 - beyond, beyond], axis=1)
+    near = np.stack([1 + below - at, at - below], axis=2).T
     values, opacity = np.zeros((len(at), 4)), np.zeros(len(at))
     for corner in np.ndindex(*(2,) * axes):
-        weight = prod(near[axis, end] for axis, end in enumerate(corner))
+        weight = np.prod([near[end, axis] for axis, end in enumerate(corner)], axis=0)
         index = below + corner
         node = medium[tuple(index.T)] if axes == 3 else medium[index[:, 0], index[:, 1], 0]
         stands = node[:, 3] < 0

@@ -73,11 +73,10 @@ def nodes(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The eight voxels around each point and their shares, 0 for those beyond the grid and for inserts."""
     below = np.floor(middle).astype(int)
-    beyond = (middle - below).T
-    i, j, k = np.stack([1 - beyond, beyond], axis=1)
+    near = np.stack([1 + below - middle, middle - below], axis=2).T
     for corner in np.ndindex(2, 2, 2):
         cell = below + corner
-        share = i[corner[0]] * j[corner[1]] * k[corner[2]]
+        share = near[corner[0], 0] * near[corner[1], 1] * near[corner[2], 2]
         share *= ((cell >= 0) & (cell < shape)).all(axis=1)
         cell = np.clip(cell, 0, np.array(shape) - 1)
         if kind & BLOCKS:
