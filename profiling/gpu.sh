@@ -2,7 +2,7 @@
 # Everything that is measured on a machine with a GPU, in one go of less than eight minutes.
 #   DEVICES="warp:cuda:0" and SIZES="256 512" choose other devices and sizes; TAIL=lines of each log that are shown.
 #   OUT=folder MESH=benchy.stl LABEL=name bash profiling/gpu.sh [step ...]     steps: tests kernels projectors drtvam main
-#   and, when they are named: rings live bits robust gyroids slabs
+#   and, when they are named: rings live bits robust gyroids slabs whole
 # Wants vamgpu's dependencies on PYTHONPATH (and pytest for the tests); ASTRA and torch beside them are timed where they
 # are there. Logs and records end up in OUT/all.tar.gz, written anew after every step; one that fails or takes too long
 # does not stop the next.
@@ -45,6 +45,12 @@ for n in ${SIZES:-256 512}; do
 done
 step drtvam 90 "$python" profiling/jobs.py --job drtvam --device $gpus --mesh "$mesh" --records "$parts" --label "$label"
 step main 60 "$python" profiling/jobs.py --job main --device $gpus --mesh "$mesh" --records "$parts" --label "$label"
+for device in $gpus; do  # twice: the first one compiles
+    for time in first later; do
+        step "whole-$time-${device//:/-}" 120 "$python" -c "from vamgpu.cli import main; raise SystemExit(main())" bench --job profiling/whole.toml --record \
+            "$parts/whole-$time-${device//:/-}-$label.json" --set "solve.device=\"$device\"" --set "target.mesh=\"$(realpath "$mesh")\""
+    done
+done
 [ -f profiling/kernels.py ] && step kernels 40 "$python" profiling/kernels.py
 step tests 120 "$python" -m pytest -q -p no:cacheprovider tests -k "cuda or nvidia"
 for device in $gpus; do

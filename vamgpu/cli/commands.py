@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from rich.markup import escape
@@ -266,12 +266,10 @@ def bench(
         record: JSON file to keep the table and the machine's description in
     """
     from vamgpu.jobs.bench import bench as run
-    from vamgpu.jobs.bench import machine
     from vamgpu.jobs.bench import table as records
-    from vamgpu.storage.atomic import replacing
 
     if job is not None:
-        return _bench_job(job, settings)
+        return _bench_job(job, settings, record)
     timings = list(run(size, angles, repeats, device))
     sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
     for timing in timings:
@@ -279,13 +277,22 @@ def bench(
         sheet.add_row(*cells)
     console().print(sheet)
     if record is not None:
-        text = json.dumps({"machine": machine(), "timings": records(timings)}, indent=2) + "\n"
-        with replacing(record, overwrite=True) as draft:
-            draft.write_text(text, encoding="utf-8")
+        _record(record, {"timings": records(timings)})
 
 
-def _bench_job(job: Path, settings: list[str] | None) -> None:
+def _record(place: Path, found: dict[str, Any]) -> None:
+    """Keep what was timed, with the machine's description."""
+    from vamgpu.jobs.bench import machine
+    from vamgpu.storage.atomic import replacing
+
+    with replacing(place, overwrite=True) as draft:
+        draft.write_text(json.dumps({"machine": machine(), **found}, indent=2) + "\n", encoding="utf-8")
+
+
+def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> None:
     """Tell the stages of a job, with their seconds and shares."""
+    from dataclasses import asdict
+
     from vamgpu.cli.progress import STAGES
     from vamgpu.jobs.bench import stages
     from vamgpu.jobs.read import read_job
@@ -301,6 +308,8 @@ def _bench_job(job: Path, settings: list[str] | None) -> None:
         least = "" if stage.least is None else f"{stage.least:.2g} s"
         sheet.add_row(STAGES.get(stage.name, stage.name), f"{stage.seconds:.2f}", f"{stage.seconds / whole:.0%}", least)
     console().print(sheet)
+    if record is not None:
+        _record(record, {"job": job.name, "seconds": whole, "stages": [asdict(stage) for stage in found]})
 
 
 def _demo_web(out: Path, settings: list[str] | None) -> None:

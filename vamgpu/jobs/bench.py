@@ -102,10 +102,7 @@ class Stage:
 
 
 def stages(job: Job) -> list[Stage]:
-    """Solve a job, prove it and draw its report, in a folder that is thrown away; returns how long each stage took.
-
-    Raises what `vamgpu.jobs.run.solve` and `prove` raise.
-    """
+    """Solve, prove and report a job in a folder that is thrown away; raises what `vamgpu.jobs.run.solve` raises."""
     took: dict[str, float] = {}
     last, began = "open", time.perf_counter()
 

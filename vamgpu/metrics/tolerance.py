@@ -113,10 +113,7 @@ def tolerance_window(
     tally = _Tally(voxel, reach, number)
 
     def counted(piece: tuple[Array, Callable[[], Array], Any]) -> _Tally:
-        dose, deep, disc = piece
-        found = _Tally(voxel, reach, number)
-        found.add(dose, deep(), disc)
-        return found
+        return _Tally(voxel, reach, number).add(piece[0], piece[1](), piece[2])
 
     for found in ahead(counted, _pieces(slabs, depth, radius), AT_ONCE):
         tally.join(found)
@@ -147,8 +144,8 @@ class _Tally:
         self.count = np.zeros(bins + 1, np.int64)
         self.peak = 0.0
 
-    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
-        """Doses [x, y, z] and the depths [mm] where they are, NaN where nothing is asked; disc: [x, y], or all."""
+    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> _Tally:
+        """Count doses [x, y, z] and the depths [mm] where they are, NaN where nothing is asked; disc: [x, y], or all."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
         if disc is not None:
@@ -170,6 +167,7 @@ class _Tally:
             if best is np.minimum:
                 self.count += np.bincount(step, minlength=self.bins + 1)
                 self.count[-1] += values.size
+        return self
 
     def join(self, other: _Tally) -> None:
         """Add what was counted elsewhere."""
