@@ -21,7 +21,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.surface import as_fine_as_light
+from vamgpu.methods.surface import fine_grid
 from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
@@ -121,10 +121,10 @@ def stages(job: Job) -> list[Stage]:
         proven.report(Path(place) / "job.html")
         watched("", 0.0)
         spent, A = proven.plan.history[-1]["evaluations"] if proven.plan.history else 0.0, proven.proof.operator
-    fine = as_fine_as_light(A) if job.file.method is None and job.file.solve.method in ("ramp", "default") else None
-    fields = prod((A if fine is None else fine).domain.shape) + prod(A.range.shape)
-    nbytes = 2.0 * spent * fields * device.real.itemsize  # an evaluation reads and writes both fields once
-    return [Stage(name, each, nbytes / bandwidth(device) if name == "light" else None) for name, each in took.items()]
+    grid = fine_grid(A) if job.file.method is None and job.file.solve.method in ("ramp", "default") else None
+    fields = prod((A.grid if grid is None else grid).shape) + prod(A.range.shape)
+    least = 2.0 * spent * fields * device.real.itemsize / bandwidth(device)  # an evaluation moves both fields twice
+    return [Stage(name, each, least if name == "light" else None) for name, each in took.items()]
 
 
 def bandwidth(device: Device, nbytes: int = 1 << 28) -> float:

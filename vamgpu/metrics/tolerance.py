@@ -145,7 +145,7 @@ class _Tally:
         self.peak = 0.0
 
     def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> _Tally:
-        """Count doses [x, y, z] and the depths [mm] where they are, NaN where nothing is asked; disc: [x, y], or all."""
+        """Count doses [x, y, z] at depths [mm], NaN where nothing is asked; disc: columns [x, y] that count, or all."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
         if disc is not None:
