@@ -54,7 +54,7 @@ def test_it_is_told_before_the_light_is_found(tmp_path: Path, more: list[str], s
 
     small = ["target.pitch=900 um", "beam.pitch=1200 um", "turntable.angles=20", "solve.iterations=2", *more]
     solve(parse_job(JOB, small), tmp_path / "a.vam", progress=Watching())
-    assert told.index("voxels") + 1 == told.index("light") - 1
+    assert told.index("rays") + 1 == told.index("light") - 1
     assert said in told[told.index("light") - 1]
     assert ("at 3 corners" in told[told.index("light") - 1]) == bool(more)
 
