@@ -14,9 +14,9 @@ import numpy.typing as npt
 from vamgpu.errors import BadInput, EmptyMesh, MeshError
 from vamgpu.storage.memory import afford, size
 from vamgpu.storage.reading import is_file, open_file
-from vamgpu.targets.package import models
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
+from vamgpu.targets.threemf import TRIANGLE, read_3mf
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,8 +27,6 @@ FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
 """Bytes of memory that reading and mending take at most, by byte of the file; 3MF files are packed, see package.py."""
-TRIANGLE = 300
-"""The same, by triangle [bytes]."""
 PLY_HEAD = 1 << 16
 """Bytes that a PLY file's header has at most."""
 
@@ -99,8 +97,10 @@ def _read(file: Path) -> trimesh.Trimesh:
     count = _announced(data, kind, file.name)
     if kind == "ply":
         _check_ply(data, file.name)
-    content = models(data, file.name) if kind == "3mf" else BytesIO(_encoded(data, kind))
     try:
+        if kind == "3mf":
+            return read_3mf(data, file.name)
+        content = BytesIO(_encoded(data, kind))
         # bytes in place of a path: the readers then open no other file that this one names
         scene = trimesh.load_scene(content, file_type=kind)
         instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
