@@ -395,6 +395,19 @@ def test_a_proof_says_who_judged_and_what_was_claimed() -> None:
     assert proof.width == 0.2 / IndependentExposure(A).finer and (proof.agrees or 1.0) <= 1e-3
 
 
+@pytest.mark.parametrize("rows", [16, 20], ids=["as high as the part", "two pixels more on either side"])
+def test_what_prints_above_a_part_as_high_as_its_grid_is_seen(rows: int) -> None:
+    grid, motion = vam.Grid((16, 16, 16), 0.1), vam.Turntable(24)
+    beam = vam.Beam((20, 20), 0.1, spread=0.02)
+    A = vam.Projection(grid, beam, motion, None, "numpy")
+    target = np.zeros(grid.shape)
+    target[5:11, 5:11, :] = 1.0
+    light = np.zeros(A.range.shape)
+    light[:, :, 10 - rows // 2 : 10 + rows // 2] = np.asarray(A(target)).mean(axis=2, keepdims=True)
+    surface = vam.simulate(A, Shown(light), target).judgement.surface
+    assert (surface.greatest_excess > 0.15) == (rows > 16), surface.greatest_excess
+
+
 def test_an_operator_without_rays_of_its_own_proves_nothing_and_says_so() -> None:
     grid, beam, motion = vam.Grid((16, 16, 12), 0.2), vam.Beam((20, 16), 0.2), vam.Turntable(8, lit_share=0.0)
     A = Oblique(grid, beam, motion, Inclined(elevation=0.2))

@@ -137,17 +137,17 @@ class IndependentExposure:
         return self._averaged(disc, self._expose(disc, light, z, self.grid.pitch), self.grid).numpy()
 
     # ---- what is asked ----------------------------------------------------------------------------------------------
-    def fine(self, light: DeviceArray, reach: float | None = None) -> Iterator[FineSlab]:
+    def fine(self, light: DeviceArray, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
         """The dose of light on voxels that are at most half as wide as the part's and as a column in the resin."""
         # Slab by slab from the lowest z. A beam of a single row stands for a print that is the same at every height:
         # there all fine voxels of a slice get the mean over it, and no voxel lies on its faces.
-        # light [angle, r, z]; reach [mm]
+        # light [angle, r, z]; reach [mm]; above: of the grid, and below it [mm]
         far, slices = self.radius if reach is None else positive("reach [mm]", reach), self.grid.shape[2]
         disc = self._disc(self.grid.pitch / self.halves, min(far, self.radius))
         if self.beam.flat:
             lit = np.repeat(self.grid.axes()[2], self.halves)
             return self._fine(disc, light, centers(lit.size, disc.width), lit)
-        z = centers(self.halves * slices + 1, disc.width)
+        z = centers(self.halves * slices + 1 + 2 * ceil(above / disc.width), disc.width)
         return self._fine(disc, light, z, z)
 
     def _fine(self, disc: _Disc, light: DeviceArray, z: np.ndarray, lit: np.ndarray) -> Iterator[FineSlab]:

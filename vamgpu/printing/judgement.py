@@ -89,7 +89,7 @@ def judged(proof: Proof) -> Judgement:
         pixel, finer = exposure.column, exposure.halves if proof.independent else 1
     if proof.independent:
         voxels *= finer**3
-        slabs = (replace(slab, dose=slab.dose.numpy()) for slab in proof.fine(radius))  # type: ignore[arg-type]
+        slabs = (replace(slab, dose=slab.dose.numpy()) for slab in proof.fine(radius, DEEP * pixel))  # type: ignore[arg-type]
         slabs = list(slabs) if voxels <= WHOLE else slabs
     reach = max(WIDEST * A.grid.pitch, min(DEEP * pixel, (LARGEST_REACH - 3.0) * A.grid.pitch / finer))
     depth = _depth(proof, finer, reach)

@@ -157,7 +157,7 @@ class Proof:
         grid, at = self.operator.grid, self.scores.threshold
         return body_doses(self.dose.numpy(), self.target.numpy(), self.limits, at, grid)
 
-    def fine(self, reach: float | None = None) -> Iterator[FineSlab]:
+    def fine(self, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
         """The dose on voxels at most half as wide as the part's and as a column in the resin, computed anew.
 
         See `IndependentExposure.fine`.
@@ -165,6 +165,7 @@ class Proof:
         Args:
             reach: Farthest from the axis [mm]; the inner wall by default. The judged cylinder alone,
                 ``operator.grid.inscribed_radius``, takes a fraction of the time.
+            above: How far above the grid, and below it [mm].
 
         Returns:
             Slabs from below, one at a time.
@@ -178,7 +179,7 @@ class Proof:
                 "voxels; prove a Projection, or read Proof.dose"
             )
         light = self.frames.irradiance(self.operator.device)
-        return IndependentExposure(self.operator).fine(light, reach)
+        return IndependentExposure(self.operator).fine(light, reach, above)
 
     @cached_property
     def judgement(self) -> Judgement:

@@ -54,9 +54,7 @@ def read_3mf(data: bytes, name: str) -> trimesh.Trimesh:
 
     from vamgpu.targets.shapes import csg
 
-    files = members_of(data, name, (PRUSA, BAMBU))
-    package = _Package(name, files)
-    solid, cut = package.placed()
+    solid, cut = _Package(name, members_of(data, name, (PRUSA, BAMBU))).placed()
     if not solid:
         raise EmptyMesh(f"{name} places no triangles that are printed; expected an <item> of a model with a mesh")
     mesh: Any = trimesh.util.concatenate([trimesh.Trimesh(v, f, process=False) for v, f in solid])
