@@ -473,3 +473,9 @@ class Vessel(Protocol):
             BadInput: A coordinate is not finite.
         """
         ...
+
+
+def columns_of(vessel: Vessel, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Offset of the ray through each point, without its weight where a vessel has ``columns`` for that."""
+    columns: Any = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
+    return columns(across, along)

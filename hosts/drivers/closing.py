@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from vamgpu.errors import DeviceError, DeviceNotFound
-from vamgpu.hosts.run_all import Closing
+from vamgpu.errors import DeviceNotFound
+from vamgpu.hosts.run_all import Closing, run_all
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -50,9 +50,9 @@ class ClosedOnce(Closing):
 
     def close(self) -> None:
         """Bring it to rest, and let go of it; more than once does no harm."""
-        for act in self.endings() if self._open else ():
-            try:
-                act()
-            except DeviceError as error:
-                log.warning("closing %s: %s", self.called, error)
-        self._open = False  # not before: what a key interrupts is done again
+        failed = run_all(*self.endings()) if self._open else []
+        self._open = False
+        for error in failed:
+            log.warning("closing %s: %s", self.called, error or type(error).__name__)
+        if keys := [each for each in failed if not isinstance(each, Exception)]:
+            raise keys[0]

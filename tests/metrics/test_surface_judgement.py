@@ -151,6 +151,19 @@ def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
     return solid_of(mesh), box_distance((-2, -2, -0.5), (2, 2, 0.5), at), np.hypot(at[0], at[1]) - 0.5
 
 
+def test_a_ring_that_voxels_break_has_its_hole() -> None:
+    import trimesh
+
+    mesh = trimesh.creation.torus(1.5, 0.055)
+    ring, pitch = Solid(mesh.vertices, np.asarray(mesh.faces, np.int32), "ring"), 0.1
+    grid = Grid((34, 34, 4), pitch)
+    fraction = voxelize(ring, grid, "numpy").fraction.numpy()
+    x, y, z = np.meshgrid(*grid.axes(), indexing="ij")
+    dose = 1.0 / (1.0 + np.hypot(np.hypot(x, y) - 1.5, z) / 0.1)  # above a half within a voxel of the ring
+    changes = judge_surface(dose, [axis[0] for axis in grid.axes()], pitch, 0.5, fraction, grid, ring).changes
+    assert (changes.bodies, changes.holes) == (1, 1) and changes.none, changes
+
+
 @pytest.mark.slow
 def test_a_hole_that_prints_closed() -> None:
     part, whole, hole = plate()

@@ -46,6 +46,14 @@ def test_a_body_that_grazes_another_is_not_merged_with_it() -> None:
     assert not body_changes(topology(part), topology(part & False), 1.0).none
 
 
+def test_thin_volumes_are_labeled_too() -> None:
+    """Every other voxel, where pieces are as many as can be; each void at the end is open."""
+    for shape in ((1, 1, 9), (3, 3, 3), (1, 5, 7), (2, 9, 1), (5, 1, 1)):
+        mask = (np.indices(shape).sum(axis=0) % 2).astype(bool)
+        found = topology(mask)
+        assert (found.bodies, found.cavities) == (np.count_nonzero(mask), 0) and not found.holes.any()
+
+
 def test_an_empty_volume_has_nothing() -> None:
     found = topology(np.zeros((4, 4, 4), bool))
     assert (found.bodies, found.cavities, found.holes.size) == (0, 0, 0)

@@ -277,3 +277,9 @@ def test_positions_that_are_not_finite_are_refused() -> None:
         PAPER.illuminate([0.0], [math.inf])
     with pytest.raises(BadInput, match="expected"):
         deposit(PAPER, [0.0, 1.0], [[1.0]], [0.0], (8, 8), 0.1)
+
+
+def test_columns_alone_are_those_that_illuminate() -> None:
+    vial = Vial(radius=4.0, wall=0.3, resin_index=1.5, wall_index=1.47, bath_index=1.0, absorption=0.1)
+    x, y = np.meshgrid(np.linspace(-4.2, 4.2, 41), np.linspace(-4.2, 4.2, 40))
+    assert np.array_equal(vial.columns(x, y), vial.illuminate(x, y)[0])

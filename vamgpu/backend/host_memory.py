@@ -30,7 +30,7 @@ def fetched(foreign: Any) -> np.ndarray | None:
     """A copy by ``__array__``, also of types that DLPack has not; None where there is none, or a library refuses."""
     try:
         return np.asarray(foreign) if hasattr(foreign, "__array__") else None
-    except TypeError:
+    except (TypeError, ValueError, RuntimeError):
         return None
 
 

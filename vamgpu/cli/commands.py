@@ -269,7 +269,9 @@ def bench(
     from vamgpu.jobs.bench import table as records
 
     if job is not None:
-        return _bench_job(job, settings, record)
+        return _bench_job(job, [*(settings or ()), *(f'solve.device="{name}"' for name in device or ())], record)
+    if settings:
+        raise BadInput(f"--set {settings[0]} is for a job, and none is given; give --job too, or leave it out")
     timings = list(run(size, angles, repeats, device))
     sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
     for timing in timings:
@@ -302,14 +304,16 @@ def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> No
         raise BadInput(f"{str(job)!r} is a web; expected the job of a vial, whose stages are known")
     checked = read_job(job, settings or ())
     found = stages(checked)
-    whole = sum(stage.seconds for stage in found)
-    sheet = Table("stage", "seconds", "share", "by bytes alone", title=f"{job.name}: {whole:.1f} s")
+    whole, name = sum(stage.seconds for stage in found), vamgpu.open_device(checked.file.solve.device).name
+    sheet = Table("stage", "seconds", "share", "by bytes alone", title=f"{job.name} on {name}: {whole:.1f} s")
     for stage in found:
         least = "" if stage.least is None else f"{stage.least:.2g} s"
         sheet.add_row(STAGES.get(stage.name, stage.name), f"{stage.seconds:.2f}", f"{stage.seconds / whole:.0%}", least)
     console().print(sheet)
     if record is not None:
-        _record(record, {"job": job.name, "seconds": whole, "stages": [asdict(stage) for stage in found]})
+        _record(
+            record, {"job": job.name, "device": name, "seconds": whole, "stages": [asdict(stage) for stage in found]}
+        )
 
 
 def _demo_web(out: Path, settings: list[str] | None) -> None:

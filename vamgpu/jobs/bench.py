@@ -21,7 +21,8 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.surface import fine_grid
+from vamgpu.methods.choose import chosen
+from vamgpu.methods.surface import finer_voxels
 from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
@@ -103,16 +104,7 @@ class Stage:
 
 def stages(job: Job) -> list[Stage]:
     """Solve, prove and report a job in a folder that is thrown away; raises what `vamgpu.jobs.run.solve` raises."""
-    took: dict[str, float] = {}
-    last, began = "open", time.perf_counter()
-
-    def watched(stage: str, share: float) -> None:  # noqa: ARG001 - the share is for people who wait
-        nonlocal last, began
-        if stage != last:
-            now = time.perf_counter()
-            took[last] = took.get(last, 0.0) + now - began
-            last, began = stage, now
-
+    watched = _Watched()
     device = open_device(job.file.solve.device)
     with TemporaryDirectory(prefix="vamgpu-bench-") as place:
         folder = solve(job, Path(place) / "job.vam", progress=watched)
@@ -121,10 +113,27 @@ def stages(job: Job) -> list[Stage]:
         proven.report(Path(place) / "job.html")
         watched("", 0.0)
         spent, A = proven.plan.history[-1]["evaluations"] if proven.plan.history else 0.0, proven.proof.operator
-    grid = fine_grid(A) if job.file.method is None and job.file.solve.method in ("ramp", "default") else None
+    grid = finer_voxels(job.file.method or chosen(job.file.solve.method), A, proven.proof)
     fields = prod((A.grid if grid is None else grid).shape) + prod(A.range.shape)
     least = 2.0 * spent * fields * device.real.itemsize / bandwidth(device)  # an evaluation moves both fields twice
-    return [Stage(name, each, least if name == "light" else None) for name, each in took.items()]
+    return [Stage(name, each, least if name == "light" else None) for name, each in watched.took.items()]
+
+
+class _Watched:
+    """Seconds of each stage."""
+
+    def __init__(self) -> None:
+        self.took: dict[str, float] = {}
+        self._last, self._began = "open", time.perf_counter()
+
+    def __call__(self, stage: str, share: float) -> None:
+        if stage != self._last:
+            now = time.perf_counter()
+            self.took[self._last] = self.took.get(self._last, 0.0) + now - self._began
+            self._last, self._began = stage, now
+
+    def tell(self, text: str) -> None:
+        """What a job tells of itself is not timed."""
 
 
 def bandwidth(device: Device, nbytes: int = 1 << 28) -> float:

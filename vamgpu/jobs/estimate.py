@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.methods.surface import CELLS, SINOGRAMS, VOLUMES, SurfaceRamp, as_fine_as_light
+from vamgpu.methods.surface import CELLS, SINOGRAMS, VOLUMES, SurfaceRamp, as_fine_as_light, finer_voxels
 from vamgpu.operators.reductions import total
 from vamgpu.optics.outer_resin import outer_cells
 from vamgpu.storage.memory import size
@@ -49,7 +49,7 @@ def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int 
     voxels, pixels = prod(A.domain.shape), prod(A.range.shape)
     counted = FEW_VOLUMES * voxels * corners + FEW_SINOGRAMS * pixels
     if isinstance(method, SurfaceRamp):
-        fine = as_fine_as_light(A, keep=True) if getattr(target, "limits", None) is None else None
+        fine = None if finer_voxels(method, A, target) is None else as_fine_as_light(A, keep=True)
         A = A if fine is None else fine
         beside = () if fine is None else outer_cells(fine.grid, fine.beam, fine.motion, fine.vessel)
         cells = sum(prod(each.shape) for each in beside)

@@ -50,7 +50,7 @@ from vamgpu.methods.saved import (
     target_from,
     tolerances_from,
 )
-from vamgpu.methods.surface import SurfaceRamp
+from vamgpu.methods.surface import finer_voxels
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.methods.tradeoff import ParetoPoint, pareto
 from vamgpu.operators.defocus import Defocused
@@ -218,8 +218,9 @@ def _one(
     limit = file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
-    if file.solve.operator != "voxels" and not (file.solve.operator == "auto" and _seeks_rings(method, target)):
-        light, A = (_on_rings(light, A, file.solve.operator == "rings"),) * 2
+    rings = file.solve.operator == "rings"
+    if rings or (file.solve.operator == "auto" and finer_voxels(method, A, target) is None):  # else its method chooses
+        light, A = (_on_rings(light, A, rings),) * 2
     describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
     check_dither(file.frames.dither, A, target, file.frames.bits)
     if (tell := getattr(progress, "tell", None)) is not None:
@@ -237,11 +238,6 @@ def _one(
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
-
-
-def _seeks_rings(method: Any, target: Target) -> bool:
-    """Whether a method chooses between rays and rings itself, for finer voxels than those of the job."""
-    return isinstance(method, SurfaceRamp) and target.limits is None
 
 
 def _on_rings(light: Any, A: Any, asked: bool) -> Any:

@@ -35,7 +35,7 @@ from vamgpu.methods.projector import Projector
 from vamgpu.methods.resume import memory_of
 from vamgpu.methods.start import begin
 from vamgpu.methods.state import OptimizerState
-from vamgpu.methods.surface import PIXEL_DEEP, SINOGRAMS, SurfaceRamp, across, as_fine_as_light
+from vamgpu.methods.surface import PIXEL_DEEP, SINOGRAMS, SurfaceRamp, across, as_fine_as_light, finer_voxels
 from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_tolerances, doses_of
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.operators.compose import capped, combine
@@ -177,7 +177,7 @@ class _Problem:
         fractions, limits = fractions_of(posed, target), getattr(target, "limits", None)
         if limits is not None and (limits.weighted or limits.gray.any()):
             check_bodies(method, limits)
-        fine = as_fine_as_light(posed) if isinstance(method, SurfaceRamp) and limits is None else None
+        fine = None if finer_voxels(method, posed, target) is None else as_fine_as_light(posed)
         notes = sampling_notes(posed if fine is None else fine, radius_of(posed, target, fractions))
         given = (posed, target, fractions, method, tolerances)
         if fine is None:

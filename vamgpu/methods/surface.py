@@ -140,14 +140,16 @@ class SurfaceRamp(ByPairs):
 def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
     """The projector on which light is found: voxels of three quarters of a pixel, some above and below the part.
 
-    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. One that is to be
-    kept is what the next call returns: its tables take seconds.
+    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. With ``keep`` the
+    next call returns the same object, once, as its tables take seconds.
     """
+    if (grid := fine_grid(operator)) is None:
+        return None
     found = _KEPT.pop(operator, None)
-    if found is None and (grid := fine_grid(operator)) is not None:
+    if found is None:
         A = direct(operator)
         found = _on_rings(operator, Projection(grid, A.beam, A.motion, A.vessel, A.device))
-    if keep and found is not None:
+    if keep:
         _KEPT[operator] = found
     return found
 
@@ -165,6 +167,12 @@ def _on_rings(operator: Any, fine: Projection) -> Projection | RingProjection:
         if isinstance(operator, RingProjection):
             raise
         return fine
+
+
+def finer_voxels(method: Any, operator: Any, target: Any) -> Grid | None:
+    """The voxels of `as_fine_as_light` where a method finds light on them; None where it keeps its operator's."""
+    asks = isinstance(method, SurfaceRamp) and getattr(target, "limits", None) is None
+    return fine_grid(operator) if asks else None
 
 
 def fine_grid(operator: Any) -> Grid | None:

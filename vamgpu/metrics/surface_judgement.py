@@ -172,8 +172,11 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
         return found
     number = bodies(part.faces, len(part.vertices))
     cuts = np.bincount(number).cumsum()[:-1]
-    meshes = [Solid(part.vertices, faces) for faces in np.split(part.faces[number.argsort(kind="stable")], cuts)]
-    boxes = [np.stack([at.min(axis=0), at.max(axis=0)]) for at in (one.vertices[one.faces.ravel()] for one in meshes)]
+    parted = np.split(part.faces[number.argsort(kind="stable")], cuts)
+    pieces = [np.unique(faces, return_inverse=True) for faces in parted]
+    meshes = [Solid(part.vertices[used], own.reshape(-1, 3).astype(np.int32)) for used, own in pieces]
+    genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
+    boxes = [np.stack([one.vertices.min(axis=0), one.vertices.max(axis=0)]) for one in meshes]
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
     for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # what lies in a cavity comes after its shell
         low, high = np.rint((boxes[k] - around.origin) / around.pitch).astype(np.int64) + [[0], [1]]
@@ -182,7 +185,7 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
         shared = np.bincount(there, minlength=found.bodies + 1)[1:]
         its = (shared > 0) & (shared >= most)
         group[its], most[its] = k, shared[its]
-    return found.together(group)
+    return found.together(group, genus)
 
 
 def _walls(

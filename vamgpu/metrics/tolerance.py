@@ -6,18 +6,15 @@ every point of the resin; W at a tolerance does not ask what happens nearer to t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from math import ceil
-from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts, positive
 from vamgpu.metrics.depth import signed_depth, surrounded
@@ -33,8 +30,6 @@ BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
 SLICES = 32
 """Slices that are judged at once: memory beside the dose itself stays small."""
-AT_ONCE = 2
-"""Times as many slices, at most, where there are cores for them."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""
 
@@ -109,21 +104,7 @@ def tolerance_window(
     """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
-    number = counts("bins", (bins,), 1)[0]
-    tally = _Tally(voxel, reach, number)
-
-    def counted(piece: tuple[Array, Callable[[], Array], Any]) -> _Tally:
-        return _Tally(voxel, reach, number).add(piece[0], piece[1](), piece[2])
-
-    for found in ahead(counted, _pieces(slabs, depth, radius), AT_ONCE):
-        tally.join(found)
-    return tally.result()
-
-
-def _pieces(
-    slabs: Iterable[Slab], depth: Depth, radius: float | None
-) -> Iterator[tuple[Array, Callable[[], Array], npt.NDArray[np.bool_] | None]]:
-    """Doses of a few slices, what finds the depths there, and the columns of voxels that count; None for all."""
+    tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
@@ -131,11 +112,12 @@ def _pieces(
         disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
         for first in range(0, len(slab.z), SLICES):
             some = slice(first, first + SLICES)
-            yield dose[:, :, some], partial(depth, slab.x, slab.y, slab.z[some]), disc
+            tally.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
+    return tally.result()
 
 
 class _Tally:
-    """Least and greatest doses by distance from the surface."""
+    """Least and greatest doses by distance from the surface, over all slabs so far."""
 
     def __init__(self, voxel: float, reach: float, bins: int) -> None:
         self.voxel, self.width, self.bins = voxel, reach / bins, bins
@@ -144,7 +126,7 @@ class _Tally:
         self.count = np.zeros(bins + 1, np.int64)
         self.peak = 0.0
 
-    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> _Tally:
+    def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
         """Count doses [x, y, z] at depths [mm], NaN where nothing is asked; disc: columns [x, y] that count, or all."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
@@ -153,28 +135,17 @@ class _Tally:
         known = ~np.isnan(depth)
         if not known.all():  # nothing is asked there
             dose, depth = dose[known], depth[known]
-        self.peak = float(dose.max(initial=0.0))
+        self.peak = max(self.peak, float(dose.max(initial=0.0)))
         far = self.width * self.bins
         for inside, ends, best in ((depth >= 0, self.least, np.minimum), (depth < 0, self.greatest, np.maximum)):
             beyond = inside & (np.abs(depth) >= far)  # most voxels, all of the last step
             near = inside & ~beyond
             step = (np.abs(depth[near]) / self.width + _ROUNDING * self.voxel / self.width).astype(np.int64)
-            step = np.minimum(step, self.bins)
-            best.at(ends, step, dose[near].astype(np.float64))
-            values = dose[beyond]
-            if values.size:
-                ends[-1] = best(ends[-1], best.reduce(values))
+            best.at(ends, step := np.minimum(step, self.bins), dose[near].astype(np.float64))
+            ends[-1] = best.reduce(dose[beyond], initial=ends[-1])
             if best is np.minimum:
                 self.count += np.bincount(step, minlength=self.bins + 1)
-                self.count[-1] += values.size
-        return self
-
-    def join(self, other: _Tally) -> None:
-        """Add what was counted elsewhere."""
-        np.minimum(self.least, other.least, out=self.least)
-        np.maximum(self.greatest, other.greatest, out=self.greatest)
-        self.count += other.count
-        self.peak = max(self.peak, other.peak)
+                self.count[-1] += np.count_nonzero(beyond)
 
     def result(self) -> ToleranceWindow:
         if not self.count.any():
@@ -194,13 +165,12 @@ def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | Non
     """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked."""
     # pitch [mm]; voxel [mm]; reach [mm]
     reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
-    halo, alone = ceil(reach) + 2, Lock()
+    halo = ceil(reach) + 2
 
     def depth(x: Array, y: Array, z: Array) -> Array:
         middle = (_middle(x), _middle(y), _middle(z))
         grid = Grid((len(x), len(y), len(z) + 2 * halo), pitch)
-        with alone:  # a device does one thing after the other
-            fraction = target.resampled(grid, middle).numpy()
+        fraction = target.resampled(grid, middle).numpy()
         return signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
 
     return depth

@@ -38,11 +38,13 @@ class Topology:
         """Number of cavities."""
         return len(self.cavity_size)
 
-    def together(self, group: npt.NDArray[np.int64]) -> Topology:
+    def together(self, group: npt.NDArray[np.int64], genus: npt.NDArray[np.int64]) -> Topology:
         """The same, where all bodies of a group count as one; group: the number of each body's, (bodies,)."""
-        _, number = np.unique(group, return_inverse=True)
+        # genus: holes of each group that is numbered from 0 on; they count where it has several bodies
+        own, number, many = np.unique(group, return_inverse=True, return_counts=True)
         body = np.concatenate([[0], number + 1]).astype(np.int32)[self.body]
         size, holes = (np.bincount(number, each).astype(np.int64) for each in (self.size, self.holes))
+        holes = np.where(many > 1, genus[np.maximum(own, 0)], holes)
         return replace(self, body=body, size=size, holes=holes)
 
 
@@ -71,16 +73,13 @@ def _labeled(mask: Mask, neighbors: Literal[6, 26]) -> tuple[Labels, npt.NDArray
 
 def _cavities(mask: Mask) -> tuple[Labels, npt.NDArray[np.int64]]:
     """Numbers of void voxels that no path of voxels leads out from, and how many each has."""
-    void, size = _labeled(~mask, 26)
-    closed = np.ones(size.size + 1, bool)
-    for axis in range(3):
-        for end in (0, -1):
-            closed[np.unique(void.take(end, axis))] = False
-    closed[0] = False
+    void, size = _labeled(np.pad(~mask, 1, constant_values=True), 26)
+    closed = np.arange(size.size + 1) > 0
+    closed[void[0, 0, 0]] = False  # the void around everything
     if not closed.any():
         return np.zeros(mask.shape, np.int32), size[:0]
     number = np.where(closed, np.cumsum(closed), 0).astype(np.int32)
-    return number[void], size[closed[1:]]
+    return number[void[1:-1, 1:-1, 1:-1]], size[closed[1:]]
 
 
 def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:

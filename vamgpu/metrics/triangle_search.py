@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import threads
+
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
@@ -61,7 +63,7 @@ class TriangleSearch:
             for first in range(0, open_points.size, step):
                 chosen = open_points[first : first + step]
                 query: Any = self._tree.query
-                far, piece = query(points[chosen], k=nearest, eps=0.0 if exact else _ROUGH, workers=-1)
+                far, piece = query(points[chosen], k=nearest, eps=0.0 if exact else _ROUGH, workers=threads())
                 best[chosen], weight[chosen], face[chosen] = self._closest(points[chosen], far, piece)
                 sure[first : first + step] = far[:, -1] - self.reach >= best[chosen]
             if count >= min(len(self._parent), most or len(self._parent)) or not exact:
@@ -71,7 +73,7 @@ class TriangleSearch:
 
     def bounds(self, points: Array) -> tuple[Array, Array]:
         """Between which lengths the distances [mm] of points (n, 3) lie; several times faster than the distances."""
-        far, piece = self._tree.query(points, workers=-1)
+        far, piece = self._tree.query(points, workers=threads())
         # The nearest middle is at least `far` away, so no piece comes nearer than that less its reach.
         del piece
         return np.maximum(far - self.reach, 0.0), far
@@ -85,7 +87,7 @@ class TriangleSearch:
         share = (np.arange(parts) + 0.5) / parts
         middle = (starts[:, None] + share[:, None] * (ends - starts)[:, None]).reshape(-1, 3)
         around = np.repeat(0.5 * length / parts + self.reach, parts)
-        found: Any = self._tree.query_ball_point(middle, around, workers=-1)
+        found: Any = self._tree.query_ball_point(middle, around, workers=threads())
         number = np.array([len(some) for some in found])
         segment = np.repeat(np.repeat(np.arange(len(starts)), parts), number)
         piece = np.concatenate([np.asarray(some, np.int64) for some in found])

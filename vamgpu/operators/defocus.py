@@ -13,7 +13,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Beam, Chords, Vessel, positive
+from vamgpu.geometry import Beam, Chords, Vessel, columns_of, positive
 from vamgpu.operators.blur import Blur, gaussian
 from vamgpu.operators.compose import Composed, Derived, Sum, inherit
 from vamgpu.operators.linear import LinearOperator
@@ -113,6 +113,9 @@ class WeightedVessel(Vessel):
 
     def chords(self, u: np.ndarray) -> Chords:
         return self.vessel.chords(u)
+
+    def columns(self, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+        return columns_of(self.vessel, across, along)
 
     def illuminate(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         u, weight = self.vessel.illuminate(across, along)

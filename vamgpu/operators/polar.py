@@ -14,7 +14,7 @@ import numpy as np
 
 from vamgpu.backend.cores import threads
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, counts
+from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, columns_of, counts
 from vamgpu.kernels.footprint import half_support, share, sides
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.ring_splines import of_tile, to_coefficients
@@ -269,15 +269,13 @@ def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, sid
         lit = np.ones_like(lit)
     psi = FULL_TURN / count * np.arange(count)
 
-    columns = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
-
     def place(outward: float, onward: float) -> tuple[np.ndarray, np.ndarray]:
         far = rho + outward
         return far * np.sin(psi) + onward * np.cos(psi), -far * np.cos(psi) + onward * np.sin(psi)
 
     middle, weight = vessel.illuminate(*place(0.0, 0.0))
     a, b = (
-        np.abs(columns(*place(*way)) - columns(*place(*(-step for step in way)))) / beam.pitch
+        np.abs(columns_of(vessel, *place(*way)) - columns_of(vessel, *place(*(-step for step in way)))) / beam.pitch
         for way in ((0.5 * side, 0.0), (0.0, 0.5 * side))
     )
     first = middle / beam.pitch + 0.5 * (beam.pixels[0] - 1)

@@ -32,9 +32,8 @@ def _chunk(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: F
     psi = np.linspace(0.0, 0.5 * np.pi, NODES + 1)
     columns = aperture * np.sin(psi)
     cos_d, sin_d, _ = turn(faces, columns)
-    values = x[:, None] * cos_d + (
-        y[:, None] * sin_d - ratio * columns
-    )  # no product of BLAS, whose threads add to ours
+    # no product of BLAS, whose threads would add to ours
+    values = x[:, None] * cos_d + (y[:, None] * sin_d - ratio * columns)
     crossed = values[:, 1:] <= 0.0
     node = np.argmax(crossed, axis=1)
     lit = np.flatnonzero(crossed[np.arange(x.size), node])
