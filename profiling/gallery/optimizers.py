@@ -1,9 +1,8 @@
-"""The process window of every method over the projector evaluations it spends."""
+"""The process window of every method after equal projector evaluations."""
 
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from vamgpu.printing.simulate import simulate
 from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 SOON = 40
 
 
@@ -32,42 +28,41 @@ def optimizers(
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     most = 8 if quick else int(evaluations)
-    soon = min(SOON, most // 2)
-    figure, axes = style.sheet("a", 5.6)
-    axis, rows, ends = axes["a"], [], []
-    for (name, label), color in zip(LABELS.items(), style.HUES[: len(LABELS)], strict=True):
-        plans = [_told(A, target, name, budget) for budget in (soon, most)]
-        plan, proved = plans[-1], [simulate(A, pack(plan), target).scores for plan in plans]
-        spent, best = _best(plan)
-        thick, front = (2.4, 3) if name == next(iter(LABELS)) else (1.5, 2)
-        axis.step(*_until(spent, best, most), where="post", color=color, lw=thick, zorder=front)
-        if len(spent) == 1:
-            axis.plot(spent, best, "o", color=color, ms=5)
-        ends.append((best[-1], min(spent[-1], most), label, color))
-        late = proved[-1]
-        found = (proved[0].window, late.window, plan.window, plan.evaluations, late.iou, 1e6 * late.error_rate)
+    budgets = (min(SOON, most // 2), most)
+    rows = []
+    for name, label in LABELS.items():
+        plans = [_told(A, target, name, budget) for budget in budgets]
+        proofs = [simulate(A, pack(plan), target) for plan in plans]
+        judged = [proof.judgement for proof in proofs]
+        windows = [each.over_tolerance.at(each.pixel) for each in judged]
+        found = (*windows, 1e3 * judged[-1].surface.p95, proofs[-1].scores.window, plans[-1].evaluations)
         rows.append((label, found))
-    _labels(axis, ends, most)
-    axis.axhline(0, xmax=1 / 1.3, color=style.INK, lw=0.8)
-    axis.set(xlabel="projector evaluations", ylabel="strict process window, best so far", xlim=(0, most * 1.3),
-             title=f"Boat, {' × '.join(map(str, target.grid.shape))} voxels, {A.motion.angles} angles",
-             ylim=(max(min(e[0] for e in ends) - 0.1, -0.6), None))  # fmt: skip
-    axis.set_xticks(np.linspace(0, most, 7))
-    proved_at = (f"proved window, {n} evaluations" for n in (soon, most))
-    header = ("method", *proved_at, "claimed window", "evaluations spent",
-              "IoU", "VER [10⁻⁶]")  # fmt: skip
-    table = Table(header, ("+.4f", "+.4f", "+.4f", ".0f", ".5f", ".1f"), tuple(rows))
-    default = rows[0][1]
-    facts = (Fact(f"proved window of the default method, {soon} evaluations", default[0], "", 3),
-             Fact(f"proved window of the default method, {most} evaluations", default[1], "", 3))  # fmt: skip
+    figure, axes = style.sheet("a", 5.0)
+    axis, place = axes["a"], np.arange(len(rows))
+    for number, (budget, color) in enumerate(zip(budgets, style.HUES, strict=False)):
+        values = [found[number] for _, found in rows]
+        axis.barh(place + 0.4 * (0.5 - number), values, 0.36, color=color, label=f"{budget} evaluations")
+    axis.axvline(0, color=style.INK, lw=0.8)
+    axis.set_yticks(place, [label for label, _ in rows])
+    axis.invert_yaxis()
+    axis.legend(loc="lower left")
+    axis.set(xlabel="window one pixel from the surface, proved from the frames while the vial turns",
+             title=f"Boat, {' × '.join(map(str, target.grid.shape))} voxels, {A.motion.angles} angles")  # fmt: skip
+    header = ("method", *(f"window 1 pixel from the surface, {n} evaluations" for n in budgets),
+              "95 % of the surface within [µm]", "strict window of voxel means", "evaluations spent")  # fmt: skip
+    table = Table(header, ("+.4f", "+.4f", ".0f", "+.4f", ".0f"), tuple(rows))
+    facts = tuple(
+        Fact(f"window of the default method, {n} evaluations", value, "", 3)
+        for n, value in zip(budgets, rows[0][1], strict=False)
+    )
     caption = (
-        "The strict process window is the least dose in the part minus the greatest dose outside it, over the greatest "
-        "dose, every voxel of the cylinder counted as one or the other, no shell left out. Above zero there is one "
-        f"exposure that prints every voxel right. All methods ask for at most {OUTSIDE:g} of the part's dose outside "
-        f"and at least {INSIDE:g} inside; those with one threshold take the middle, the recipe and filtered back "
-        "projection take none. All may spend the same projector evaluations, one forward and one back projection each, "
-        "warm starts included, and return the best light they found. The curves are what they claim on the way; proved "
-        "is what the simulation makes of the frames of 8 bits, packed by default, as are IoU and VER."
+        "The window one pixel from the surface is the least dose at least a pixel deep in the part minus the greatest "
+        "dose at least a pixel outside it, over the greatest dose, on voxels finer than a pixel, while the vial turns. "
+        "Light cannot make the dose jump at the surface, so that the strict window of voxel means, which counts the "
+        f"voxels that the surface cuts, says little of a print. All methods but the default ask for {OUTSIDE:g} of the "
+        f"part's dose outside at most and {INSIDE:g} inside at least; those with one threshold take the middle, the "
+        "recipe and filtered back projection take none. All may spend the same projector evaluations, warm starts "
+        "included, and return the best light they found. Frames of 8 bits are packed by default."
     )
     cited = tuple(dict.fromkeys(paper for name in LABELS for paper in METHODS[name].papers))
     return Picture(figure, caption, facts, table, cited)
@@ -78,25 +73,3 @@ def _told(A: Projection, target: Target, name: str, evaluations: int) -> Plan:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DivergenceWarning)
         return compared(A, target, name, evaluations)
-
-
-def _best(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs spent and the best window of the light held up to there."""
-    spent = np.array([step.evaluations for step in plan.history])
-    return spent, np.maximum.accumulate([step.window for step in plan.history])
-
-
-def _until(spent: np.ndarray, best: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """The curve drawn on to the last pair, for methods that go on."""
-    end = most if len(spent) > 1 else spent[-1]
-    return np.append(np.minimum(spent, most), end), np.append(best, best[-1])
-
-
-def _labels(axis: Axes, ends: list[tuple[float, float, str, str]], most: int) -> None:
-    """Names at the ends of the curves, moved apart where they would overlap."""
-    least = (max(e[0] for e in ends) - min(e[0] for e in ends)) / 16 or 0.01
-    height = -np.inf
-    for value, _, label, color in sorted(ends):
-        height = max(value, height + least)
-        text = f"{label}  {value:+.3f}".replace("-0", "−0")
-        axis.text(most * 1.015, height, text, color=color, va="center", fontsize=9)
