@@ -117,7 +117,12 @@ def test_a_folder_from_before_the_optics_is_read_as_it_was_meant(done: Demo, tmp
 
 
 @pytest.mark.parametrize(
-    ("stage", "share", "left"), [("light", 0.1, ["boat.toml", "boat.vam"]), ("voxels", 0.0, ["boat.toml"])]
+    ("stage", "share", "left"),
+    [
+        ("light", 0.1, ["boat.toml", "boat.vam"]),
+        ("frames", 0.0, ["boat.toml", "boat.vam"]),
+        ("voxels", 0.0, ["boat.toml"]),
+    ],
 )
 def test_an_interrupted_job_leaves_the_plan_it_had_or_nothing(
     stage: str, share: float, left: list[str], tmp_path: Path
@@ -139,6 +144,7 @@ def test_an_interrupted_job_leaves_the_plan_it_had_or_nothing(
         ("target.shape=ship", JobError, "target.shape: got 'ship'"),
         ("frames.gray=missing.toml", StorageError, "missing.toml"),
         ("target.height=30 mm", TargetTooLarge, "radius"),
+        ("target.pitch=20 mm", BadInput, "pitch is 20 mm, and the part is .* check the unit"),
     ],
 )
 def test_what_cannot_be_done_is_refused(setting: str, error: type[BadInput], said: str, tmp_path: Path) -> None:

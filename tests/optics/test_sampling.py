@@ -47,7 +47,7 @@ def turned(angles, lit_share: float | None, pitch: float = 0.04) -> tuple[str, .
 def test_angles_do_where_no_point_moves_farther_than_four_pixels(lit_share: float, least: float) -> None:
     """2π · 4 mm over pixels of 40 µm are 157 steps of four pixels each."""
     enough = vam.enough_angles(BEAM, VIAL, 4.0, lit_share)
-    assert enough == 60 * int(np.ceil(least / 60.0))
+    assert enough == 60 * int(np.ceil(least / 60.0)) == vam.enough_angles(BEAM, VIAL, "4 mm", lit_share)
     assert turned(enough, lit_share) == ()
     (note,) = turned(int(0.9 * least), lit_share)
     assert f"{int(0.9 * least)} angles are few for a part of 4 mm" in note and f"{enough} angles do" in note

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -232,6 +233,8 @@ def test_a_remedy_follows_from_a_cause_that_was_checked() -> None:
     A = vam.Projection(GRID, BEAM, vam.Turntable(20), None, open_device())
     few = verdict_of(replace(thick, operator=A), changed(thick, cavities_extra=1))
     assert few.remedies == ("take 60 angles", EVALUATIONS)
+    one_bit: Any = replace(thick, frames=SimpleNamespace(bits=1))  # type: ignore[arg-type]
+    assert verdict_of(one_bit, changed(thick, bodies_extra=1)).remedies == ("take frames of 8 bits", EVALUATIONS)
     window = thick.claimed.window
     for most, remedy in ((1.01 * window, BOUNDED), (1.2 * window, EVALUATIONS)):
         bounded = replace(thick, bound=Bound(most, thick.dose, 1.0))

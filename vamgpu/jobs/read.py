@@ -73,7 +73,7 @@ def read_text(path: str | Path) -> str:
     try:
         return reading.read_text(path, reading.MOST_TOML)
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
+        reason = getattr(error, "strerror", None) or "it is no text (a mesh is named by [target] mesh in a job file)"
         raise JobError(f"cannot read job file {str(path)!r}: {reason}; expected a TOML file: check the path, or let "
                        "`vam init` write one") from error  # fmt: skip
 

@@ -177,13 +177,17 @@ def _solve(
             lights = [_one(job, method, target, device, progress, begun, due)]
         except Cancelled as error:
             where = kept if kept is not None and due is not None and due.came else place
-            if where != place or not os.path.lexists(place) or is_interrupted(place):
-                _keep(error, where, inputs)
+            _keep(error.plan, where, inputs, where != place)
             raise
-    if pareto:
-        inputs["pareto"] = [asdict(point) for point in _traded(job, lights[0], progress)]
-    progress("frames", 0.0)
-    packed = [pack(light, **packing) for light in lights]
+    try:
+        if pareto:
+            inputs["pareto"] = [asdict(point) for point in _traded(job, lights[0], progress)]
+        progress("frames", 0.0)
+        packed = [pack(light, **packing) for light in lights]
+    except KeyboardInterrupt:
+        if file.colors is None:
+            _keep(lights[0], place, inputs)
+        raise
     progress("folder", 0.0)
     places = (place, uv_folder(place))
     folders = [
@@ -193,12 +197,10 @@ def _solve(
     return folders[0]
 
 
-def _keep(error: Cancelled, place: Path, inputs: dict[str, Any]) -> None:
-    """Write what an interrupted run had reached, so that the next one goes on from there."""
-    if error.plan is None:
-        return
-    plan: Any = error.plan
-    save_plan(plan, place, inputs={**inputs, INTERRUPTED: len(plan.history)}, overwrite=True)
+def _keep(plan: Any, place: Path, inputs: dict[str, Any], anywhere: bool = False) -> None:
+    """Write what an interrupted run had reached, where no other job stands, so that the next one goes on from there."""
+    if plan is not None and (anywhere or not os.path.lexists(place) or is_interrupted(place)):
+        save_plan(plan, place, inputs={**inputs, INTERRUPTED: len(plan.history)}, overwrite=True)
 
 
 def is_interrupted(path: str | Path) -> bool:

@@ -6,14 +6,13 @@ from abc import ABC, abstractmethod
 from inspect import signature
 from math import isfinite, prod
 from numbers import Real
-from typing import Any, ClassVar, Self, final
+from typing import Any, Self, final
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.card import card, drawable
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.operators.space import Space, require
 from vamgpu.schema.noun import GIVEN, given
@@ -236,8 +235,6 @@ class LinearOperator(ABC):
         image, back = np.asarray(self(x), np.float64), np.asarray(self.T(y), np.float64)
         gap = abs(np.vdot(image, y.astype(np.float64)) - np.vdot(x.astype(np.float64), back))
         return float(gap / (np.linalg.norm(image) * np.linalg.norm(y.astype(np.float64))))
-
-    prove: ClassVar[Renamed] = Renamed("dot_test")
 
 
 @final

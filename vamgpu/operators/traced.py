@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, hypot
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
-from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import Beam, Grid, Turntable, counts, one_ray_a_pixel, positive
 from vamgpu.kernels.gather import gather_rows
@@ -77,7 +76,6 @@ class TracedProjection(LinearOperator):
     step: float
     most_steps: int
 
-    @renamed_arguments(carried="medium")
     def __init__(
         self,
         grid: Grid,
@@ -108,8 +106,6 @@ class TracedProjection(LinearOperator):
         self._turns = places(motion, ray_parts(motion, 0.5 * hypot(*grid.shape[:2])))
         self._way: _Matrix | _March = _Matrix(self) if level else _March(self)
         self._dwell = Dwell(motion, self.device)
-
-    carried: ClassVar[Renamed] = Renamed("medium")
 
     def __repr__(self) -> str:
         fields = ", ".join(self.medium.fields()) or "nothing"

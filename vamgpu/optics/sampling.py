@@ -9,6 +9,7 @@ import numpy as np
 
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, positive
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.schema.quantities import Length, measured
 
 MOVED = 4.0
 """Pixels that a point of the part may move from one angle to the next. A boat of 165 pixels' radius has the same window
@@ -53,7 +54,7 @@ def more_angles(motion: Turntable, width: float, radius: float) -> int:
     return _whole(motion.angles * turned / (MOVED * width))
 
 
-def enough_angles(beam: Beam, vessel: Any, radius: float, lit_share: float = 1.0) -> int:
+def enough_angles(beam: Beam, vessel: Any, radius: float | str, lit_share: float = 1.0) -> int:
     """Tell how many even angles of a turn do for a part: so many that no point of it moves farther than four pixels.
 
     What counts is how far the farthest point turns while a frame is lit, or half of its way to the next angle where
@@ -63,7 +64,7 @@ def enough_angles(beam: Beam, vessel: Any, radius: float, lit_share: float = 1.0
     Args:
         beam: The pixels.
         vessel: What the light goes through, as a projector takes it; None for air.
-        radius: Of the part about the axis [mm].
+        radius: Of the part about the axis [mm], or text with its unit.
         lit_share: Share of each step during which its frame is lit, 0 to 1, as of `Turntable`.
 
     Returns:
@@ -72,7 +73,7 @@ def enough_angles(beam: Beam, vessel: Any, radius: float, lit_share: float = 1.0
     Raises:
         BadInput: The radius is not above 0, or the light does not come to the axis.
     """
-    way = FULL_TURN * positive("radius [mm]", radius) * max(lit_share, RESTING)
+    way = FULL_TURN * positive("radius [mm]", measured("radius", radius, Length)) * max(lit_share, RESTING)
     return _whole(way / (MOVED * resin_pixel(beam, vessel)[0]))
 
 

@@ -54,9 +54,10 @@ class Causes:
 
     @cached_property
     def light(self) -> str:
-        """Remedy for light that could be better: more angles, more evaluations, or neither."""
-        enough = self._more_angles
-        return "; ".join([f"take {enough:,} angles"] * (enough > 0) + [self._evaluations])
+        """Remedy for light that could be better: more bits, more angles, more evaluations, or none of these."""
+        enough, few = self._more_angles, getattr(self.proof.frames, "bits", 8) < 8
+        return "; ".join(["take frames of 8 bits"] * few + [f"take {enough:,} angles"] * (enough > 0)
+                         + [self._evaluations])  # fmt: skip
 
     @property
     def rough(self) -> str:

@@ -203,8 +203,6 @@ class Proof:
         """Voxels of the part beyond the judged cylinder, which no score counts."""
         return int(above(replace(self.parts, reach=EVERYWHERE), 0.0)[0, IN].sum()) - self.scores.in_voxels
 
-    perfect: ClassVar[Renamed] = Renamed("all_correct")
-
     @property
     def all_correct(self) -> bool:
         """Whether it prints, by rays traced for the proof."""

@@ -135,7 +135,7 @@ def _stray(proof: Proof) -> Iterator[Fault]:
         where = f"{proof.outer.where}, {proof.outer_share:.2f} of the threshold"
         yield Fault(
             f"resin beyond the judged cylinder prints too ({where})",
-            'take the default method, which keeps that resin dark, or a part farther from the wall',
+            "move the part away from the wall, or take the default method with more evaluations, which keeps it dark",
         )  # fmt: skip
 
 

@@ -118,7 +118,7 @@ class Target:
         drawn = given.drawn and isinstance(source, Solid)
         solid = given.placed(rotation=orientation, height=height, factor=factor, center=not drawn)
         solid = solid.leveled() if drawn else solid
-        _check_size(solid, height, factor)
+        _check_size(solid, height, factor, pitch)
         box = _grid(solid, pitch, _margin(margin), shape)
         place = open_device(device)
         _check_memory(box, place)
@@ -300,10 +300,13 @@ def _solid(source: Any, name: str | None) -> Solid:
     return solid
 
 
-def _check_size(solid: Solid, height: float | None, factor: float | None) -> None:
-    """Ask for the unit of a part that is too small or too large to be printed by any machine. Raises `BadInput`."""
+def _check_size(solid: Solid, height: float | None, factor: float | None, pitch: float) -> None:
+    """Ask for the unit of a part that no machine prints, or of voxels that are wider than it. Raises `BadInput`."""
     size = float(np.ptp(solid.bounds, axis=0).max())
     if SMALLEST <= size <= LARGEST:
+        if pitch > size:
+            raise BadInput(f"{solid.name}: pitch is {pitch:g} mm, and the part is {size:.3g} mm at its longest; "
+                           "expected voxels much narrower than the part: check the unit")  # fmt: skip
         return
     unit = meant(size, SMALLEST, LARGEST)
     likely = ""
