@@ -66,6 +66,31 @@ def open_any(name: str) -> Device:
     return device
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Iterator[None]:
+    """pytest changes the environment between phases, while PoCL's threads must not start linkers with it."""
+    try:
+        return (yield)
+    finally:
+        _finish()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """As for the setup."""
+    try:
+        return (yield)
+    finally:
+        _finish()
+
+
+def _finish() -> None:
+    """Wait for what PoCL compiles and runs."""
+    for name in device_list():
+        if name.startswith("opencl:pocl"):
+            open_any(name).synchronize()
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Look for devices before there are workers: PoCL's first start fails beside others that build the same files."""
     if not hasattr(config, "workerinput"):

@@ -186,7 +186,7 @@ def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof, judgement: 
     page = report.page_of(flooded, None, judgement).html()
     assert "resin beyond the judged cylinder prints too (" in page and "1.20 of the threshold" in page
     assert "Orange: resin beyond" in page and 'class="verdict bad"' in page
-    assert 'class="remedy">→ take the default method' in page
+    assert 'class="remedy">→ move the part away from the wall' in page
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from vamgpu.errors import BadInput, EmptyMesh, NotWatertight, OutOfMemory, Targe
 from vamgpu.geometry import Grid
 from vamgpu.targets import shapes
 from vamgpu.targets.mesh import load_mesh
+from vamgpu.targets.shapes import csg
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 
@@ -133,8 +134,11 @@ def test_what_is_no_part_is_refused(tmp_path: Path) -> None:
         Target.from_mesh(np.zeros((3, 3)), height=1.0, pitch=0.1)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match=r"no-such\.stl"):
         Target.from_mesh(tmp_path / "no-such.stl", height=1.0, pitch=0.1)
+    plate = csg.to_solid(csg.box((0.0, 0.0, 0.0), (10.0, 10.0, 1e-4)), "plate")
     with pytest.raises(EmptyMesh, match="no voxel of 5 mm is filled"):
-        Target.from_mesh(wedge(), height=0.12, pitch=5.0, device="numpy")
+        Target.from_mesh(plate, factor=1.0, pitch=5.0, device="numpy")
+    with pytest.raises(BadInput, match="pitch is 20 mm, and the part is 10 mm at its longest"):
+        Target.from_mesh(plate, factor=1.0, pitch=20.0, device="numpy")
 
 
 def test_a_trimesh_is_a_target_as_its_file_is(tmp_path: Path) -> None:
