@@ -53,6 +53,6 @@ class ClosedOnce(Closing):
         failed = run_all(*self.endings()) if self._open else []
         self._open = False
         for error in failed:
-            log.warning("closing %s: %s", self.called, error or type(error).__name__)
+            log.warning("closing %s: %s", self.called, str(error) or type(error).__name__)
         if keys := [each for each in failed if not isinstance(each, Exception)]:
             raise keys[0]

@@ -33,8 +33,9 @@ def test_what_fails_is_logged_and_the_rest_is_done_once(caplog: pytest.LogCaptur
     assert machine.did == ["stopped", "released"] and caplog.messages == ["closing a machine: the cable is out"]
 
 
-def test_what_a_key_interrupts_is_done_again_and_the_key_is_heard() -> None:
+def test_what_a_key_interrupts_is_done_again_and_the_key_is_heard(caplog: pytest.LogCaptureFixture) -> None:
     machine = Machine(KeyboardInterrupt())
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt), caplog.at_level(logging.WARNING):
         machine.close()
     assert machine.did == ["stopped", "stopped", "released"]
+    assert caplog.messages == ["closing a machine: KeyboardInterrupt"]

@@ -114,8 +114,8 @@ def simulate(
         claimed = score(held.dose, held.target, threshold=threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
-    traced = judge if isinstance(judge, IndependentExposure) else IndependentExposure(A) if coarse else None
-    pixel = A.grid.pitch if traced is None else traced.column
+    traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
+    pixel = traced.column if traced else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
     held = judged_parts(dose, fraction, limits)
