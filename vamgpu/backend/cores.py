@@ -7,13 +7,20 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import chain, islice
-from typing import TypeVar
+from threading import current_thread
+from typing import Any, TypeVar
+
+import numpy as np
 
 In = TypeVar("In")
 Out = TypeVar("Out")
 
 MOST = 16
 """Beyond these, threads of one process wait for each other and for memory."""
+PIECE = 16_384
+"""Values that a thread works on."""
+WORKER = "vamgpu"
+"""How names of threads begin whose work is not shared out again."""
 
 
 def threads() -> int:
@@ -26,20 +33,42 @@ def threads() -> int:
     return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, MOST))
 
 
+def pool(workers: int) -> ThreadPoolExecutor:
+    """So many threads for work that is shared out."""
+    return ThreadPoolExecutor(workers, WORKER)
+
+
 def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> Iterator[Out]:
     """Results of work on items, in order, by as many threads as cores, a few items ahead of whoever takes them."""
     # The work must let other threads run, as NumPy does; items are asked for in this thread.
     rest = iter(items)
     some = list(islice(rest, 2))
     workers = min(threads(), most)
-    if len(some) < 2 or workers < 2:
+    if len(some) < 2 or workers < 2 or current_thread().name.startswith(WORKER):
         yield from map(work, chain(some, rest))
         return
-    with ThreadPoolExecutor(workers) as pool:
+    with pool(workers) as others:
         begun: deque[Future[Out]] = deque()
         for item in chain(some, rest):
-            begun.append(pool.submit(work, item))
+            begun.append(others.submit(work, item))
             if len(begun) > workers:
                 yield begun.popleft().result()
         while begun:
             yield begun.popleft().result()
+
+
+def together(*tasks: Callable[[], Any]) -> list[Any]:
+    """What tasks return, each by a thread of its own as far as there are cores."""
+    return list(ahead(lambda task: task(), tasks))
+
+
+def pointwise(work: Callable[..., tuple[np.ndarray, ...]], *values: np.ndarray) -> list[np.ndarray]:
+    """Fields (n,) that work makes of values (n,) point by point, piece after piece, by as many threads as cores."""
+    count = len(values[0])
+    some = [slice(first, first + PIECE) for first in range(0, max(count, 1), PIECE)]
+    fields: list[np.ndarray] = []
+    for part, own in zip(some, ahead(lambda part: work(*(each[part] for each in values)), some), strict=True):
+        fields = fields or [np.empty(count, each.dtype) for each in own]
+        for field, each in zip(fields, own, strict=True):
+            field[part] = each
+    return fields

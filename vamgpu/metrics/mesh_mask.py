@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import ahead
 from vamgpu.targets.solid import Solid
 
 _NUDGE = np.array([3.1e-7, 1.7e-7])
 """Spacings by which columns are moved, so that none meets an edge or a corner of a triangle."""
-_BATCH = 1 << 20
+_BATCH = 1 << 18
 """Pairs of a triangle and a column looked at at once."""
 
 
@@ -25,18 +26,19 @@ def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[in
     number = wide.prod(axis=1)
     order = np.flatnonzero(number)
     ends = np.searchsorted(number[order].cumsum(), np.arange(_BATCH, number.sum() + _BATCH, _BATCH), side="right")
-    for some in np.split(order, np.unique(ends)):
-        _cross(turns, corners, some, low, wide, number)
+    for x, y, above, sign in ahead(
+        lambda some: _crossed(corners, some, low, wide, number, shape[2]), np.split(order, np.unique(ends))
+    ):
+        np.add.at(turns, (x, y, above), sign)
     # A triangle that faces up closes the solid: what lies below it is inside.
     winding = np.cumsum(turns[:, :, :0:-1], axis=2, dtype=np.int16)[:, :, ::-1]
     return winding > 0
 
 
-def _cross(
-    turns: npt.NDArray[np.int16], corners: np.ndarray, some: np.ndarray, low: np.ndarray, wide: np.ndarray,
-    number: np.ndarray,
-) -> None:  # fmt: skip
-    """Note where columns cross some triangles: at the first point above, +1 for those that face up, else −1."""
+def _crossed(
+    corners: np.ndarray, some: np.ndarray, low: np.ndarray, wide: np.ndarray, number: np.ndarray, top: int
+) -> tuple[np.ndarray, ...]:
+    """Where columns x, y cross some triangles: the first point above, and +1 for those that face up, else −1."""
     face = np.repeat(some, number[some])
     step = np.arange(len(face)) - np.repeat(number[some].cumsum() - number[some], number[some])
     x, y = low[face, 0] + step // wide[face, 1], low[face, 1] + step % wide[face, 1]
@@ -46,8 +48,7 @@ def _cross(
     x, y, weights = x[hit], y[hit], weights[:, hit]
     total = weights.sum(axis=0)
     z = (weights[0] * a[hit, 2] + weights[1] * b[hit, 2] + weights[2] * c[hit, 2]) / total
-    above = np.clip(np.ceil(z), 0, turns.shape[2] - 1).astype(np.int64)
-    np.add.at(turns, (x, y, above), np.sign(total).astype(np.int16))
+    return x, y, np.clip(np.ceil(z), 0, top).astype(np.int64), np.sign(total).astype(np.int16)
 
 
 def _turn(p: np.ndarray, q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cores import ahead
+from vamgpu.backend.cores import ahead, together
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import counts, positive
 
@@ -64,7 +64,7 @@ def segment_windows(
 def _judged(dose: np.ndarray, part: np.ndarray) -> tuple[float, ...]:
     """Least and 1 % dose in the part, greatest and 99 % dose out of it, and how many voxels of both."""
     inside, outside = ahead(lambda where: dose[where], (part, ~part))
-    (least, one_in), (greatest, one_out) = ahead(lambda end: end(), (lambda: _low(inside), lambda: _high(outside)))
+    (least, one_in), (greatest, one_out) = together(lambda: _low(inside), lambda: _high(outside))
     return float(least), float(one_in), max(float(greatest), 0.0), float(one_out), inside.size, outside.size
 
 

@@ -18,6 +18,7 @@ from vamgpu.geometry import centers, counts, positive
 from vamgpu.metrics.alignment import Alignment, align
 from vamgpu.metrics.gaussian import Gaussian, fit_gaussian
 from vamgpu.metrics.nearest import Array, Nearest, as_points
+from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.targets.solid import Solid
 
 POINTS = 20_000
@@ -84,24 +85,6 @@ def drawn(solid: Solid, samples: int = POINTS) -> Array:
     if not double_areas(corners).sum() > 0:
         raise EmptyMesh(f"{solid.name}: its {len(solid.faces)} triangles have no area; export the part again")
     return drawn_on(corners, number)[0]
-
-
-def drawn_on(corners: Array, samples: int) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Points on triangles, as many on every mm², with a fixed seed."""
-    # corners (m, 3, 3) [mm]; returns (samples, 3) [mm] (samples,)
-    area = double_areas(corners).cumsum()
-    random = np.random.default_rng(0)
-    # One point in each equal share of the area: no patch is left out.
-    at = (np.arange(samples) + random.random(samples)) * (area[-1] / samples)
-    face = np.searchsorted(area, at).clip(max=len(corners) - 1)
-    root, other = np.sqrt(random.random((samples, 1))), random.random((samples, 1))
-    a, b, c = np.moveaxis(corners[face], 1, 0)
-    return (1.0 - root) * a + root * (1.0 - other) * b + root * other * c, face
-
-
-def double_areas(corners: Array) -> Array:
-    """Twice the area [mm²] of each triangle (m, 3, 3)."""
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def iso_solid(

@@ -9,6 +9,7 @@ from math import isnan, nan
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
@@ -17,9 +18,9 @@ from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.mesh_mask import mesh_mask
 from vamgpu.metrics.nearest import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
-from vamgpu.metrics.surface_distance import double_areas, drawn_on, iso_solid
+from vamgpu.metrics.surface_distance import iso_solid
 from vamgpu.metrics.topology import Topology, topology
-from vamgpu.metrics.triangle_search import Array, TriangleSearch
+from vamgpu.metrics.triangle_search import Array, TriangleSearch, drawn_on
 from vamgpu.metrics.unjudged import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.repair import bodies
@@ -131,20 +132,27 @@ def judge_surface(
         solid = None if solid is None else joined(solid)
         thin = unjudged(fraction, grid, solid)
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
+    around = printed_field(dose, origin, pitch, threshold, part.bounds)
+    inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
+
+    def triangles() -> TriangleSearch | None:
+        found = around.triangles()
+        return TriangleSearch(found, 0.5 * around.pitch) if len(found) else None
+
     with warnings.catch_warnings():
         if solid is None:  # a surface of voxels, which nobody drew and nobody can mend
             warnings.simplefilter("ignore", MeshWarning)
-        near = Nearest(part, 0.5 * grid.pitch)
-    corners = near.search.corners
-    around = printed_field(dose, origin, pitch, threshold, part.bounds)
-    inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
-    changes = body_changes(_own_bodies(part, topology(inside), around), topology(around.mask), around.pitch**3)
-    points, face = drawn_on(corners, number)
+        printed, near, own, there = together(
+            triangles,
+            lambda: Nearest(part, 0.5 * grid.pitch),
+            lambda: _own_bodies(part, topology(inside), around),
+            lambda: topology(around.mask),
+        )
+    changes = body_changes(own, there, around.pitch**3)
+    points, face = drawn_on(near.search.corners, number, near.search.areas)
     lost_walls = _walls(near, points, face, around, _WIDEST * grid.pitch)
-    triangles = around.triangles()
-    if not len(triangles):
+    if printed is None:
         return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
-    printed = TriangleSearch(triangles, 0.5 * around.pitch)
 
     def of_part(at: Array) -> Array:
         return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
@@ -152,9 +160,10 @@ def judge_surface(
     def of_print(at: Array) -> Array:
         return near(at, most=_PIECES).distance
 
-    dense_part, dense_print = _dense(corners, around.pitch), _dense(triangles, around.pitch)
+    cloud = drawn_on(printed.corners, number, printed.areas)[0]
+    dense_part, dense_print = _dense(near.search, around.pitch), _dense(printed, around.pitch)
     ways = (
-        (of_print, near.search, drawn_on(triangles, number)[0], dense_print, ~_masked(inside, around, dense_print)),
+        (of_print, near.search, cloud, dense_print, ~_masked(inside, around, dense_print)),
         (of_part, printed, points, dense_part, around.printed(dense_part)),
     )
     distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
@@ -203,10 +212,10 @@ def _walls(
     )
 
 
-def _dense(corners: Array, pitch: float) -> Array:
+def _dense(search: TriangleSearch, pitch: float) -> Array:
     """Points as dense as the voxels' faces."""
-    area = 0.5 * float(double_areas(corners).sum())
-    return drawn_on(corners, int(np.clip(_PER_VOXEL_FACE * area / pitch**2, 1_000, _DENSE)))[0]
+    count = int(np.clip(0.5 * _PER_VOXEL_FACE * search.areas[-1] / pitch**2, 1_000, _DENSE))
+    return drawn_on(search.corners, count, search.areas)[0]
 
 
 def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:

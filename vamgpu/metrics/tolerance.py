@@ -6,8 +6,9 @@ every point of the resin; W at a tolerance does not ask what happens nearer to t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from math import ceil
 from typing import Any, Protocol
 
@@ -15,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Grid, counts, positive
 from vamgpu.metrics.depth import signed_depth, surrounded
@@ -28,8 +30,10 @@ WIDEST = 2.0
 """Tolerances are drawn from 0 to this many voxels."""
 BINS = 128
 """Steps of the curve; an even number puts half a voxel on one of them."""
-SLICES = 32
-"""Slices that are judged at once: memory beside the dose itself stays small."""
+VOXELS, SLICES = 1 << 24, (16, 64)
+"""Voxels that a thread judges at once, and fewest and most slices: depths are looked for beyond either side of them."""
+BESIDE, MEMORY = 24, 1 << 32
+"""Bytes that the depth of a voxel takes while it is found, and that all threads take."""
 _ROUNDING = 1e-4
 """Voxels by which a depth may miss a step and still count as being there."""
 
@@ -105,19 +109,38 @@ def tolerance_window(
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
     tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
+
+    def tallied(piece: _Piece) -> _Tally:
+        slab, dose, some = piece
+        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
+        own = _Tally(voxel, reach, bins)
+        own.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
+        return own
+
+    pieces = _pieces(slabs)
+    for first in pieces:
+        nbytes = BESIDE * first[1][:, :, first[2]].size
+        for own in ahead(tallied, chain([first], pieces), max(MEMORY // nbytes, 1)):
+            tally.take(own)
+    return tally.result()
+
+
+_Piece = tuple[Slab, Array, slice]
+
+
+def _pieces(slabs: Iterable[Slab]) -> Iterator[_Piece]:
+    """Slabs, their doses and some of their slices at once."""
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
             raise BadInput(f"a slab's dose has shape {dose.shape}; expected one voxel a place of its axes, [x, y, z]")
-        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
-        for first in range(0, len(slab.z), SLICES):
-            some = slice(first, first + SLICES)
-            tally.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
-    return tally.result()
+        each = int(np.clip(VOXELS // (len(slab.x) * len(slab.y)), *SLICES))
+        for first in range(0, len(slab.z), each):
+            yield slab, dose, slice(first, min(first + each, len(slab.z)))
 
 
 class _Tally:
-    """Least and greatest doses by distance from the surface, over all slabs so far."""
+    """Least and greatest doses by distance from the surface."""
 
     def __init__(self, voxel: float, reach: float, bins: int) -> None:
         self.voxel, self.width, self.bins = voxel, reach / bins, bins
@@ -146,6 +169,11 @@ class _Tally:
             if best is np.minimum:
                 self.count += np.bincount(step, minlength=self.bins + 1)
                 self.count[-1] += np.count_nonzero(beyond)
+
+    def take(self, other: _Tally) -> None:
+        """Count what another one has counted."""
+        self.least, self.greatest = np.minimum(self.least, other.least), np.maximum(self.greatest, other.greatest)
+        self.count, self.peak = self.count + other.count, max(self.peak, other.peak)
 
     def result(self) -> ToleranceWindow:
         if not self.count.any():

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from vamgpu.backend.cores import ahead
 
 Labels = npt.NDArray[np.int32]
 Mask = npt.NDArray[np.bool_]
 
 _SLAB = 32
 """Planes along x looked at at once."""
+_ONWARD = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)
+"""Steps from a corner to the others of its cube."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,18 +97,16 @@ def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:
 def _euler(mask: Mask, body: Labels, count: int) -> npt.NDArray[np.int64]:
     """Euler characteristic of each body."""
     # Every corner has the edges, faces and cube that go on from it along the axes; within a body they add up to none.
-    total = np.zeros(count + 1)
-    for first in range(0, mask.shape[0], _SLAB):
+
+    def slab(first: int) -> Any:
         cells = np.pad(mask[first : first + _SLAB + 1], ((0, 0), (0, 1), (0, 1)))
-        full, own = cells.view(np.int8), np.zeros(cells.shape, np.int8)
-        for axes in (axes for number in range(4) for axes in combinations(range(3), number)):
-            part = full
-            for axis in axes:
-                low, high = [slice(None)] * 3, [slice(None)] * 3
-                low[axis], high[axis] = slice(None, -1), slice(1, None)
-                part = part[tuple(low)] & part[tuple(high)]
-            own[: part.shape[0], : part.shape[1], : part.shape[2]] += part if len(axes) % 2 == 0 else -part
-        own = own[:_SLAB, :-1, :-1]  # the plane after them belongs to the next slab
-        at = np.nonzero(own)
-        total += np.bincount(body[first : first + _SLAB][at], own[at], count + 1)
-    return total[1:].astype(np.int64)
+        cells = np.pad(cells, ((0, max(_SLAB + 1 - len(cells), 0)), (0, 0), (0, 0)))
+        full = cells[:-1, :-1, :-1] & cells[1:, :-1, :-1] & cells[:-1, 1:, :-1] & cells[:-1, :-1, 1:]
+        full &= cells[1:, 1:, :-1] & cells[1:, :-1, 1:] & cells[:-1, 1:, 1:] & cells[1:, 1:, 1:]
+        x, y, z = np.nonzero(cells[:-1, :-1, :-1] & ~full)
+        i, j, k, ij, ik, jk, ijk = (cells[x + a, y + b, z + c].view(np.int8) for a, b, c in _ONWARD)
+        i_j, i_k, j_k = i * j * ij, i * k * ik, j * k * jk
+        own = 1 - i - j - k + i_j + i_k + j_k - i_j * i_k * j_k * ijk
+        return np.bincount(body[first + x, y, z], own, count + 1)
+
+    return sum(ahead(slab, range(0, len(mask), _SLAB)), np.zeros(count + 1))[1:].astype(np.int64)

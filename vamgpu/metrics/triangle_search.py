@@ -35,14 +35,16 @@ class TriangleSearch:
     # longest: triangles with shorter edges [mm] need not be cut; small parts would be cut into dust otherwise.
     # kept: which of the triangles have an area, boolean (m,).
     # corners: of those, (k, 3, 3) [mm].
+    # areas: twice that of all up to each [mm²], (k,).
     # reach: a piece of a triangle reaches no farther from its middle [mm].
 
     def __init__(self, corners: Array, longest: float = 0.0) -> None:
         from scipy.spatial import KDTree
 
-        double = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        double = double_areas(corners)
         self.kept: np.ndarray = double > 0
         self.corners: np.ndarray = corners[self.kept]
+        self.areas: Array = double[self.kept].cumsum()
         pieces, self._parent = _pieces(self.corners, max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES))))
         self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
         self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
@@ -123,6 +125,25 @@ class TriangleSearch:
         weight[row, column] = found
 
 
+def double_areas(corners: Array) -> Array:
+    """Twice the area [mm²] of each triangle (m, 3, 3)."""
+    (ax, ay, az), (bx, by, bz) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
+    return np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+
+
+def drawn_on(corners: Array, samples: int, areas: Array | None = None) -> tuple[Array, Indices]:
+    """Points on triangles, as many on every mm², with a fixed seed; areas: as of `TriangleSearch`."""
+    # corners (m, 3, 3) [mm]; returns (samples, 3) [mm] (samples,)
+    ends = double_areas(corners).cumsum() if areas is None else areas
+    random = np.random.default_rng(0)
+    # One point in each equal share of the area: no patch is left out.
+    at = (np.arange(samples) + random.random(samples)) * (ends[-1] / samples)
+    face = np.searchsorted(ends, at).clip(max=len(corners) - 1)
+    root, other = np.sqrt(random.random((samples, 1))), random.random((samples, 1))
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    return (1.0 - root) * a + root * (1.0 - other) * b + root * other * c, face
+
+
 def barycentric(points: Array, corners: Array) -> Array:
     """Weights (n, 3) of the corners (n, 3, 3) of each triangle that make its point nearest to each point (n, 3)."""
     # On an edge one weight, at a corner two are exactly 0.
@@ -152,6 +173,8 @@ def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
     while len(left):
         edges = _edges(left)
         short = edges.max(axis=1) <= limit
+        if short.all() and not done:
+            return left, parent
         done.append(left[short])
         parents.append(parent[short])
         left, parent, longest = left[~short], parent[~short], edges[~short].argmax(axis=1)

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Grid
-from vamgpu.metrics.surface_distance import double_areas, drawn_on
-from vamgpu.metrics.triangle_search import Array, TriangleSearch
+from vamgpu.metrics.triangle_search import Array, TriangleSearch, double_areas, drawn_on
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.solid import Solid
 

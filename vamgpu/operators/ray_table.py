@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.cores import pointwise
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Chords, Grid, Vessel
 from vamgpu.kernels.footprint import half_support, sides
@@ -253,7 +254,7 @@ def _slack(column: np.ndarray, radius: float, rays: _Rays) -> np.ndarray:
         far = (1 - b) * column[1:, :-1] + b * column[1:, 1:]
         u = (1 - a) * near + a * far
         x, y = position[:-1, None] + a, position[None, :-1] + b
-        p, angle = rays.at(u)
+        p, angle = (each.reshape(u.shape) for each in pointwise(rays.at, u.ravel()))
         stray = np.abs(x * np.cos(angle) + y * np.sin(angle) - p)
         lit = (x**2 + y**2 <= (radius + 1.0) ** 2) & (u > -1 - rays.reach) & (u < rays.columns + rays.reach)
         index = np.clip(np.floor(u[lit]).astype(int) + 1, 0, rays.columns + 1)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from vamgpu.backend.cores import pointwise
 from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
@@ -20,25 +22,24 @@ def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Float
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
     # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
     # = aperture·sin ψ, in which d is smooth up to the last ray.
-    u = np.empty_like(x)
-    spacing = np.empty_like(x)
-    for start in range(0, x.size, CHUNK):
-        part = slice(start, start + CHUNK)
-        u[part], spacing[part] = _chunk(faces, aperture, ratio, np.abs(x[part]), y[part])
+    u, spacing = pointwise(partial(_piece, faces, aperture, ratio), np.abs(x), y)
     return np.copysign(u, x), spacing
 
 
-def _chunk(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     psi = np.linspace(0.0, 0.5 * np.pi, NODES + 1)
     columns = aperture * np.sin(psi)
     cos_d, sin_d, _ = turn(faces, columns)
-    # no product of BLAS, whose threads would add to ours
-    values = x[:, None] * cos_d + (y[:, None] * sin_d - ratio * columns)
-    crossed = values[:, 1:] <= 0.0
-    node = np.argmax(crossed, axis=1)
-    lit = np.flatnonzero(crossed[np.arange(x.size), node])
-    node = node[lit]
-    before, after = values[lit, node], values[lit, node + 1]
+    node, before, after = np.empty(x.size, np.int64), np.empty_like(x), np.empty_like(x)
+    for start in range(0, x.size, CHUNK):
+        some = slice(start, start + CHUNK)
+        # no product of BLAS, whose threads would add to ours
+        values = x[some, None] * cos_d + (y[some, None] * sin_d - ratio * columns)
+        node[some] = at = np.argmax(values[:, 1:] <= 0.0, axis=1)
+        row = np.arange(at.size)
+        before[some], after[some] = values[row, at], values[row, at + 1]
+    lit = np.flatnonzero(after <= 0.0)
+    node, before, after = node[lit], before[lit], after[lit]
     fraction = before / np.maximum(before - after, np.finfo(np.float64).tiny)
     start = psi[node] + (psi[1] - psi[0]) * fraction
     root = _newton(faces, aperture, ratio, x[lit], y[lit], psi[node], psi[node + 1], start)

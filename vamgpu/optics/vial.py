@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vamgpu.backend.cores import pointwise
 from vamgpu.card import card
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, Vessel, centers, positive
@@ -154,7 +155,7 @@ class Vial(Vessel):
         """
         columns, inside, x, y, spacing = self._columns(across, along)
         weight = np.zeros(inside.shape)
-        weight[inside] = self._weights(columns[inside], x, y, spacing)
+        (weight[inside],) = pointwise(self._weights, columns[inside], x, y, spacing)
         return columns, weight
 
     def columns(self, across: ArrayLike, along: ArrayLike) -> Floats:
@@ -181,7 +182,7 @@ class Vial(Vessel):
         u[inside], spacing = first_columns(self.faces, self.aperture, self.bath_index / self.resin_index, x, y)
         return u, inside, x, y, spacing
 
-    def _weights(self, u: Floats, x: Floats, y: Floats, spacing: Floats) -> Floats:
+    def _weights(self, u: Floats, x: Floats, y: Floats, spacing: Floats) -> tuple[Floats]:
         ratio = self.bath_index / self.resin_index
         p = u * ratio
         half = np.sqrt(np.maximum((self.inner_radius - p) * (self.inner_radius + p), 0.0))
@@ -189,7 +190,7 @@ class Vial(Vessel):
         path = half + y * cos_d - x * sin_d
         density = 1.0 / np.maximum(np.abs(spacing), ratio / LARGEST_DENSITY)
         share = self.transmitted(u) * density * absorbed_share(self.absorption, path)
-        return np.where(spacing != 0.0, share, 0.0)
+        return (np.where(spacing != 0.0, share, 0.0),)
 
     def check_fits(self, radius: float) -> None:
         """Check that a target of this radius about the axis can be printed.
