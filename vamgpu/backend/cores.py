@@ -15,9 +15,9 @@ import numpy as np
 In = TypeVar("In")
 Out = TypeVar("Out")
 
-MOST = 16
-"""Beyond these, threads of one process wait for each other and for memory."""
-PIECE = 16_384
+MOST, FEW = 8, 4
+"""Threads beyond which those of one process wait for memory, and for each other where operations are short."""
+PIECE = 65_536
 """Values that a thread works on."""
 WORKER = "vamgpu"
 """How names of threads begin whose work is not shared out again."""
@@ -67,7 +67,7 @@ def pointwise(work: Callable[..., tuple[np.ndarray, ...]], *values: np.ndarray) 
     count = len(values[0])
     some = [slice(first, first + PIECE) for first in range(0, max(count, 1), PIECE)]
     fields: list[np.ndarray] = []
-    for part, own in zip(some, ahead(lambda part: work(*(each[part] for each in values)), some), strict=True):
+    for part, own in zip(some, ahead(lambda part: work(*(each[part] for each in values)), some, FEW), strict=True):
         fields = fields or [np.empty(count, each.dtype) for each in own]
         for field, each in zip(fields, own, strict=True):
             field[part] = each

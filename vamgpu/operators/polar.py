@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
+from vamgpu.backend.cores import FEW, threads
 from vamgpu.backend.cores import pool as workers
-from vamgpu.backend.cores import threads
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, columns_of, counts
 from vamgpu.kernels.footprint import half_support, share, sides
@@ -304,7 +304,7 @@ def ring_table(
     # whether entries give coefficients of `ring_splines`, not doses.  room: allocates the entries.  arc: of the turn
     # [rad] during which an angle is lit.  tiles_of_pose: what the pose leaves in every `ROWS` rings, where the vessel
     # does not say it.
-    with workers(threads()) as pool:
+    with workers(min(threads(), FEW)) as pool:
         # squares of a ring do not depend on those of another: as many pieces as tiles
         pieces = [tile for band in grid.bands for tile in band.tiles] if square is not None else list(grid.bands)
         footprints: Sequence[PoseTile] = tiles_of_pose or []
