@@ -15,7 +15,7 @@ import numpy as np
 from vamgpu.errors import BadInput, DeviceBusy, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -6,9 +6,8 @@ from collections import deque
 from typing import Any, Self
 
 from vamgpu.errors import DeviceNotFound
-from vamgpu.hosts.clock import Clock, RealClock
-from vamgpu.hosts.drivers.closing import extra
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, extra
+from vamgpu.hosts.schedules.clock import Clock, RealClock
 
 MOST = 1000  # edges that wait to be asked for; a mark comes once a turn
 

@@ -11,9 +11,8 @@ from typing import Any, Self
 import numpy as np
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.closing import extra
+from vamgpu.hosts.drivers.cleanup import Closing, extra
 from vamgpu.hosts.drivers.stages import PolledStage, above_zero
-from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
 UM_IN_MM = 1000.0

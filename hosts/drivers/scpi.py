@@ -6,9 +6,8 @@ import math
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.run_all import Closing
 
 MILLI = 1000.0
 

@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error, extra
+from vamgpu.hosts.drivers import zaber_protocol as zaber
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
-from vamgpu.hosts.protocols import zaber
 
 
 @runtime_checkable

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Protocol
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound
-from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND
 
 STEP = SECOND // 100  # between two rates of a ramp [ns]

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
+from vamgpu.hosts.drivers.cleanup import closed_on_error, extra
 from vamgpu.hosts.drivers.stages import PolledStage, above_zero
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 

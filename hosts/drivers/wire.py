@@ -15,8 +15,7 @@ import threading
 from typing import Any, Protocol
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
-from vamgpu.hosts.drivers.closing import extra
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, extra
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +24,6 @@ from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import plug
 from vamgpu.hosts.emulators.stage import EmulatedStage
-
-if TYPE_CHECKING:
-    from vamgpu.hosts.rigs.config import RigFile
 
 MICRO = 1000
 FAINT = 1e-15
@@ -234,10 +231,10 @@ class EmulatedCalibrationRig:
     """All machines, and the optics between them; each method opens the driver of one. numbers: lamps of projectors."""
 
     optics: Optics
-    rig: RigFile
+    rig: Any  # what its file says
     clock: VirtualClock
 
-    def __init__(self, optics: Optics, rig: RigFile, numbers: tuple[int, ...] = (0,)) -> None:
+    def __init__(self, optics: Optics, rig: Any, numbers: tuple[int, ...] = (0,)) -> None:
         self.optics, self.rig, self.clock = optics, rig, VirtualClock()
         rows, columns = optics.mirrors
         model = ArrayModel(height=rows, width=columns)

@@ -11,10 +11,10 @@ import argparse
 import re
 from pathlib import Path
 
+from vamgpu.hosts.drivers.controller_protocol import line_check
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
 from vamgpu.hosts.emulators.servers import serve
-from vamgpu.hosts.protocols.controller import line_check
 
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000

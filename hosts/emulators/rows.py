@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 
 from vamgpu.hosts.emulators.lens import check_sum
-from vamgpu.hosts.emulators.senses import Senses
+from vamgpu.hosts.emulators.sensors import Senses
 from vamgpu.hosts.emulators.track import Track
 
 MICRO = 1000

@@ -13,11 +13,11 @@ from typing import Protocol
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch, Underrun, VamError
-from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
-from vamgpu.hosts.frames.late import Action, LatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import Action, LatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.packer import PlanePacker
 from vamgpu.hosts.frames.versions import Boundaries
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.schedule import NONE
 
 log: logging.Logger = logging.getLogger(__name__)

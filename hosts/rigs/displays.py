@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import model_validator
 
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.rigs.roles import ORDERS, CablePart, Color, MirrorPart, Share
 from vamgpu.schema.section import Listed
 
@@ -71,7 +71,7 @@ class LightCrafterDisplay(VideoDisplay):
             raise ValueError(f'control is "{self.control}"; expected "usb", or "usb:" and the serial number')
         if not self.leds or self.slots is not None:
             raise ValueError("expected leds that light the frames, and no slots: bits say how many frames are shown")
-        from vamgpu.hosts.protocols import dlpc350
+        from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 
         exposure = self.exposure
         dlpc350.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Encoder, Index
 from vamgpu.hosts.rigs.roles import FeedbackPart
 from vamgpu.schema.quantities import Count, ExposureTime, Length, Time

@@ -16,7 +16,7 @@ from vamgpu.curethrough.names import is_slice
 from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, SliceError, StorageError
 from vamgpu.geometry import Turntable
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
 from vamgpu.hosts.rigs.calibrations import MachineCalibration
 from vamgpu.printing.frames import Frames

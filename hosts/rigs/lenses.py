@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from vamgpu.errors import DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.rigs.roles import LensPart
 

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.drivers.controller_protocol import STEEPEST
 from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.protocols.controller import STEEPEST
 from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Ppm, StagePart
 from vamgpu.schema.quantities import Count
 
@@ -126,9 +126,9 @@ class StepperMotion(MotionPart):
 
     def open(self, unit: str, pin: int | None = None) -> Stage:
         """See `MotionPart`. pin: that sees its index; None where none does."""
-        from vamgpu.hosts.clock import RealClock
         from vamgpu.hosts.drivers.gpio import GpioIndex
         from vamgpu.hosts.drivers.stepper import StepperStage, SysfsPwm
+        from vamgpu.hosts.schedules.clock import RealClock
 
         clock = RealClock()
         pulses = SysfsPwm(self.chip, self.channel)

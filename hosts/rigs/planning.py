@@ -14,8 +14,9 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
-from vamgpu.hosts.exposure import StopRule
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
+from vamgpu.hosts.player.exposure import StopRule
+from vamgpu.hosts.player.rows import steppable
 from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
@@ -23,7 +24,6 @@ from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
 from vamgpu.hosts.rigs.turns import Turning, proved
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.rows import steppable
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
-from vamgpu.hosts.protocols.controller import LONGEST_LEASE_MS
+from vamgpu.hosts.drivers.controller_protocol import LONGEST_LEASE_MS
 from vamgpu.hosts.rigs.roles import Baud
 from vamgpu.schema.quantities import Count, NonNegative, Speed, Thickness, Time
 from vamgpu.schema.section import Section

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
-from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import whole
 
 

@@ -15,16 +15,16 @@ import pytest
 from vamgpu.errors import BadInput, DeviceError, JobError, WrongDevice
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.records.record import RunFolder
+from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.rig import check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.rigs.preflight import judged, measure, preflight
 from vamgpu.hosts.safety.interlock import Budget, Lease, OverDose
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming, powers
-from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.mirrors import sla, turned, web
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, exact, nanoseconds, whole
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import Board
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

@@ -8,12 +8,12 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
 from vamgpu.hosts.emulators.servers import PtyServer
-from vamgpu.hosts.protocols.controller import ControllerRow
 
 SECOND = 1_000_000_000
 

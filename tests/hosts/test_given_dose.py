@@ -16,12 +16,12 @@ import trimesh
 from vamgpu.cli import main
 from vamgpu.cli.print import _begun as begun
 from vamgpu.errors import BadInput, DoseWarning, StorageError
-from vamgpu.hosts.proof import prove_run
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.proof import prove_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, may_go_on, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
-from vamgpu.hosts.rigs.rehearsing import Rehearsal
-from vamgpu.hosts.state import PrintState
+from vamgpu.hosts.rigs.rehearsal import Rehearsal
 from vamgpu.jobs.run import prove
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose

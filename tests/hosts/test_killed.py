@@ -20,9 +20,9 @@ from typing import Any
 
 import pytest
 
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH
-from vamgpu.hosts.state import PrintState
 
 LANES, KILLS = 4, 26
 PREROLL = 2

@@ -19,6 +19,7 @@ from vamgpu.errors import (
 )
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
 from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.memory import MirrorMemory
@@ -29,7 +30,6 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Cable, Faults, LineDevice, plug
-from vamgpu.hosts.protocols.controller import ControllerRow
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 

@@ -16,15 +16,15 @@ from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingInfeasible, VamError
 from vamgpu.hosts.frames.packer import DevicePacker, packer
 from vamgpu.hosts.frames.sources import MirrorArray, WebFrames
-from vamgpu.hosts.players.turning import STEP
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.player.video_stage import STEP
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import Rehearsal, carry_out, player, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.rigs.planning import PrintPlan, plan
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks

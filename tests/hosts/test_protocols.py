@@ -13,14 +13,15 @@ from hypothesis import strategies as st
 
 from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
+from vamgpu.hosts.drivers import controller_protocol as controller
+from vamgpu.hosts.drivers import optotune_protocol as ld4
 from vamgpu.hosts.drivers import projector as slots
+from vamgpu.hosts.drivers import zaber_protocol as zaber
+from vamgpu.hosts.drivers.optotune_protocol import crc16_arc
+from vamgpu.hosts.drivers.zaber_protocol import lrc
 from vamgpu.hosts.emulators import controller as emulated
 from vamgpu.hosts.emulators.controller import RANGES, EmulatedController
 from vamgpu.hosts.emulators.lens import LENGTHS
-from vamgpu.hosts.protocols import controller, zaber
-from vamgpu.hosts.protocols import optotune as ld4
-from vamgpu.hosts.protocols.optotune import crc16_arc
-from vamgpu.hosts.protocols.zaber import lrc
 
 REQUESTS = [
     (ld4.FIRMWARE_TYPE, "48 00 36"),

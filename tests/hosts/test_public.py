@@ -26,8 +26,6 @@ def test_every_argument_is_documented(name: str) -> None:
 
 
 def test_old_names_work_and_warn(job: Path) -> None:
-    with pytest.warns(DeprecationWarning, match="PrintPlan"):
-        assert rig.Plan is rig.PrintPlan
     planned = plan(job, read_rig("emulated"), turns=1)
     with pytest.warns(DeprecationWarning, match="jobs"):
         assert planned.works is planned.jobs

@@ -12,12 +12,12 @@ import pytest
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.rigs.displays import AlpDisplay
 from vamgpu.hosts.rigs.guarantees import accepted, driver_of, guarantees
 from vamgpu.hosts.rigs.motions import ControllerMotion
-from vamgpu.hosts.state import PrintState
 from vamgpu.jobs.keys import keys_of, reference
 from vamgpu.schema import registry
 

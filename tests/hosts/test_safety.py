@@ -12,9 +12,9 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceBusy
 from vamgpu.hosts.emulators.clock import VirtualClock
+from vamgpu.hosts.records.state import NEXT, PrintState, PrintStates, WrongState
 from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Lease, OverDose
 from vamgpu.hosts.safety.light import LightGuard
-from vamgpu.hosts.state import NEXT, PrintState, PrintStates, WrongState
 
 MS = 1_000_000
 GOOD = {"armed": True, "motion": 0.0, "shown": 3, "scheduled": 3}

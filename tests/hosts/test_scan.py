@@ -11,12 +11,12 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, plan, read_rig, rehearsal
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import PrintState
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.units import deg
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.mirrors import sla, turned, web
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
 from vamgpu.hosts.schedules.video import vial

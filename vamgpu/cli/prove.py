@@ -122,7 +122,7 @@ def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> bool:
     """Compare a run with its plan; returns whether it prints, with and without light in doubt."""
-    from vamgpu.hosts.proof import prove_run
+    from vamgpu.hosts.records.proof import prove_run
 
     screen, prints = console(), True
     for number, found in enumerate(prove_run(run, device, printed)):

@@ -1,6 +1,6 @@
 // Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
 //
-// It speaks the line protocol described in vamgpu.hosts.protocols.controller. Nothing here waits: loop() looks at
+// It speaks the line protocol described in vamgpu.hosts.drivers.controller_protocol. Nothing here waits: loop() looks at
 // lease, interlock, encoder, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
 // than it takes at once.
 //

@@ -1,0 +1,96 @@
+"""Messages between the process that holds the light and those that watch it: JSON, and the bytes of arrays behind it.
+
+Nothing in a message is code: a run's folder, which may come from anywhere, says whom to talk to.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from enum import Enum
+from functools import cache
+from math import isfinite
+from multiprocessing.connection import Connection
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+
+from vamgpu.hosts.records.state import Snapshot
+from vamgpu.storage.reading import parse_json
+
+LONGEST = 1 << 28  # bytes of a message or array
+NUMBERS = "biuf"  # kinds of arrays that are sent
+
+
+def send(line: Connection, message: dict[str, Any]) -> None:
+    """Send a message: plain values, arrays, and all that a `Snapshot` may hold. Raises `OSError`."""
+    arrays: list[np.ndarray] = []
+    body = {name: _plain(value, arrays) for name, value in message.items()}
+    line.send_bytes(json.dumps({"arrays": len(arrays), "body": body}).encode())
+    for array in arrays:
+        line.send_bytes(array.tobytes())
+
+
+def receive(line: Connection) -> dict[str, Any]:
+    """The next message. Raises `EOFError`, `OSError`, and `ValueError` for what is none."""
+    told = parse_json(line.recv_bytes(LONGEST))
+    if not isinstance(told, dict) or not isinstance(told.get("body"), dict):
+        raise ValueError("a message is an object with a body")
+    arrays = iter([line.recv_bytes(LONGEST) for _ in range(int(told["arrays"]))])
+    return {name: _made(value, arrays) for name, value in told["body"].items()}
+
+
+def _plain(value: Any, arrays: list[np.ndarray]) -> Any:
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": value.dtype.str, "shape": value.shape}
+    if isinstance(value, Enum):
+        return {"kind": type(value).__name__, "value": value.value}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        held = {field.name: _plain(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+        return {"kind": type(value).__name__, "fields": held}
+    if isinstance(value, dict):
+        return {"dict": {name: _plain(each, arrays) for name, each in value.items()}}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each, arrays) for each in tuple(value)]
+    value = value.item() if isinstance(value, np.generic) else value
+    return {"float": str(value)} if isinstance(value, float) and not isfinite(value) else value
+
+
+def _made(value: Any, arrays: Iterator[bytes]) -> Any:
+    if isinstance(value, list):
+        return tuple(_made(each, arrays) for each in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        if (dtype := np.dtype(value["array"])).kind not in NUMBERS:
+            raise ValueError(f"an array of {dtype}; expected one of numbers")
+        return np.frombuffer(next(arrays), dtype).reshape(value["shape"])
+    if "float" in value:
+        return float(value["float"])
+    if "dict" in value:
+        return {name: _made(each, arrays) for name, each in value["dict"].items()}
+    kind = _kinds()[value["kind"]]
+    if "value" in value:
+        return kind(value["value"])
+    return kind(**{name: _made(each, arrays) for name, each in value["fields"].items()})
+
+
+@cache
+def _kinds() -> dict[str, Any]:
+    """Enumerations and dataclasses that a snapshot may hold, by name."""
+    found: dict[str, Any] = {}
+
+    def look(hint: Any) -> None:
+        for each in get_args(hint):
+            look(each)
+        if not isinstance(hint, type) or hint.__name__ in found:
+            return
+        if issubclass(hint, Enum) or dataclasses.is_dataclass(hint):
+            found[hint.__name__] = hint
+            for inner in get_type_hints(hint).values() if dataclasses.is_dataclass(hint) else ():
+                look(inner)
+
+    look(Snapshot)
+    return found
