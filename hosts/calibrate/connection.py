@@ -14,6 +14,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
+from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics
 from vamgpu.hosts.rigs.config import RigConfig, RigFile
 from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.schedules.clock import Clock, RealClock
@@ -50,8 +51,6 @@ def rehearsal(
     config: RigConfig, tables: Collection[str], truth: Any = None, *, kind: str = "axis"
 ) -> tuple[CalibrationMachines, Any]:
     """Emulate a rig's machines before their optics, which are those of a kind unless a truth is given."""
-    from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics
-
     rig = config.setup
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}))

@@ -84,7 +84,7 @@ class Panel:
         try:
             import uvicorn
 
-            from vamgpu.hosts.panel.routes import served
+            from vamgpu.hosts.panel.routes import served  # it needs the extra too
 
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:

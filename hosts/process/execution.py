@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.deprecated import renamed
 from vamgpu.errors import BadInput, JobError, StorageError, WrongDevice
 from vamgpu.geometry import positive
 from vamgpu.hosts.frames.versions import FrameVersions
@@ -46,7 +45,6 @@ __all__ = [
     "read_rig", "rehearsal", "stopping",
 ]  # fmt: skip
 log: logging.Logger = logging.getLogger(__name__)
-__getattr__: Callable[[str], Any] = renamed(__name__, {"Plan": "PrintPlan"})
 
 
 def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live: bool = False) -> Judged | None:

@@ -6,22 +6,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError, VamError
 from vamgpu.hosts.records.account import LightAccount, account
 from vamgpu.hosts.records.plans import kept_frames
 from vamgpu.hosts.records.record import RunRecord, digest, read_run
+from vamgpu.jobs.run import Proven, prove
+from vamgpu.printing.frames import Frames
 from vamgpu.printing.given_dose import prove_given
-
-if TYPE_CHECKING:
-    from vamgpu.backend.array import DeviceArray
-    from vamgpu.backend.device import Device
-    from vamgpu.jobs.run import Proven
-    from vamgpu.printing.frames import Frames
-    from vamgpu.printing.proof import Proof
+from vamgpu.printing.proof import Proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +90,6 @@ def prove_run(
     """Prove what a run of a vial printed, by the light in its record. Raises `BadInput`, `StorageError`."""
     # One proof for each projector.  job: folders of jobs that were moved since, in any order; without, they are looked
     # for where they were, and beside the run.
-    from vamgpu.jobs.run import prove
-
     run = read_run(path)
     try:
         light = account(run)

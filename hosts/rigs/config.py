@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from vamgpu.deprecated import Renamed
-from vamgpu.errors import JobError
+from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
 from vamgpu.hosts.rigs.guarantees import refusal
-from vamgpu.hosts.rigs.old_files import current
 from vamgpu.hosts.rigs.roles import DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
 from vamgpu.hosts.rigs.sections import (
     CalibrationSection,
@@ -24,6 +22,7 @@ from vamgpu.hosts.rigs.sections import (
 )
 from vamgpu.jobs.read import checked
 from vamgpu.schema.read import noun
+from vamgpu.schema.registry import find
 from vamgpu.schema.section import Misplaced, Section
 from vamgpu.storage.reading import MOST_TOML, read_text
 
@@ -136,8 +135,6 @@ class RigConfig:
     source: str  # where it came from
     settings: tuple[str, ...] = ()  # that replace its values
 
-    wanted: ClassVar[Renamed] = Renamed("setup")
-
 
 def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
     """Read a rig file.
@@ -170,7 +167,35 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
         raise JobError(f"the rig's text is {text!r}; expected the text of a TOML file")
     try:
         given = (settings,) if isinstance(settings, str) else tuple(settings)
-        return RigConfig(checked(RigFile, text, given, source=source, current=current)[0], text, source, given)
+        return RigConfig(checked(RigFile, text, given, source=source, complete=_completed)[0], text, source, given)
     except JobError as error:
-        alone = "[[display]]" not in text and "[[projector]]" not in text
+        alone = "[[display]]" not in text
         raise JobError(str(error).replace("display.0", "display") if alone else str(error)) from error
+
+
+OLD = {"projector": "display", "stage": "motion", "camera": "feedback", "photodiode": "feedback"}
+"""Tables of version 0.2 → those of today."""
+
+
+def _completed(data: dict[str, Any]) -> None:
+    """Add motion, light and clock that the other parts suggest. Raises `JobError` for tables of version 0.2."""
+    if old := [name for name in OLD if name in data]:
+        raise JobError(f"[{old[0]}] is a table of version 0.2; expected [{OLD[old[0]]}], see hosts/README.md")
+    controller, light = data.get("controller"), data.setdefault("light", {})
+    if isinstance(controller, dict):
+        data.setdefault("motion", {"driver": "emulated" if controller.get("driver") == "emulated" else "controller"})
+    if isinstance(light, dict):
+        light.setdefault("driver", "display" if controller is None else "controller")
+    if "clock" in data or not isinstance(motion := data.get("motion"), dict):
+        return
+    moves = controller is not None and motion.get("driver") in ("controller", "emulated")
+    driver = "vblank" if any(map(_cabled, _each(data.get("display", ())))) else "controller" if moves else "stage"
+    data["clock"] = {"driver": driver}
+
+
+def _cabled(display: Any) -> bool:
+    """Whether a display is on a video cable; False for one that there is not."""
+    try:
+        return not find("rig_display", display["driver"]).triggered
+    except (BadInput, KeyError, TypeError, AttributeError):
+        return False

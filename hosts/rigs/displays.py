@@ -7,7 +7,10 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import model_validator
 
+from vamgpu.hosts.drivers import dlpc350_protocol, projector
 from vamgpu.hosts.drivers.cleanup import closed_on_error
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
 from vamgpu.hosts.rigs.roles import ORDERS, CablePart, Color, MirrorPart, Share
 from vamgpu.schema.section import Listed
 
@@ -24,8 +27,6 @@ class AlpDisplay(MirrorPart):
 
     def open(self) -> Any:
         """See `DisplayPart`."""
-        from vamgpu.hosts.drivers.dmd import Dmd
-
         return Dmd.open(self.library, self.serial, self.array)
 
 
@@ -44,10 +45,9 @@ class VideoDisplay(CablePart):
 
     def open(self) -> Any:
         """See `DisplayPart`."""
-        from vamgpu.hosts.drivers.projector import ONE_GRAY, HdmiProjector, PygletWindow, SlotLayout
-
-        layout = ONE_GRAY if self.slots == 1 else SlotLayout(self.channels, self.bits)
-        return HdmiProjector(PygletWindow(self.screen, self.array, self.refresh), layout, self.latency)
+        layout = projector.ONE_GRAY if self.slots == 1 else projector.SlotLayout(self.channels, self.bits)
+        window = projector.PygletWindow(self.screen, self.array, self.refresh)
+        return projector.HdmiProjector(window, layout, self.latency)
 
 
 class LightCrafterDisplay(VideoDisplay):
@@ -71,10 +71,8 @@ class LightCrafterDisplay(VideoDisplay):
             raise ValueError(f'control is "{self.control}"; expected "usb", or "usb:" and the serial number')
         if not self.leds or self.slots is not None:
             raise ValueError("expected leds that light the frames, and no slots: bits say how many frames are shown")
-        from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
-
         exposure = self.exposure
-        dlpc350.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
+        dlpc350_protocol.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
         return self
 
     @property
@@ -84,8 +82,6 @@ class LightCrafterDisplay(VideoDisplay):
 
     def open(self) -> Any:
         """See `DisplayPart`; its LEDs are dark, and switched by the ``lamp`` of what is returned."""
-        from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
-
         box = LightCrafter.open(self.control.partition(":")[2] or None)
         with closed_on_error(box):
             if self.current is not None:

@@ -6,8 +6,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from vamgpu.hosts.drivers.camera import GenicamCamera
 from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Encoder, Index
+from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
 from vamgpu.hosts.rigs.roles import FeedbackPart
 from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
 
@@ -95,12 +97,8 @@ class CameraFeedback(FeedbackPart):
         """Open the camera with its settings. Raises what its driver does."""
         exposure = 1e6 * self.exposure
         if self.producer is not None:
-            from vamgpu.hosts.drivers.camera import GenicamCamera
-
             settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger}
             return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)
-        from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
-
         camera = MicroManagerCamera.open(str(self.config), str(self.label))
         with closed_on_error(camera):
             camera.expose(exposure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.rigs.roles import LightPart
 from vamgpu.hosts.safety.light import Lamp
 
@@ -32,8 +33,6 @@ class LaserLight(LightPart):
 
     def open(self) -> Lamp:
         """See `LightPart`."""
-        from vamgpu.hosts.drivers.lamp import TtlLamp
-
         return TtlLamp.open(self.port, self.line)
 
 

@@ -7,9 +7,14 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.drivers import stepper
 from vamgpu.hosts.drivers.controller_protocol import STEEPEST
-from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.drivers.gpio import GpioIndex
+from vamgpu.hosts.drivers.micromanager import MicroManagerStage
+from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
+from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
 from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Ppm, StagePart
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.schema.quantities import Count
 
 
@@ -47,8 +52,6 @@ class ZaberMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`."""
-        from vamgpu.hosts.drivers.stages import ZaberStage
-
         return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
 
 
@@ -64,8 +67,6 @@ class StandaMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`."""
-        from vamgpu.hosts.drivers.stages import StandaStage
-
         return StandaStage.open(self.port, self.microsteps, unit)
 
 
@@ -81,8 +82,6 @@ class ThorlabsMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`."""
-        from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
-
         return ThorlabsStage.open(self.port, self.microsteps, unit)
 
 
@@ -101,8 +100,6 @@ class MicroManagerMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`. Raises `BadInput` for degrees."""
-        from vamgpu.hosts.drivers.micromanager import MicroManagerStage
-
         if unit != "mm":
             raise BadInput(
                 f"the stage {self.label!r} of Micro-Manager moves in mm, and {unit} are needed: take another"
@@ -126,14 +123,10 @@ class StepperMotion(MotionPart):
 
     def open(self, unit: str, pin: int | None = None) -> Stage:
         """See `MotionPart`. pin: that sees its index; None where none does."""
-        from vamgpu.hosts.drivers.gpio import GpioIndex
-        from vamgpu.hosts.drivers.stepper import StepperStage, SysfsPwm
-        from vamgpu.hosts.schedules.clock import RealClock
-
         clock = RealClock()
-        pulses = SysfsPwm(self.chip, self.channel)
+        pulses = stepper.SysfsPwm(self.chip, self.channel)
         index = None if pin is None else GpioIndex.open(pin, clock)
-        return StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
+        return stepper.StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
 
 
 class EmulatedMotion(MotionPart):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
+from vamgpu.hosts.emulators.array import ArrayModel
+from vamgpu.hosts.emulators.camera import resin_camera
+from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
+from vamgpu.hosts.emulators.dose import DoseMonitor, full_light
+from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig, EmulatedStageRig, EmulatedVideoRig
 from vamgpu.hosts.player.machines import Machines, MirrorMachines, StageMachines, VideoMachines
 from vamgpu.hosts.player.rows import FINE, emulated_microsteps
 from vamgpu.hosts.rigs.guarantees import driver_of
@@ -36,9 +40,6 @@ class Rehearsal:
     emulated: Any
     monitor: Any
 
-    bench: ClassVar[Renamed] = Renamed("emulated")
-    witness: ClassVar[Renamed] = Renamed("monitor")
-
     def seen(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> Frames:
         """What the resin saw of a vial's frames.
 
@@ -63,8 +64,6 @@ class Rehearsal:
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
         """Light that the resin of a vial got so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
-        from vamgpu.hosts.emulators.dose import full_light
-
         frames = planned.jobs[engine].frames
         if frames is None:
             raise BadInput(f"{planned.jobs[engine].path!r} is no vial's job; ask the dose monitor what resin saw of it")
@@ -95,10 +94,6 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
     Returns:
         The machines, the emulated rig and the dose monitor.
     """
-    from vamgpu.hosts.emulators.camera import resin_camera
-    from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
-    from vamgpu.hosts.emulators.dose import DoseMonitor
-
     clock = PacedClock() if paced else VirtualClock()
     if planned.display is not None:
         emulated, machines = _video_rig(planned, planned.display, clock)
@@ -119,6 +114,7 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
 
 def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
     """Put curing resin behind an emulated print of one vial, and its camera before it; light is over ``turns``."""
+    # it loads SciPy, which no other print needs
     from vamgpu.hosts.emulators.resin import CuringCamera
 
     def light(shares: np.ndarray) -> np.ndarray:
@@ -136,9 +132,6 @@ def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, tu
 
 
 def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
-    from vamgpu.hosts.emulators.array import ArrayModel
-    from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-
     size, lens = planned.mirrors[0], planned.rig.setup.lens
     model = ArrayModel(height=size.rows, width=size.columns)
     model = replace(model, planes=min(model.planes, EMULATED // (model.height * model.row_bytes)))
@@ -158,9 +151,6 @@ def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
 
 
 def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
-    from vamgpu.hosts.emulators.array import ArrayModel
-    from vamgpu.hosts.emulators.rigs import EmulatedStageRig
-
     size, setup, table = planned.mirrors[0], planned.rig.setup, planned.schedule
     model = ArrayModel(height=size.rows, width=size.columns)
     emulated = EmulatedStageRig(
@@ -171,8 +161,6 @@ def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
 
 
 def _video_rig(planned: PrintPlan, display: HdmiTiming, clock: Any) -> tuple[Any, VideoMachines]:
-    from vamgpu.hosts.emulators.rigs import EmulatedVideoRig
-
     columns, rows = display.pixels
     setup = planned.rig.setup
     cable: Any = setup.display[0]

@@ -103,7 +103,6 @@ class MirrorPart(DisplayPart):
     frame_time: the shortest that a frame of 8 bits is shown.
     """
 
-    renamed: ClassVar[dict[str, str]] = {"picture": "frame_time"}
     frame_time: ExposureTime = 1.0 / 266.0
 
 
@@ -166,7 +165,6 @@ class LensPart(Part):
     that of the relays, ``focal`` lengths, in the web's bath.  focal: of the relays.
     """
 
-    renamed: ClassVar[dict[str, str]] = {"told_by": "controlled_by"}
     controlled_by: Literal["controller", "host"] = "controller"
     settle: Time = 0.005
     latency: Time = 0.0

@@ -193,16 +193,16 @@ def test_tables_that_are_missing_are_named() -> None:
 
 def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
     text = '[rig]\nname = "lab"\nmachine = "web"\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
-    text += '[projector]\ndriver = "alp"\nlibrary = "/none.so"\n'
-    camera = '[camera]\ndriver = "genicam"\nproducer = "/none.cti"\n'
+    text += '[display]\ndriver = "alp"\nlibrary = "/none.so"\n'
+    camera = '[[feedback]]\ndriver = "camera"\nproducer = "/none.cti"\n'
     with pytest.raises(DeviceNotFound, match="/dev/none"):
         opened(parse_rig(text + camera), ("camera",))
     with pytest.raises(JobError, match="producer"):
-        parse_rig(text + '[camera]\ndriver = "genicam"\n')
+        parse_rig(text + '[[feedback]]\ndriver = "camera"\n')
     with pytest.raises(JobError, match="port"):
-        parse_rig(text + '[photodiode]\ndriver = "scpi"\n')
+        parse_rig(text + '[[feedback]]\ndriver = "photodiode"\n')
     with pytest.raises(JobError, match="feedback: is emulated and controller is real"):
-        parse_rig(text + '[photodiode]\ndriver = "emulated"\n')
+        parse_rig(text + '[[feedback]]\ndriver = "emulated photodiode"\n')
 
 
 def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,10 +224,10 @@ def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -
         text = f"""
 [rig]\nname = "lab"\nmachine = "web"
 [controller]\ndriver = "vam-controller"\nport = "{a.url}"
-[projector]\ndriver = "alp"\nlibrary = "there.so"\nsize = [8, 64]
+[display]\ndriver = "alp"\nlibrary = "there.so"\nsize = [8, 64]
 [lens]\ndriver = "optotune"\nport = "{b.url}"
 [camera_stage]\ndriver = "zaber"\nport = "{c.url}"\nmicrosteps = 5000.0\nmiddle = "1 mm"\nspeed = "20 mm/s"
-[photodiode]\ndriver = "scpi"\nport = "{d.url}"\nwavelength = 405.0\naverage = 3\nsettle = "10 ms"
+[[feedback]]\ndriver = "photodiode"\nport = "{d.url}"\nwavelength = 405.0\naverage = 3\nsettle = "10 ms"
 """
         stand = opened(parse_rig(text), ("lens", "camera_stage", "photodiode"))
         try:

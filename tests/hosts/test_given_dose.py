@@ -203,7 +203,8 @@ def test_another_dose_is_told_and_never_green(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     record, run, proofs = Recorder(monkeypatch), tmp_path / "run", []
-    monkeypatch.setattr("vamgpu.jobs.run.prove", lambda *given: proofs.append(given) or prove(*given))
+    for place in ("vamgpu.hosts.rigs.turns.prove", "vamgpu.jobs.run.prove"):
+        monkeypatch.setattr(place, lambda *given: proofs.append(given) or prove(*given))
     capsys.readouterr()
     assert printed(part, "emulated", run, "--turns", str(turns), "--speed", "120") == status
     assert len(proofs) == 1, "planning proves the job, and the report takes that proof"

@@ -154,8 +154,6 @@ def test_a_lens_that_the_host_controls_has_one_focus(tmp_path: Path) -> None:
     planned = plan(web(tmp_path / "one.vam", None), told, speed=0.8)
     bare = plan(tmp_path / "one.vam", parse_rig(ALP), speed=0.8)
     assert len(planned.focus) <= 1 and (planned.schedule.on == bare.schedule.on).all(), "no time for its settling"
-    with pytest.warns(FutureWarning, match="the key told_by is called controlled_by now"):
-        assert parse_rig(ALP + LENS + 'told_by = "host"\n').setup == told.setup
 
 
 class Shifted:
