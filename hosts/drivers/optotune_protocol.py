@@ -1,11 +1,7 @@
-"""Optotune lens drivers LD4 and 4i: requests as bytes, replies by their length.
+"""Optotune lens drivers LD4 and 4i: requests as bytes, replies by their length, as these may hold CR and LF.
 
-Numbers are big-endian, the check sum (CRC-16/ARC over what precedes it) comes low byte first. A command is payload and
-check sum; a reply is payload, check sum and CR LF. A payload may hold the bytes of CR and LF, so replies are read by
-length and never by line. Good settings of current and focal power are not answered at all; only bad ones are.
-
-Some of the device's commands are left out on purpose: ``RESET`` (the device then waits for new firmware), writing of
-bytes into the lens's memory, and its dump; so are those that wear the driver's memory.
+A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. Good settings are not answered. Commands
+that wear the driver's memory, or reset it for new firmware, are left out on purpose.
 """
 
 from __future__ import annotations

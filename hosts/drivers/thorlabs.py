@@ -37,7 +37,6 @@ class ThorlabsStage(PolledStage):
     """One axis, with so many counts a unit: of its encoder, or microsteps on a stepper's cube."""
 
     counts: float
-    unit: str
     measured: bool
 
     def __init__(

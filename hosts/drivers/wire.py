@@ -1,9 +1,7 @@
 """A line to a machine: bytes out, bytes in, and errors that say what to check.
 
-Every serial machine is opened through pyserial's ``serial_for_url``, so ``/dev/ttyUSB0``, ``COM3``,
-``socket://host:port``, ``rfc2217://`` and ``spy://`` work alike. Measuring instruments are opened by the kernel's
-``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``USB0::0x1313::0x8075::P0012345::INSTR`` and
-``TCPIP::host::INSTR``, on Windows too.
+Ports open by pyserial's ``serial_for_url``: ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port``. Instruments open by the
+kernel's ``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``TCPIP::host::INSTR``.
 """
 
 from __future__ import annotations

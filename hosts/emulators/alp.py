@@ -1,7 +1,6 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
-``EmulatedAlp.library`` has real C functions, made with declarations of their own, so the driver crosses a true C
-border: wrong widths of integers or bad pointers fail here as they would there.
+``EmulatedAlp.library`` has real C functions, so wrong widths of integers or bad pointers fail as they would there.
 """
 
 from __future__ import annotations

@@ -1,20 +1,15 @@
-"""The emulated controller of web, trigger, lens and light; also a process of its own on a pseudo terminal.
+"""The emulated controller of web, trigger, lens and light.
 
-``python -m vamgpu.hosts.emulators.controller --link PATH --log FILE`` serves until it is ended. PATH becomes a link to
-the terminal; what it did is written to FILE, see `vamgpu.hosts.emulators.servers`. Its limits are its own: one that is
-wrong in the driver's protocol is refused here.
+Its limits are its own: one that is wrong in the driver's protocol is refused here.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
-from pathlib import Path
 
 from vamgpu.hosts.drivers.controller_protocol import line_check
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.rows import MICRO, RAMP, RowPlayer
-from vamgpu.hosts.emulators.servers import serve
 
 MILLI = 1_000_000
 LONGEST_LEASE_MS = 1000
@@ -224,17 +219,3 @@ class EmulatedController(RowPlayer, LineDevice):
             int(self.armed), int(self.interlock_closed), *self.senses.status(self.microsteps(now)),
         )  # fmt: skip
         return " ".join(["ok", state, *map(str, numbers), self.fault])
-
-
-def main() -> None:
-    """Read the command line and serve."""
-    parser = argparse.ArgumentParser(description="An emulated controller on a pseudo terminal.")
-    parser.add_argument("--link", type=Path, required=True, help="becomes a link to the terminal")
-    parser.add_argument("--log", type=Path, required=True, help="takes what it did")
-    parser.add_argument("--latency-us", type=float, default=50.0, help="from a command to its answer")
-    given = parser.parse_args()
-    serve(EmulatedController(latency_us=given.latency_us), given.link, given.log)
-
-
-if __name__ == "__main__":
-    main()

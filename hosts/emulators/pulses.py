@@ -28,7 +28,6 @@ class EmulatedStepper:
         return place + speed * (now - at) / SECOND
 
     def rate(self, hz: float) -> float:
-        """See `vamgpu.hosts.drivers.stepper.PulseOutput`."""
         now = self.clock.now()
         true = 0.0 if self.stalled else hz * (1 + 1e-6 * self.off)
         self._pieces.append((now, self.position(now), true))

@@ -1,7 +1,4 @@
-"""Plays a schedule on mirrors that a controller triggers: it moves, triggers and gates the light row by row.
-
-This side keeps rows ahead of the controller, and compares its count of triggers with that of the mirrors.
-"""
+"""Plays a schedule on mirrors that a controller triggers: it moves, triggers and gates the light, row by row."""
 
 from __future__ import annotations
 
@@ -43,10 +40,7 @@ def triggers(schedule: Schedule, first: int = 0) -> int:
 
 
 class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
-    """Plays a schedule on mirrors behind a controller; see `vamgpu.hosts.player.player.Player`.
-
-    origin: of a print that an earlier host began.  sources, options: see `MirrorPlayer`. Raises `BadInput`.
-    """
+    """Plays a schedule on mirrors behind a controller. origin: of a print that an earlier host began."""
 
     def __init__(
         self, schedule: Schedule, machines: MirrorMachines, sources: Sequence[FrameSource], *,

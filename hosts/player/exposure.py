@@ -1,7 +1,6 @@
 """Automatic exposure of a print: a camera watches the resin, and the light goes out when it scatters enough.
 
-On a real clock a thread takes the images, so that the printing thread waits for none; on a program's clock they are
-taken when they are due. What is watched, and when to stop, is `vamgpu.printing.scatter`'s.
+On a real clock a thread takes the images; on a program's clock they are taken when they are due.
 """
 
 from __future__ import annotations

@@ -170,7 +170,6 @@ class SourceFrames:
         self._source, self._size = source, size
 
     def frame(self, number: int) -> np.ndarray:
-        """See `VideoFrames`."""
         full, frame = np.zeros(self._size, np.uint8), self._source.frame(number)
         full[MirrorArray(*self._size, -(-self._size[1] // 8)).place(*frame.shape)] = frame
         return full

@@ -1,7 +1,4 @@
-"""Plays a schedule on mirrors that show the next frame at each trigger, whatever triggers them.
-
-The mirrors count triggers, so that a frame never depends on a host's time; this side keeps frames ahead of the count.
-"""
+"""Plays a schedule on mirrors that show the next frame at each trigger, and count them: no host's time matters."""
 
 from __future__ import annotations
 
@@ -38,10 +35,7 @@ M = TypeVar("M", MirrorMachines, StageMachines)
 class MirrorPlayer(ABC, Generic[M]):
     """Frames, versions and repeats of a `Player` on mirrors; what moves and triggers is a subclass's.
 
-    sources: of each projector.  depth: frames of a sequence of the mirrors, by default `length`.  sequences: of
-    them; enough for all frames make them resident.  turn: slots of a vial that fit into them together, and are then
-    uploaded once however often they come round.  threaded: whether frames are made and uploaded in threads; by default
-    where time is real.  versions: of the frames, on the sources. Raises `BadInput`.
+    depth: frames of a sequence of the mirrors.  sequences: of them.  turn: slots that fit into them, uploaded once.
     """
 
     schedule: Schedule

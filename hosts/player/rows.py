@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import isnan
 
-from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.errors import TimingInfeasible
 from vamgpu.hosts.drivers.controller_protocol import FASTEST, ControllerRow
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 
@@ -15,24 +15,13 @@ MICRO = 1000
 
 @dataclass(frozen=True)
 class RowTable:
-    """Rows by slot. A row acts where the motion is when its lens command, or else its light, is due.
-
-    microsteps: of the motion, in one unit of the schedule's positions.  origin: the position of pose 0, in that unit.
-    code: a focal power's code for the lens.  channels: of light.
-    """
+    """Rows by slot. A row acts where the motion is when its lens command, or else its light, is due."""
 
     schedule: Schedule
-    microsteps: float
-    origin: float = 0.0
-    code: Callable[[float], int] | None = None
-    channels: int = 1
-
-    def __post_init__(self) -> None:
-        if self.schedule.delay:
-            raise BadInput(
-                f"the schedule counts {self.schedule.delay} ns from trigger to light; a controller that gates the "
-                "light triggers the mirrors at the same time: give the mirrors no trigger delay"
-            )
+    microsteps: float  # of the motion, in one unit of the schedule's positions
+    origin: float = 0.0  # the position of pose 0, in that unit
+    code: Callable[[float], int] | None = None  # of a focal power for the lens
+    channels: int = 1  # of light
 
     def acts(self, slot: int) -> int:
         """When a slot's row acts [ns of the schedule]."""

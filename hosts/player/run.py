@@ -57,11 +57,7 @@ class PrintObserver(Protocol):
 class Print:
     """One print: a player's schedule under one holder of the light.
 
-    player: machines that play the schedule.  folder: keeps what happens.  power: over the schedule's, 0 to 1.  enough:
-    asked at every poll whether the part has had its light, and says why; then it is dark at once and all is complete.
-    short: what is said of a print that came to its end without that.  recover: called before a held print goes on.
-    senses: asked in the dark for what the board shows of the machines.  live: hears what was shown, and has events to
-    tell. Raises `BadInput`.
+    enough: asked at every poll whether the part has had its light, and why.  short: what is said of a print without.
     """
 
     player: Player

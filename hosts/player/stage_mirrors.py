@@ -1,8 +1,7 @@
 """Plays a schedule on mirrors that a stage triggers: its output fires at every pose, on its own.
 
-The frames are counted by the mirrors, the triggers by where the stage says it is; both counts must agree. Pose 0 of a
-vial is at the stage's zero, so every run segment meets every pose at its own angle; black frames are triggered until
-the motion has its speed and the first slot comes round. A web begins where it stands, and moves back for its run-up.
+The mirrors count frames, where the stage says it is counts triggers; both must agree. Pose 0 of a vial is at the
+stage's zero; a web begins where it stands, and moves back for its run-up.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Plays a vial's schedule on a video projector: the stage's angle chooses the frame of every slot, never the clock.
 
-The light is steady and black frames make the dark, so the lamp may open a little before the first frame. What a
-slot showed, or did not, is known once the stage is past it: what is missing is shown in an added turn.
+The light is steady, and black frames make the dark. What a slot did not show is shown in an added turn.
 """
 
 from __future__ import annotations
@@ -30,12 +29,9 @@ STATUS = 6  # after so many video frames the controller is asked what it does; w
 
 
 class SpinningPlayer:
-    """Plays the schedule of `vamgpu.hosts.schedules.video`; see `vamgpu.hosts.player.player.Player`.
+    """Plays the schedule of `vamgpu.hosts.schedules.video`; pose 0 is at the zero of the stage.
 
-    display: that the schedule was made for.  turns: most that are added for what was missed.  versions: versions of the
-    frames of a vial, whose numbers ``frames`` is then asked for (`FrameVersions.sources`). Pose 0 is at the stage's
-    zero and the vial turns on forward, so a print that is resumed, by whichever host, meets every pose at its angle.
-    Raises `BadInput`, and `WrongDevice` for another projector.
+    turns: most that are added for what was missed.
     """
 
     schedule: Schedule

@@ -1,7 +1,4 @@
-"""The process that holds the light: reads an order, says where it can be reached, and prints.
-
-It imports what it needs to print and nothing that draws, optimizes or serves pages.
-"""
+"""The process that holds the light: reads an order, says where it can be reached, and prints."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The line from a print to the process that plans its turns: bounded, and the print waits for nothing on it.
 
-What the other process says is checked, kept in the run's folder, and offered as a version of the frames, all in a
-thread of its own. Its death, its silence and its nonsense cost the update: each is an event and a line on the board.
+What that process says is checked, kept and offered in a thread; its death or nonsense costs the update alone.
 """
 
 from __future__ import annotations
@@ -44,20 +43,14 @@ COLUMNS = ("slot", "frame", "version", "position", "on_time", "engine", "dark")
 
 @dataclass(frozen=True)
 class LiveOrder:
-    """An order to plan the turns to come.
+    """An order to plan the turns to come, by a function that is called with a `PlannerClient`. Raises `BadInput`."""
 
-    function: ``package.module:function``, called with a `vamgpu.hosts.live.worker.PlannerClient`.  allowance: light
-    that it may add over the job's, as a share.  patience: turns without an answer after which it counts as silent.
-    settings: plain values for its task.  stop: the turn before which the light ends unless a version says otherwise;
-    None for all turns.  wait: how long a program's clock stands still while it plans [s]. Raises `BadInput`.
-    """
-
-    function: str
-    allowance: float = 0.0
-    patience: float = 2.0
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    stop: int | None = None
-    wait: float = 0.0
+    function: str  # ``package.module:function``
+    allowance: float = 0.0  # light that it may add over the job's, as a share
+    patience: float = 2.0  # turns without an answer after which it counts as silent
+    settings: Mapping[str, Any] = field(default_factory=dict)  # plain values for its task
+    stop: int | None = None  # the turn before which the light ends unless a version says otherwise
+    wait: float = 0.0  # how long a program's clock stands still while it plans [s]
 
     def __post_init__(self) -> None:
         positive("allowance of light", self.allowance, zero=True)

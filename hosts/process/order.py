@@ -22,31 +22,25 @@ from vamgpu.printing.given_dose import ProvedDose
 
 @dataclass(frozen=True)
 class PrintOrder:
-    """Jobs, rig, run folder and options of a print; see `vamgpu.hosts.rig.plan` and `carry_out`.
+    """Jobs, rig, run folder and options of a print; see `vamgpu.hosts.rig.plan` and `carry_out`."""
 
-    jobs: their folders.  rig, settings, source: of its file.  folder: of the run.  rehearsed: on emulated machines.
-    exposure: what is known of the proof of a vial.  stop: density of scatter.  resume: go on with the folder's print.
-    page: buttons let a print that is held go on.  asks: who watches is asked whether it goes on.  live: function that
-    plans turns to come, ``module:function``.  allowance: light that it may add over the job's.
-    """
-
-    jobs: tuple[str, ...]
-    rig: str
-    source: str
-    folder: str
+    jobs: tuple[str, ...]  # their folders
+    rig: str  # text of its file
+    source: str  # of its file
+    folder: str  # of the run
     settings: tuple[str, ...] = ()
     speed: float | str | None = None
     turns: int | None = None
-    exposure: ProvedDose | Literal[False] | None = None
-    stop: float | None = None
+    exposure: ProvedDose | Literal[False] | None = None  # what is known of the proof of a vial
+    stop: float | None = None  # density of scatter
     device: str | None = None
-    rehearsed: bool = False
-    resume: bool = False
+    rehearsed: bool = False  # on emulated machines
+    resume: bool = False  # go on with the folder's print
     unattended: int = 0
-    page: bool = False
-    asks: bool = False
-    live: str | None = None
-    allowance: float = 0.0
+    page: bool = False  # buttons let a print that is held go on
+    asks: bool = False  # who watches is asked whether it goes on
+    live: str | None = None  # function that plans turns to come, ``module:function``
+    allowance: float = 0.0  # light that it may add over the job's
 
     @classmethod
     def of(cls, jobs: tuple[Path, ...], rig: RigConfig, folder: Path, **rest: Any) -> Self:

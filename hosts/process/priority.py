@@ -1,7 +1,4 @@
-"""A process whose work must be on time: scheduled before others, its memory kept, no collector of garbage in the light.
-
-Each is asked for, and what is not granted is told with how to allow it; a print goes on without.
-"""
+"""A process whose work must be on time: scheduled before others, its memory kept; what is not granted is told."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Serves the state of a print to processes that watch it, and takes their orders; the print waits for none of them.
 
-Who watches is sent snapshots on a line of its own, as fast as it reads them. Every other line takes orders, each line
-in a thread, so that an emergency stop waits behind nothing.
+Each line of orders has a thread, so that an emergency stop waits behind nothing.
 """
 
 from __future__ import annotations

@@ -67,21 +67,13 @@ def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class RunProof:
-    """The print of one projector of a run.
-
-    Attributes:
-        run: The record.
-        light: The light of all views.
-        planned: The proof of the job itself.
-        least, most: Proofs of what was shown, with none and with all of the light that nobody knows of; one and the
-            same where all of it is known.
-    """
+    """The print of one projector of a run; least and most are one and the same where all of its light is known."""
 
     run: RunRecord
-    light: LightAccount
-    planned: Proven
-    least: Proof
-    most: Proof
+    light: LightAccount  # of all views
+    planned: Proven  # the proof of the job itself
+    least: Proof  # what was shown, with none of the light that nobody knows of
+    most: Proof  # with all of it
 
 
 def prove_run(

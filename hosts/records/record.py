@@ -1,8 +1,7 @@
 """The folder of a run: what was asked, what happened, and every frame that was shown, kept as it happens.
 
-``run.json`` says what was asked, ``rig.toml`` is the rig's file as it was read, ``state.json`` the last state,
-``events.jsonl`` what happened, ``shown.bin`` the frames. Each frame is one write of one record with a check sum,
-handed to the system before the next is shown: a host that is killed loses none of them.
+Each frame is one write of one record with a check sum, handed to the system before the next is shown: a host that is
+killed loses none of them.
 """
 
 from __future__ import annotations

@@ -16,27 +16,17 @@ from vamgpu.schema.section import Listed
 
 
 class AlpDisplay(MirrorPart):
-    """Mirrors on a controller by Vialux.
-
-    library: path of the maker's library.  size: rows, columns.  serial: number of the device; 0 for any.
-     frame_time: the shortest that a frame of 8 bits is shown.
-    """
+    """Mirrors by Vialux.  library: path of the maker's library.  serial: number of the device; 0 for any."""
 
     library: str
     serial: int = 0
 
     def open(self) -> Any:
-        """See `DisplayPart`."""
         return Dmd.open(self.library, self.serial, self.array)
 
 
 class VideoDisplay(CablePart):
-    """A projector on a video cable, which shows several frames in each video frame.
-
-    screen: number of the output.  size: rows, columns.  refresh: of the cable.  bits: of a frame, 7 or 8.  order:
-    channels of a video frame, as their frames are shown.  latency: video frames from cable to mirrors.  tolerance:
-    of the clock of the refresh [ppm].
-    """
+    """A projector on a video cable, which shows several frames in each video frame."""
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -44,7 +34,6 @@ class VideoDisplay(CablePart):
         return tuple({"red": 0, "green": 1, "blue": 2}[name] for name in self.order or ORDERS[self.bits])
 
     def open(self) -> Any:
-        """See `DisplayPart`."""
         layout = projector.ONE_GRAY if self.slots == 1 else projector.SlotLayout(self.channels, self.bits)
         window = projector.PygletWindow(self.screen, self.array, self.refresh)
         return projector.HdmiProjector(window, layout, self.latency)
@@ -54,10 +43,7 @@ class LightCrafterDisplay(VideoDisplay):
     """A LightCrafter (DLPC350) in video pattern mode: frames by cable, settings and its own LEDs by USB.
 
     control: usb, or usb: and its serial number.  leds: that light the frames.  current: of them, share of their
-    greatest; the projector keeps its own where none is said.  screen: number of the output.  size: rows, columns.
-     refresh: of the cable.  bits: of a frame, 7 or 8.  order: channels of a video frame, as their frames are shown.
-     latency: video frames from cable to mirrors.  slots: none, as bits say how many.  tolerance: of the clock of the
-    refresh [ppm].
+    greatest; the projector keeps its own where none is said.  slots: none, as bits say how many.
     """
 
     lamps: ClassVar[bool] = True
@@ -92,10 +78,6 @@ class LightCrafterDisplay(VideoDisplay):
 
 
 class EmulatedDisplay(MirrorPart):
-    """The mirrors of a rehearsal.
-
-    size: rows, columns; as large as the job where none are said.  frame_time: the shortest that a frame of 8 bits
-    is shown.
-    """
+    """The mirrors of a rehearsal.  size: rows, columns; as large as the job where none are said."""
 
     emulated: ClassVar[bool] = True

@@ -106,20 +106,15 @@ class CameraFeedback(FeedbackPart):
 
 
 class EmulatedCameraFeedback(CameraFeedback):
-    """The camera of a rehearsal.
-
-    exposure: of an image.  pixel: in the plane that it sees.  bits: of its levels.  producer, serial: none.
-     discard: images that are on their way when mirrors or lens have changed.  config, label, gain, format, trigger:
-    none.
-    """
+    """The camera of a rehearsal."""
 
     emulated: ClassVar[bool] = True
 
 
 class PowerMeterFeedback(FeedbackPart):
-    """A power meter, or a photodiode on one.
+    """A power meter, or a photodiode on one.  port: address.  wavelength: [nm].
 
-    port: address.  wavelength: [nm].  average: samples a reading.  settle: how long it takes to follow light.
+    average: samples a reading.  settle: how long it takes to follow light.
     """
 
     sees: ClassVar[Sees] = "light"
@@ -130,10 +125,7 @@ class PowerMeterFeedback(FeedbackPart):
 
 
 class EmulatedPowerMeterFeedback(PowerMeterFeedback):
-    """The photodiode of a rehearsal.
-
-    settle: how long it takes to follow light.  average: samples a reading.  port, wavelength: none.
-    """
+    """The photodiode of a rehearsal."""
 
     emulated: ClassVar[bool] = True
     port: str = ""

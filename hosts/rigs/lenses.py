@@ -11,11 +11,7 @@ from vamgpu.hosts.rigs.roles import LensPart
 
 
 class OptotuneLens(LensPart):
-    """A lens by Optotune on a Lens Driver 4 or 4i.
-
-    port: serial port.  firmware: type letter it must have.  controlled_by: controller or host.  settle: from plane to
-    plane.
-    """
+    """A lens by Optotune on a Lens Driver 4 or 4i.  port: serial port.  firmware: type letter it must have."""
 
     port: str
     firmware: str | None = None

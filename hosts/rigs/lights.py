@@ -10,21 +10,15 @@ from vamgpu.hosts.safety.light import Lamp
 
 
 class ControllerLight(LightPart):
-    """A light behind the controller's gate.
-
-    power: share of full drive.  irradiance: of a full-on pixel at full drive. The light of the first display is the
-    controller's channel 0, that of the second 1.
-    """
+    """A light behind the controller's gate: channel 0 of the first display, 1 of the second."""
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "controller"
 
 
 class LaserLight(LightPart):
-    """A laser or LED whose driver has a TTL input that enables it.
+    """A laser or LED whose driver has a TTL input that enables it; AND it with the projector's synch output, if any.
 
-    power: share of full drive that it was set to.  port: serial port whose control line enables it.  line: which of
-    its lines.  irradiance: of a full-on pixel. Where the driver's TTL input also wants the projector's synch
-    output, wire both by a logic AND.
+    port: serial port whose control line enables it.  line: which of its lines.
     """
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "line"
@@ -32,14 +26,10 @@ class LaserLight(LightPart):
     line: Literal["rts", "dtr"] = "rts"
 
     def open(self) -> Lamp:
-        """See `LightPart`."""
         return TtlLamp.open(self.port, self.line)
 
 
 class DisplayLight(LightPart):
-    """The projector's own light, which its frames switch: dark is black frames, or mirrors at rest.
-
-    power: share of full drive that it was set to.  irradiance: of a full-on pixel.
-    """
+    """The projector's own light, which its frames switch: dark is black frames, or mirrors at rest."""
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "display"

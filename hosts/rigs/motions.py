@@ -21,9 +21,7 @@ from vamgpu.schema.quantities import Count
 class ControllerMotion(MotionPart):
     """The motor that the controller steps; rows are triggered by its steps.
 
-    microsteps: of a millimeter or degree.  ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without
-    it as the controller's own firmware does.  tolerance: of the clock that its speed follows [ppm]; frames do not
-    depend on it, as they follow its steps.
+    ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without it as the controller's firmware does.
     """
 
     triggers: ClassVar[bool] = True
@@ -40,8 +38,7 @@ class ControllerMotion(MotionPart):
 class ZaberMotion(StagePart):
     """A stage by Zaber, whose trigger output can fire at every pose.
 
-    port: serial port, or socket://host:port.  microsteps: of a millimeter or degree.  device, axis: its numbers on
-    the line.  encoder: whether one tells where it is; without, it counts its steps.  tolerance: of its clock [ppm].
+    port: serial port, or socket://host:port.  device, axis: its numbers on the line.
     """
 
     triggers: ClassVar[bool] = True
@@ -51,7 +48,6 @@ class ZaberMotion(StagePart):
     axis: Count = 1
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
         return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
 
 
@@ -59,29 +55,25 @@ class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
     port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps of a millimeter or degree; each has 256.
-     tolerance: of its clock [ppm].
     """
 
     port: str
     microsteps: Microsteps = 6400.0 / 3.0
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
         return StandaStage.open(self.port, self.microsteps, unit)
 
 
 class ThorlabsMotion(StagePart):
     """A stage on a motion cube by Thorlabs (K-Cube, T-Cube).
 
-    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.  encoder: whether one tells where it
-    is; a stepper's cube counts its steps.  tolerance: of its clock [ppm].
+    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.
     """
 
     port: str
     microsteps: Microsteps  # type: ignore[assignment]  # no two stages of theirs have the same
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
         return ThorlabsStage.open(self.port, self.microsteps, unit)
 
 
@@ -89,7 +81,6 @@ class MicroManagerMotion(StagePart):
     """A stage that Micro-Manager drives, through pymmcore-plus; it knows places alone, so no print runs on it.
 
     config: its configuration file.  label: of the stage in it.  speed_property: that holds its speed [mm/s].
-     microsteps: units of its positions, a millimeter.  tolerance: of its clock [ppm].
     """
 
     runs: ClassVar[bool] = False
@@ -110,8 +101,7 @@ class MicroManagerMotion(StagePart):
 class StepperMotion(MotionPart):
     """A stepper that a computer's hardware PWM gives pulses, such as a Raspberry Pi's; nobody measures where it is.
 
-    chip, channel: of the PWM, as in /sys/class/pwm.  microsteps: pulses of a millimeter or degree.  ramp: how fast
-    it changes its speed [mm/s2] or [deg/s2].  tolerance: of the clock of the PWM [ppm].
+    chip, channel: of the PWM, as in /sys/class/pwm.  ramp: how fast it changes its speed [mm/s2] or [deg/s2].
     """
 
     reports: ClassVar[bool] = False
@@ -130,10 +120,7 @@ class StepperMotion(MotionPart):
 
 
 class EmulatedMotion(MotionPart):
-    """The motion of a rehearsal.
-
-    microsteps: of a millimeter or degree.  tolerance: of its clock [ppm].
-    """
+    """The motion of a rehearsal."""
 
     emulated: ClassVar[bool] = True
     triggers: ClassVar[bool] = True

@@ -67,13 +67,8 @@ def web(
 ) -> Schedule:  # fmt: skip
     """Slots of a web: at every pose one frame for each focus plane, frame pose · planes + plane.
 
-    advance: of the web from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step: one trigger, the
-    light of all at once, and the slowest rules.  lens, focus: with the power [dpt] of each plane; none for one plane.
-    turning: the order of planes turns at every pose, so the lens moves one time less.  on: seconds of light a frame;
-    None for all there is, the same in every slot.  power: of each engine's light, 0 to 1.  first: pose to begin with.
-
-    The lens is told after the frame before is dark; light comes when the command is through, the driver has thought
-    and the lens has settled, and no sooner than the trigger's delay allows. Raises `BadInput`, `TimingInfeasible`.
+    advance: from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of each plane
+    [dpt].  turning: the order of planes turns at every pose.  on: light of a frame [s], or all there is.  first: pose.
     """
     count, way = whole("poses", poses), exact("advance [mm]", advance)
     start = whole("first pose", first, 0)
@@ -87,7 +82,7 @@ def web(
     order = slots(2, planes, turning=turning)
     pose = _Pose.of(order, lens if planes > 1 else None, shown, on)
     period = pose.period(way, exact("speed [mm/s]", speed), "mm")
-    wait = lens.wire + max(lens.slowest, shown.delay) if lens is not None and focus else shown.delay
+    wait = lens.wire + lens.slowest if lens is not None and focus else 0
     return _table(Cadence(period, wait), way, count, start, order, pose, focus, shown, lens)
 
 
@@ -105,9 +100,7 @@ def turned(
 ) -> Schedule:  # fmt: skip
     """Slots of a turning vial before triggered mirrors, at ``speed`` [deg/s], turn after turn.
 
-    images: so many a turn, evenly, or the poses of a `Turntable`. Measured angles are met at a constant speed, each lit
-    as long as the nearest two leave room for; a vial that is lit over part of a turn turns on in the dark. Raises
-    `BadInput` for angles that do not rise, or that are to be lit for unequal times; `TimingInfeasible`.
+    images: so many a turn, evenly, or a `Turntable`: measured angles are met at a constant speed, all lit as long.
     """
     motion = images if isinstance(images, Turntable) else None
     number = images.angles if isinstance(images, Turntable) else whole("images", images)
@@ -115,27 +108,27 @@ def turned(
     shown, order = _Engines.of(engines, bits, power), np.zeros((2, 1), np.int64)
     pose, wanted = _Pose.of(order, None, shown, on), exact("speed [deg/s]", speed)
     if motion is not None and not motion.is_even:
-        return _scanned(motion, times, wanted, pose, shown)
+        return _scanned(motion, times, wanted, pose, shown.power)
     way = Fraction(360, number)
     period = pose.period(way, wanted, "deg")
-    return _table(Cadence(period, shown.delay), way, number * times, 0, order, pose, (), shown, None, number)
+    return _table(Cadence(period), way, number * times, 0, order, pose, (), shown, None, number)
 
 
-def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, shown: _Engines) -> Schedule:
+def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, power: tuple[float, ...]) -> Schedule:
     """Slots at measured angles of a turn; the nearest two are one ``advance`` apart."""
     angles = rising(motion)
     way, count = closest(angles), len(angles) * turns
     period = pose.period(way, speed, "deg")
-    starts, on = pose.times(period)
-    turn, number = Cadence(period / way * FULL, shown.delay), np.arange(count, dtype=np.int64)
-    after = np.array([int(angle / way * period) for angle in angles], np.int64) + int(starts[0, 0])
+    _, on = pose.times(period)
+    turn, number = Cadence(period / way * FULL), np.arange(count, dtype=np.int64)
+    after = np.array([int(angle / way * period) for angle in angles], np.int64)
     light = (turn.times(0, turns)[:, None] + after).ravel()
     return Schedule(
-        command=np.full(count, NONE, np.int64), trigger=light - shown.delay, light=light, dark=light + on,
+        command=np.full(count, NONE, np.int64), trigger=light, light=light, dark=light + on,
         on=np.full(count, on, np.int64), frame=number % len(angles), pose=number, plane=np.zeros(count, np.int64),
         position=(FULL * np.arange(turns)[:, None] + np.array([float(angle) for angle in angles])).ravel(),
-        focus=np.full(count, nan), power=np.tile(np.array(shown.power), (count, 1)),
-        cadence=Cadence(period, shown.delay), advance=way, unit="deg", delay=shown.delay, frames=len(angles),
+        focus=np.full(count, nan), power=np.tile(np.array(power), (count, 1)),
+        cadence=Cadence(period), advance=way, unit="deg", delay=0, frames=len(angles),
     )  # fmt: skip
 
 
@@ -144,9 +137,7 @@ class _Engines:
     """Mirrors in step: the longest of their times [ns]."""
 
     least: int
-    delay: int
     pause: int
-    transfer: int
     power: tuple[float, ...]
 
     @classmethod
@@ -155,11 +146,8 @@ class _Engines:
         if not found or not all(isinstance(each, MirrorTiming) for each in found):
             raise BadInput(f"engines is {engines!r}; expected a MirrorTiming, or one for each projector")
         depth = whole("bits", bits)
-        linked = (nanoseconds("upload", each.nbytes(depth) / exact("link", each.link)) for each in found if each.link)
-        return cls(
-            max(each.least(depth) for each in found), max(each.delay for each in found),
-            max(each.pause for each in found), max(linked, default=0), powers(power, len(found)),
-        )  # fmt: skip
+        least, pause = max(each.least(depth) for each in found), max(each.pause for each in found)
+        return cls(least, pause, powers(power, len(found)))
 
 
 @dataclass(frozen=True)
@@ -176,11 +164,11 @@ class _Pose:
     @classmethod
     def of(cls, order: np.ndarray, lens: LensTiming | None, shown: _Engines, on: Number | None) -> _Pose:
         before = np.roll(order.ravel(), 1).reshape(order.shape)
-        gaps, moved = np.full(order.shape, shown.delay, np.int64), before != order
+        gaps, moved = np.zeros(order.shape, np.int64), before != order
         for place in np.argwhere(moved):
             assert lens is not None
             settling = lens.settling(int(before[*place]), int(order[*place]))
-            gaps[*place] = lens.wire + max(settling, shown.delay)
+            gaps[*place] = lens.wire + settling
         wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
         frame = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
         return cls(gaps, moved, frame, wanted, shown, lens.wire if lens else 0)
@@ -193,7 +181,7 @@ class _Pose:
         held = len(gaps) * self.frame
         name = "light" if self.frame > self.shown.least else "mirrors"
         settling = int(gaps[moved].sum()) - wire
-        return {"lens": settling, "serial line": wire, "trigger": int(gaps[~moved].sum()), name: held}
+        return {"lens": settling, "serial line": wire, name: held}
 
     def period(self, way: Fraction, speed: Fraction, unit: str) -> Fraction:
         """Nanoseconds a pose at a speed. Raises `TimingInfeasible` where that is too short."""
@@ -203,9 +191,6 @@ class _Pose:
             raise BadInput(f"{float(speed):.4g} {unit}/s is an angle in {seconds:.4g} s; expected an hour at most")
         parts = self.parts
         limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
-        linked = self.gaps.shape[1] * self.shown.transfer
-        if linked > need:
-            limit, need, parts = "data link", linked, {"data link": linked}
         if period < need:
             most = below(way * SECOND / need)
             spent = ", ".join(f"{1e-6 * time:.4g} ms {name}" for name, time in parts.items() if time)
@@ -236,14 +221,14 @@ def _table(
     plane, moved, gap = (table[parity].ravel() for table in (order, pose.moved, pose.gaps))
     command = np.where(moved, light - gap, NONE)
     if lens is not None and focus:  # wherever the lens may rest, it is on its plane before the first light
-        command[0] = light[0] - lens.wire - max(lens.slowest, shown.delay)
+        command[0] = light[0] - lens.wire - lens.slowest
     pose_number = np.repeat(number, planes)
     return Schedule(
-        command=command, trigger=light - shown.delay, light=light, dark=light + on,
+        command=command, trigger=light, light=light, dark=light + on,
         on=np.full(light.size, on, np.int64),
         frame=(pose_number if repeat is None else pose_number % repeat) * planes + plane, pose=pose_number, plane=plane,
         position=pose_number * float(way), focus=np.array(focus)[plane] if focus else np.full(light.size, nan),
         power=np.tile(np.array(shown.power), (light.size, 1)),
         cadence=cadence, advance=way, unit="mm" if repeat is None else "deg",
-        delay=shown.delay, frames=(poses if repeat is None else repeat) * planes,
+        delay=0, frames=(poses if repeat is None else repeat) * planes,
     )  # fmt: skip

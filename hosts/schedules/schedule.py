@@ -1,8 +1,6 @@
 """The table of a print: when each frame is shown, where, through which focus, how bright and for how long. No I/O.
 
-Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up. A
-slot is told to the lens at ``command``; the mirrors are triggered at ``trigger``, there is light from ``light`` to
-``dark``, and ``on`` of that time it is really on.
+Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up.
 """
 
 from __future__ import annotations
@@ -43,34 +41,24 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Slots in the order of time, one array each (slots,).
+    """Slots in the order of time, one array each (slots,)."""
 
-    command, trigger, light, dark: times [ns], int64; ``command`` is `NONE` where the lens stays.  on: duration of light
-    in the slot [ns], what dose follows.  frame: number of the frame to show.  pose: of the motion, running on over
-    turns.  plane: focus plane.  position: that the frame is meant for, in ``unit``.  focus: lens power [dpt], NaN
-    without a lens.  power: of the light, 0 to 1, float (slots, engines).
-
-    cadence: of the poses, and so of the motion.  advance: from pose to pose, exact; of measured angles between the
-    nearest two, and the cadence is theirs.  unit: "mm" or "deg".  delay: from
-    trigger to light [ns], the same in every engine; one that is quicker is set to wait.  frames: how many there are.
-    """
-
-    command: np.ndarray
-    trigger: np.ndarray
-    light: np.ndarray
-    dark: np.ndarray
-    on: np.ndarray
-    frame: np.ndarray
-    pose: np.ndarray
-    plane: np.ndarray
-    position: np.ndarray
-    focus: np.ndarray
-    power: np.ndarray
-    cadence: Cadence
-    advance: Fraction
-    unit: str
-    delay: int
-    frames: int
+    command: np.ndarray  # when the lens is told [ns]; `NONE` where it stays
+    trigger: np.ndarray  # of the mirrors [ns]
+    light: np.ndarray  # when there is light [ns]
+    dark: np.ndarray  # when there is none any more [ns]
+    on: np.ndarray  # of that time it is really on, what dose follows [ns]
+    frame: np.ndarray  # number of the frame to show
+    pose: np.ndarray  # of the motion, running on over turns
+    plane: np.ndarray  # focus plane
+    position: np.ndarray  # that the frame is meant for, in ``unit``
+    focus: np.ndarray  # lens power [dpt], NaN without a lens
+    power: np.ndarray  # of the light, 0 to 1, float (slots, engines)
+    cadence: Cadence  # of the poses, and so of the motion
+    advance: Fraction  # from pose to pose, exact; of measured angles between the nearest two
+    unit: str  # "mm" or "deg"
+    delay: int  # from trigger to light [ns], the same in every engine
+    frames: int  # how many there are
 
     def __post_init__(self) -> None:
         for entry in fields(self):

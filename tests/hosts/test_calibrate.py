@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from servers import PtyServer
 from tcp_server import TcpServer
 
 from vamgpu.calibration.pointspread import PointSpread
@@ -28,7 +29,6 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from servers import PtyServer
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, WrongDevice
 from vamgpu.hosts.calibrate.machines import CalibrationMachines
@@ -18,7 +19,6 @@ from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.player.machines import MirrorMachines, VideoMachines
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig

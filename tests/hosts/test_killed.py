@@ -143,7 +143,7 @@ def test_a_killed_host_leaves_no_light(tmp_path: Path) -> None:
         lanes = {str(number): Lane(str(number), tmp_path, hosts.stdin) for number in range(LANES)}
         for lane in lanes.values():
             lane.log.touch()
-            serve = ["-m", "vamgpu.hosts.emulators.controller", "--link", str(tmp_path / lane.name), "--log"]
+            serve = [str(Path(__file__).with_name("servers.py")), "--link", str(tmp_path / lane.name), "--log"]
             controller = subprocess.Popen([sys.executable, *serve, str(lane.log)], env=environment())
             stack.enter_context(controller)
             stack.callback(controller.kill)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from servers import PtyServer
 from tcp_server import TcpServer
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
@@ -12,7 +13,6 @@ from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
-from vamgpu.hosts.emulators.servers import PtyServer
 
 MILLI = 1_000_000
 

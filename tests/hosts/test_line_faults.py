@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from servers import PtyServer
 
 from vamgpu.errors import DeviceBusy, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.controller import Controller
@@ -20,7 +21,6 @@ from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 MILLI, SECOND = 1_000_000, 1_000_000_000

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from emulated_lightcrafter import EmulatedLightCrafter
+from servers import PtyServer
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, JobError
 from vamgpu.hosts.drivers import camera, micromanager, projector, stepper
@@ -18,7 +19,6 @@ from vamgpu.hosts.drivers.lightcrafter import LightCrafter
 from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.player.machines import MirrorMachines, VideoMachines
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from emulated_cube import EmulatedCube
+from servers import PtyServer
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, WrongDevice
 from vamgpu.hosts.drivers.stages import Stage
@@ -11,7 +12,6 @@ from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.line import Faults, plug
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.rigs.config import parse_rig
 
 pytest.importorskip("thorlabs_apt_protocol", reason='pip install "vamgpu[thorlabs]"')

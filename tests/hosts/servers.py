@@ -1,7 +1,12 @@
-"""Emulated machines in real time, on pseudo terminals, and a controller that logs what it did."""
+"""Emulated machines in real time, on pseudo terminals, and a controller that logs what it did.
+
+``python servers.py --link PATH --log FILE`` serves a controller until it is ended. PATH becomes a link to the terminal;
+what it did is written to FILE.
+"""
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import logging
@@ -9,13 +14,12 @@ import os
 import select
 import threading
 import time
+import tty
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
+from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import SECOND, Faults, LineDevice
-
-if TYPE_CHECKING:
-    from vamgpu.hosts.emulators.controller import EmulatedController
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -82,8 +86,6 @@ class PtyServer(Server):
 
     def __init__(self, machine: LineDevice, faults: Faults | None = None) -> None:
         super().__init__(machine, faults)
-        import tty
-
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -129,3 +131,16 @@ def serve(machine: EmulatedController, link: Path, log: Path) -> None:
                 server.step(1.0)
         finally:
             link.unlink(missing_ok=True)
+
+
+def main() -> None:
+    """Read the command line and serve."""
+    parser = argparse.ArgumentParser(description="An emulated controller on a pseudo terminal.")
+    parser.add_argument("--link", type=Path, required=True, help="becomes a link to the terminal")
+    parser.add_argument("--log", type=Path, required=True, help="takes what it did")
+    given = parser.parse_args()
+    serve(EmulatedController(), given.link, given.log)
+
+
+if __name__ == "__main__":
+    main()
