@@ -9,9 +9,8 @@ import numpy as np
 from vamgpu.calibration.flat import FlatReading, cuts, fit_flat
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate import patterns
-from vamgpu.hosts.calibrate.machines import CalibrationMachines
+from vamgpu.hosts.calibrate.machines import CalibrationMachines, Progress, over_patterns, part_of, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.calibrate.scans import Progress, over_patterns, part_of, silent
 
 TABLES = ("photodiode",)  # what it needs of a rig's file
 BLOCKS = (8, 12)

@@ -10,9 +10,8 @@ import numpy as np
 from vamgpu.calibration.focus import LEAST_POWERS, FocusLine, Peak, fit_peak, focus_line, tenengrad
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate import patterns
-from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines
+from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, Progress, over_positions, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.calibrate.scans import Progress, over_positions, silent
 
 TABLES = ("lens", "camera", "camera_stage")  # what it needs of a rig's file
 

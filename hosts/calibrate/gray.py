@@ -10,9 +10,16 @@ import numpy as np
 from vamgpu.calibration.gray import TOP, GrayReading, fit_gray
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate import patterns
-from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, need
+from vamgpu.hosts.calibrate.machines import (
+    CalibrationLight,
+    CalibrationMachines,
+    Progress,
+    need,
+    over_patterns,
+    part_of,
+    silent,
+)
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.calibrate.scans import Progress, over_patterns, part_of, silent
 from vamgpu.printing.gray import GrayCurve
 
 

@@ -10,9 +10,15 @@ import numpy as np
 from vamgpu.calibration.mtf import EdgeResponse, slanted_edge
 from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.calibrate import patterns
-from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, need
+from vamgpu.hosts.calibrate.machines import (
+    CalibrationLight,
+    CalibrationMachines,
+    Progress,
+    need,
+    over_positions,
+    silent,
+)
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.calibrate.scans import Progress, over_positions, silent
 
 TABLES = ("camera", "camera_stage")  # what it needs of a rig's file; the lens too, where its power is set
 POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)  # places along the light [mm], from the middle of the camera's stage

@@ -9,9 +9,8 @@ import numpy as np
 from vamgpu.calibration.runout import LEAST_POSES, CameraMap, Runout, find_pin, fit_runout
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate import patterns
-from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, need
+from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, Progress, need, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
-from vamgpu.hosts.calibrate.scans import Progress, silent
 
 TABLES = ("camera", "camera_stage", "motion")  # what it needs of a rig's file
 LINES = 24  # columns, and rows, of mirrors that are lit alone, to find them in the camera's images

@@ -16,8 +16,7 @@ USUAL: dict[str, dict[str, float]] = {
     "flat": {"radius": 0.0, "tilt": 0.03, "falloff": 0.1}, "runout": {"radius": 0.0, "pin": 9.0},
 }  # fmt: skip
 """Kind of a calibration → optics that show its effect, where the usual ones do not."""
-Truth = tuple[dict[str, Any], str]
-"""Of emulated optics: numbers of a result's table, and a line for people."""
+Truth = tuple[dict[str, Any], str]  # Of emulated optics: numbers of a result's table, and a line for people
 
 
 def compared(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> CalibrationResult:

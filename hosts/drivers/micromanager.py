@@ -65,8 +65,6 @@ class _Device(Closing):
 class MicroManagerStage(_Device, PolledStage):
     """A stage of one axis of length; it goes to positions and cannot run at a speed."""
 
-    measured = True
-
     def __init__(
         self, core: Any, label: str, speed_property: str | None = None, patience_s: float = 60.0,
         pause: Callable[[float], None] = time.sleep, owned: bool = False,
@@ -83,11 +81,6 @@ class MicroManagerStage(_Device, PolledStage):
     def position(self) -> float:
         """Where the axis says it is [mm]."""
         return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
-
-    def home(self) -> None:
-        """Find the axis's zero; returns when it has."""
-        self._call("home", self.label)
-        self.wait()
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position [mm]."""

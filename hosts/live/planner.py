@@ -25,8 +25,7 @@ from vamgpu.printing.pack import pack
 from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
-PLACE = "live"
-"""The folder of the record in that of the run."""
+PLACE = "live"  # The folder of the record in that of the run
 SEEN = 0.6
 """Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
 

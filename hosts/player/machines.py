@@ -140,8 +140,7 @@ class VideoMachines:
             )
 
 
-Machines = MirrorMachines | StageMachines | VideoMachines
-"""The opened machines of any rig."""
+Machines = MirrorMachines | StageMachines | VideoMachines  # The opened machines of any rig
 
 
 def senses(machines: Machines) -> dict[str, bool | float | None]:

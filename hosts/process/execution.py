@@ -154,7 +154,8 @@ def carry_out(
     left = left_by_a_host(planned, machines, folder) if resume else None
     versions = _versions(planned, live, left)
     playing = _playing(planned, machines, found, left, versions)
-    _warn(planned)
+    for one in planned.guarantees.lacking:
+        log.warning("%s %s", one.about, one)
     with ExitStack() as held:
         record = _record(held, planned, machines, folder, left, versions, process)
         shown = board or Board()
@@ -170,12 +171,6 @@ def carry_out(
             if board is not None:
                 return print_with_operator(job, board, first, unattended, asked), job
             return attended(job, first, asked, unattended), job
-
-
-def _warn(planned: PrintPlan) -> None:
-    """Log what nothing watches."""
-    for one in planned.guarantees.lacking:
-        log.warning("%s %s", one.about, one)
 
 
 def _record(

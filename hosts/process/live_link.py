@@ -24,9 +24,8 @@ from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.player.player import StatusPoll
-from vamgpu.hosts.process.child import answered, spawned
 from vamgpu.hosts.process.live_camera import LiveCamera
-from vamgpu.hosts.process.messages import receive, send
+from vamgpu.hosts.process.messages import answered, receive, send, spawned
 from vamgpu.hosts.process.proposals import frames_of, maps, parameters, proposal, relative_light
 from vamgpu.hosts.process.versions import boundary, replaced, sources_of
 from vamgpu.hosts.records.plans import keep, last_kept

@@ -1,4 +1,4 @@
-"""Messages between the process that holds the light and those that watch it: JSON, and the bytes of arrays behind it.
+"""Processes of their own, how they start, and messages between them: JSON, and the bytes of arrays behind it.
 
 Nothing in a message is code: a run's folder, which may come from anywhere, says whom to talk to.
 """
@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from enum import Enum
 from functools import cache
 from math import isfinite
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, Listener
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
@@ -94,3 +98,42 @@ def _kinds() -> dict[str, Any]:
 
     look(Snapshot)
     return found
+
+
+def spawned(module: str, order: dict[str, Any], errors: Any = None) -> subprocess.Popen[bytes]:
+    """Run a module in a process that no key of this terminal reaches. errors: takes its stderr. Raises `OSError`."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}, start_new_session=True,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+    )  # fmt: skip
+    assert child.stdin is not None
+    with suppress(BrokenPipeError), child.stdin:  # one that has ended already says nothing, see `answered`
+        child.stdin.write(json.dumps(order).encode() + b"\n")
+    return child
+
+
+def answered(child: subprocess.Popen[bytes]) -> dict[str, Any] | None:
+    """Wait for the address and key at which a child listens; None where it ended instead."""
+    assert child.stdout is not None
+    with child.stdout:
+        line = child.stdout.readline()
+    return parse_json(line) if line else None
+
+
+def ordered() -> tuple[Any, Callable[[str], None]]:
+    """In the child: its order, and the function that answers it. Nothing else that the child prints is read."""
+    out, nowhere = os.dup(sys.stdout.fileno()), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+    def answer(text: str) -> None:
+        os.write(out, text.encode() + b"\n")
+        os.close(out)
+
+    return parse_json(sys.stdin.buffer.readline()), answer
+
+
+def address(listener: Listener, key: bytes) -> str:
+    """Where and how this process can be reached, as JSON."""
+    return json.dumps({"address": listener.address, "key": key.hex(), "pid": os.getpid()})

@@ -17,8 +17,7 @@ from multiprocessing.connection import Connection, Listener, answer_challenge, d
 from pathlib import Path
 from typing import Any
 
-from vamgpu.hosts.process.child import address
-from vamgpu.hosts.process.messages import receive, send
+from vamgpu.hosts.process.messages import address, receive, send
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.records.state import Board, PrintState, Snapshot
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, StorageError, VamError
 from vamgpu.hosts.player.operator import Viewer
-from vamgpu.hosts.process.child import answered, spawned
-from vamgpu.hosts.process.messages import receive, send
+from vamgpu.hosts.process.messages import answered, receive, send, spawned
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.process.resume import may_go_on
 from vamgpu.hosts.process.service import LIVE

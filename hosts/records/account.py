@@ -14,8 +14,7 @@ from vamgpu.printing.given_dose import GivenDose
 if TYPE_CHECKING:
     from vamgpu.hosts.records.record import RunRecord
 
-WITHIN = 0.01
-"""The share of its light that a view of a complete print may lack."""
+WITHIN = 0.01  # The share of its light that a view of a complete print may lack
 
 
 def wanted_light(schedule: Schedule) -> np.ndarray:

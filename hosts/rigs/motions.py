@@ -1,4 +1,4 @@
-"""Parts that move: the controller's own motor, stages, and steppers that are given pulses."""
+"""Parts that move, the controller's own motor, stages and steppers, and clocks that decide when a frame comes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers import stepper
 from vamgpu.hosts.drivers.controller_protocol import STEEPEST
-from vamgpu.hosts.drivers.gpio import GpioIndex
 from vamgpu.hosts.drivers.micromanager import MicroManagerStage
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
+from vamgpu.hosts.drivers.stepper import GpioIndex
 from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
-from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Ppm, StagePart
+from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Part, Ppm, StagePart
 from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.schema.quantities import Count
 
@@ -124,3 +124,19 @@ class EmulatedMotion(MotionPart):
 
     emulated: ClassVar[bool] = True
     triggers: ClassVar[bool] = True
+
+
+class ControllerClock(Part):
+    """The controller triggers the mirrors, row by row, by the steps of its own motor."""
+
+
+class StageClock(Part):
+    """The stage's trigger output triggers the mirrors at every pose."""
+
+
+class RefreshClock(Part):
+    """The projector's vertical blanking; the angle that the stage says chooses the frame of every refresh."""
+
+
+class FreeClock(Part):
+    """Nobody: projector and motion each follow a clock of their own, and drift apart."""

@@ -19,12 +19,9 @@ from vamgpu.jobs.run import Proven, prove
 from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.storage.folder import Folder
 
-SLOTS = 10**7
-"""Most frames of a print; more are a slip of the pen."""
-CLOSE = 1e-3
-"""Share of a turn below which frames are not dimmed."""
-MICRO = 1000
-"""Machines light frames for whole microseconds [ns]."""
+SLOTS = 10**7  # Most frames of a print; more are a slip of the pen
+CLOSE = 1e-3  # Share of a turn below which frames are not dimmed
+MICRO = 1000  # Machines light frames for whole microseconds [ns]
 
 
 def proved(jobs: tuple[PrintJob, ...], device: str | Device | None = None) -> Proven | str:

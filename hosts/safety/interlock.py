@@ -63,11 +63,6 @@ class Budget:
         """Light that has been spent."""
         return self._spent
 
-    @property
-    def left(self) -> float:
-        """Light that is left; never below 0."""
-        return max(0.0, self.limit - self._spent)
-
     def arm(self, limit: float) -> None:
         """Set another limit, for light that is planned anew: at most what was given first. Raises `BadInput`."""
         self.limit = min(positive("the budget of light", limit), self._most)

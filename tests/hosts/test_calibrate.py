@@ -24,10 +24,9 @@ from vamgpu.hosts.calibrate.machines import CalibrationMachines
 from vamgpu.hosts.calibrate.report import CalibrationResult, focused_at, read, save
 from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel, Stored
-from vamgpu.hosts.emulators.calibration import Optics
+from vamgpu.hosts.emulators.calibration import EmulatedMeter, Optics
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig, read_rig

@@ -18,7 +18,7 @@ from vamgpu.hosts.emulators.camera import ResinModel, ResinScene, RunningCamera,
 from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
 from vamgpu.hosts.player import exposure
 from vamgpu.hosts.player.motor import POLL
-from vamgpu.hosts.player.video_stage import STEP
+from vamgpu.hosts.player.video import STEP
 from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, opened, plan, rehearsal, stopping

@@ -16,9 +16,9 @@ from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.emulators.calibration import EmulatedMeter
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
 from vamgpu.hosts.emulators.stage import EmulatedStage

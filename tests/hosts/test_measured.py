@@ -14,9 +14,8 @@ from vamgpu.errors import DeviceLost, DeviceNotFound, JobError
 from vamgpu.hosts.drivers import camera, micromanager, projector, stepper
 from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.gpio import GpioIndex
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
-from vamgpu.hosts.drivers.stepper import StepperStage
+from vamgpu.hosts.drivers.stepper import GpioIndex, StepperStage
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.stage import EmulatedStage

@@ -57,7 +57,7 @@ def test_two_sequences_stream_more_than_fits_one_a_trigger() -> None:
     with pytest.raises(OutOfMemory, match="296 planes, and 64 are free"):
         dmd.sequence(37, 8)
     stream = MirrorMemory(dmd, 4, 8, SlotTiming(5000, 5000))
-    assert dmd.free_planes() == 0 and stream.limits().on_us == 5000
+    assert dmd.free_planes() == 0 and stream._all[0].sequence.limits().on_us == 5000
     put = 0
     for trigger in range(37):
         while put < 37 and stream.room():

@@ -17,7 +17,7 @@ from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingIn
 from vamgpu.hosts.frames.packer import DevicePacker, packer
 from vamgpu.hosts.frames.sources import MirrorArray, WebFrames
 from vamgpu.hosts.player.run import Print
-from vamgpu.hosts.player.video_stage import STEP
+from vamgpu.hosts.player.video import STEP
 from vamgpu.hosts.records.record import RunFolder, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import Rehearsal, carry_out, player, rehearsal

@@ -14,8 +14,7 @@ from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.emulators.rigs import MICROSTEPS, EmulatedVideoRig
 from vamgpu.hosts.emulators.screen import LitSlot
 from vamgpu.hosts.player.run import Print, SafetyLimits
-from vamgpu.hosts.player.video import SpinningPlayer
-from vamgpu.hosts.player.video_stage import LEAD
+from vamgpu.hosts.player.video import LEAD, SpinningPlayer
 from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH, InterlockOpen, OverDose
