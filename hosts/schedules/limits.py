@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
 from math import ceil
-
-import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
@@ -33,7 +30,7 @@ PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}  # bits → frames that 
 class LensTiming:
     """A tunable lens and the line that tells it its power. Raises `BadInput`."""
 
-    settle: Number | Sequence[Sequence[Number]] = 5e-3  # [s], for all planes or as a table [from, to]
+    settle: Number = 5e-3  # from one focus plane to another [s]
     frame_bytes: int = 10  # of one command
     baud: int = 38400  # ten bits a byte
     latency: Number = 0  # that the driver thinks [s]
@@ -42,19 +39,7 @@ class LensTiming:
         whole("frame_bytes", self.frame_bytes)
         whole("baud", self.baud)
         nanoseconds("latency [s]", self.latency)
-        if self.table.ndim == 2 and self.table.shape[0] != self.table.shape[1]:
-            raise BadInput(f"the table of settling has shape {self.table.shape}; expected as many rows as columns")
-
-    @cached_property
-    def table(self) -> np.ndarray:
-        """Settling [ns], int64 (from, to), or a single number."""
-        if numeric(self.settle):
-            return np.array(nanoseconds("settle [s]", self.settle))
-        rows = [[nanoseconds("settle [s]", value) for value in every("a row of settle", row)]
-                for row in every("settle", self.settle)]  # fmt: skip
-        if len({len(row) for row in rows}) != 1:
-            raise BadInput("the rows of the table of settling differ in length; expected one row and column a plane")
-        return np.array(rows)
+        nanoseconds("settle [s]", self.settle)
 
     @property
     def wire(self) -> int:
@@ -62,20 +47,10 @@ class LensTiming:
         line = Fraction(10 * int(self.frame_bytes) * SECOND, int(self.baud))
         return ceil(line) + nanoseconds("latency [s]", self.latency)
 
-    def settling(self, start: int, end: int) -> int:
-        """Time from one plane to another [ns]; 0 for the same. Raises `BadInput`."""
-        if start == end:
-            return 0
-        if self.table.ndim == 0:
-            return int(self.table)
-        if max(start, end) >= len(self.table):
-            raise BadInput(f"there are {max(start, end) + 1} planes; the table of settling has {len(self.table)}")
-        return int(self.table[start, end])
-
     @property
-    def slowest(self) -> int:
-        """The longest settling [ns]."""
-        return int(self.table.max())
+    def settling(self) -> int:
+        """Time from one plane to another [ns]."""
+        return nanoseconds("settle [s]", self.settle)
 
 
 @dataclass(frozen=True)

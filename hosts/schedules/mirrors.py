@@ -63,15 +63,14 @@ Engines = MirrorTiming | Sequence[MirrorTiming]
 def web(
     poses: int, *, advance: Number, speed: Number, engines: Engines, lens: LensTiming | None = None,
     focus: Sequence[float] = (), bits: int = 8, turning: bool = True, on: Number | None = None,
-    power: float | Sequence[float] = 1.0, first: int = 0,
+    power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
     """Slots of a web: at every pose one frame for each focus plane, frame pose · planes + plane.
 
     advance: from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of each plane
-    [dpt].  turning: the order of planes turns at every pose.  on: light of a frame [s], or all there is.  first: pose.
+    [dpt].  turning: the order of planes turns at every pose.  on: light of a frame [s], or all there is.
     """
     count, way = whole("poses", poses), exact("advance [mm]", advance)
-    start = whole("first pose", first, 0)
     shown = _Engines.of(engines, bits, power)
     focus = tuple(float(fraction("focus [dpt]", each)) for each in every("focus", focus))
     planes = max(len(focus), 1)
@@ -82,8 +81,8 @@ def web(
     order = slots(2, planes, turning=turning)
     pose = _Pose.of(order, lens if planes > 1 else None, shown, on)
     period = pose.period(way, exact("speed [mm/s]", speed), "mm")
-    wait = lens.wire + lens.slowest if lens is not None and focus else 0
-    return _table(Cadence(period, wait), way, count, start, order, pose, focus, shown, lens)
+    wait = lens.wire + lens.settling if lens is not None and focus else 0
+    return _table(Cadence(period, wait), way, count, order, pose, focus, shown, lens)
 
 
 def sla(
@@ -111,7 +110,7 @@ def turned(
         return _scanned(motion, times, wanted, pose, shown.power)
     way = Fraction(360, number)
     period = pose.period(way, wanted, "deg")
-    return _table(Cadence(period), way, number * times, 0, order, pose, (), shown, None, number)
+    return _table(Cadence(period), way, number * times, order, pose, (), shown, None, number)
 
 
 def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, power: tuple[float, ...]) -> Schedule:
@@ -164,11 +163,8 @@ class _Pose:
     @classmethod
     def of(cls, order: np.ndarray, lens: LensTiming | None, shown: _Engines, on: Number | None) -> _Pose:
         before = np.roll(order.ravel(), 1).reshape(order.shape)
-        gaps, moved = np.zeros(order.shape, np.int64), before != order
-        for place in np.argwhere(moved):
-            assert lens is not None
-            settling = lens.settling(int(before[*place]), int(order[*place]))
-            gaps[*place] = lens.wire + settling
+        moved = before != order
+        gaps = np.where(moved, 0 if lens is None else lens.wire + lens.settling, 0)
         wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
         frame = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
         return cls(gaps, moved, frame, wanted, shown, lens.wire if lens else 0)
@@ -210,18 +206,17 @@ class _Pose:
 
 
 def _table(
-    cadence: Cadence, way: Fraction, poses: int, first: int, order: np.ndarray, pose: _Pose, focus: Sequence[float],
+    cadence: Cadence, way: Fraction, poses: int, order: np.ndarray, pose: _Pose, focus: Sequence[float],
     shown: _Engines, lens: LensTiming | None, repeat: int | None = None,
 ) -> Schedule:  # fmt: skip
     planes, (starts, on) = order.shape[1], pose.times(cadence.period)
-    cadence = Cadence(cadence.period, cadence.start - Cadence(cadence.period).at(first))  # of pose 0, wherever it lies
-    begins, number = cadence.times(first, poses), first + np.arange(poses, dtype=np.int64)
+    begins, number = cadence.times(0, poses), np.arange(poses, dtype=np.int64)
     parity = number % 2
     light = (begins[:, None] + starts[parity]).ravel()
     plane, moved, gap = (table[parity].ravel() for table in (order, pose.moved, pose.gaps))
     command = np.where(moved, light - gap, NONE)
     if lens is not None and focus:  # wherever the lens may rest, it is on its plane before the first light
-        command[0] = light[0] - lens.wire - lens.slowest
+        command[0] = light[0] - lens.wire - lens.settling
     pose_number = np.repeat(number, planes)
     return Schedule(
         command=command, trigger=light, light=light, dark=light + on,

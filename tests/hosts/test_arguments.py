@@ -51,7 +51,7 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         wrong += [(make, right, "engines", (None, 1, (), (None,), "mirrors", HdmiTiming()))]
         wrong += [(make, right, "bits", (None, "8", [8], 8.5)), (make, right, "on", ("1", float("inf"), -1, 0, 1e9))]
     wrong += [
-        (web, WEB, "first", (0.5, None, -1, "0", float("inf"))), (web, WEB, "lens", ("lens", 1)),
+        (web, WEB, "lens", ("lens", 1)),
         (web, WEB, "focus", (None, (1, None), ("a", "b"), (float("nan"), 1.0), 3.0)), (web, WEB, "advance", NUMBERS),
         (turned, TURNED, "turns", COUNTED), (vial, VIAL, "turns", COUNTED), (web, WEB, "poses", (10**14,)),
         (vial, VIAL, "display", (None, MIRRORS)),
