@@ -173,10 +173,10 @@ def test_slots_keep_frames_apart_and_levels_in_place() -> None:
 
 
 def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
-    table = "\n" + (controller.__doc__ or "").split("=\n", 2)[2].split("\n=====")[0]
-    verbs = set(re.findall(r"\n([a-z]+) ", table))
-    files = sorted((Path(hosts.__file__).parent / "firmware" / "controller").iterdir())
-    sketch = "".join(file.read_text(encoding="utf-8") for file in files)
+    folder = Path(hosts.__file__).parent / "firmware" / "controller"
+    page = (folder / "PROTOCOL.md").read_text(encoding="utf-8")
+    verbs = set(re.findall(r"\n\| ([a-z]+) \|", page.partition("|---|")[2]))
+    sketch = "".join(file.read_text(encoding="utf-8") for file in sorted(folder.glob("*.[hi]*")))
     assert len(verbs) == 18
     counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
     assert verbs == set(counts) and counts == {"mode": 1} | {verb: len(each) for verb, each in RANGES.items()}
