@@ -25,18 +25,18 @@ import numpy as np
 from common import chosen_devices, machine, write_record
 
 from vamgpu.backend.device import Device
-from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.packer import DevicePacker
 from vamgpu.hosts.frames.sources import MirrorArray, VialFrames, WebFrames
 from vamgpu.hosts.frames.upload import BUFFERS, FrameMemory, UploadQueue, length
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run, timing
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import RunFolder, read_run, timing
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 

@@ -26,11 +26,11 @@ from common import machine, write_record
 
 from vamgpu.cli.print import DEMO
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.realtime.order import PrintOrder
-from vamgpu.hosts.realtime.watch import started, watched
-from vamgpu.hosts.record import read_run, timing
+from vamgpu.hosts.process.order import PrintOrder
+from vamgpu.hosts.process.watch import started, watched
+from vamgpu.hosts.records.record import read_run, timing
+from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.state import Board
 from vamgpu.jobs.demo import demo
 
 RATE, FRAMES = 30, 120  # images a second, and a turn

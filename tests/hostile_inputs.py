@@ -27,7 +27,7 @@ from vamgpu.chemistry.materials.resin import Resin
 from vamgpu.curethrough.resin import read_columns
 from vamgpu.curethrough.stack import open_stack
 from vamgpu.errors import BadInput, JobError, MaterialError, MeshError, SliceError, StorageError, VamError
-from vamgpu.hosts.record import MAGIC, read_run
+from vamgpu.hosts.records.record import MAGIC, read_run
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.jobs.curethrough import read_curethrough
 from vamgpu.jobs.foreign.drtvam import read_drtvam

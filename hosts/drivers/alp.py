@@ -1,8 +1,4 @@
-"""Vialux's ALP-4 library as it is called: numbers, structures, and calls that raise.
-
-The library's ``long`` is 32 bits on every system it is built for, so ``c_int32`` and ``c_uint32`` are used throughout;
-ctypes' ``c_long`` would be 64 bits on Linux.
-"""
+"""Vialux's ALP-4 library as it is called: numbers, structures, and calls that raise; its ``long`` has 32 bits."""
 
 from __future__ import annotations
 

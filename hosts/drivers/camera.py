@@ -9,8 +9,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
 
 log: logging.Logger = logging.getLogger(__name__)
 

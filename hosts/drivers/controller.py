@@ -10,11 +10,10 @@ from fractions import Fraction
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers import controller_protocol as protocol
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow, Reply, Status
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.protocols import controller as protocol
-from vamgpu.hosts.protocols.controller import ControllerRow, Reply, Status
-from vamgpu.hosts.run_all import Closing
 from vamgpu.hosts.schedules.timing import exact, fraction
 
 log: logging.Logger = logging.getLogger(__name__)

@@ -15,18 +15,17 @@ import numpy as np
 from vamgpu.errors import BadInput, DeviceBusy, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.alp import Alp, Progress
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
 
 log: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class SlotTiming:
-    """The times of a frame [us]: from frame to frame, lit (0: as long as possible), and from trigger to light."""
+    """The times of a frame [us]: from frame to frame, and lit (0: as long as possible)."""
 
     picture_us: int = 0
     illuminate_us: int = 0
-    trigger_delay_us: int = 0
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,6 @@ class SequenceLimits:
     least_picture_us: int
     greatest_picture_us: int
     least_illuminate_us: int
-    greatest_trigger_delay_us: int
     on_us: int
 
 
@@ -84,9 +82,9 @@ class Dmd(ClosedOnce):
         """Bit planes that fit now."""
         return self.inquire(alp.AVAILABLE_MEMORY)
 
-    def slave(self, rising: bool = True) -> None:
+    def slave(self) -> None:
         """Show the next frame at each edge of the trigger, however long that takes to come, in a queue."""
-        self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING if rising else alp.EDGE_FALLING)
+        self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING)
         self.call("AlpDevControl", alp.TRIGGER_TIME_OUT, alp.TIME_OUT_DISABLE)
         self.call("AlpProjControl", alp.PROJECTION_MODE, alp.SLAVE)
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
@@ -161,21 +159,13 @@ class PlaneSequence:
 
     def limits(self) -> SequenceLimits:
         """The device's limits for these frames, and how long each is lit now."""
-        kinds = (
-            alp.MIN_PICTURE_TIME,
-            alp.MAX_PICTURE_TIME,
-            alp.MIN_ILLUMINATE_TIME,
-            alp.MAX_TRIGGER_IN_DELAY,
-            alp.ON_TIME,
-        )
+        kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.MIN_ILLUMINATE_TIME, alp.ON_TIME)
         return SequenceLimits(*(self.inquire(kind) for kind in kinds))
 
     def retime(self, timing: SlotTiming) -> None:
         """Set the times; DeviceRefused with the device's limits where they do not fit."""
         try:
-            self.dmd.call(
-                "AlpSeqTiming", self.id, timing.illuminate_us, timing.picture_us, 0, 0, timing.trigger_delay_us
-            )
+            self.dmd.call("AlpSeqTiming", self.id, timing.illuminate_us, timing.picture_us, 0, 0, 0)
         except DeviceRefused as error:
             raise DeviceRefused(f"{timing} does not fit the device's {self.limits()}: {error}", error.code) from error
 

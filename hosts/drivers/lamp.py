@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceLost
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
 from vamgpu.hosts.drivers.wire import open_wire
 
 LINES = ("rts", "dtr")

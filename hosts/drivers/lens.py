@@ -6,10 +6,9 @@ import logging
 from typing import Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers import optotune_protocol as ld4
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.protocols import optotune as ld4
-from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -8,10 +8,9 @@ from functools import partial
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error, extra
+from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, close_all, closed_on_error, extra
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
-from vamgpu.hosts.protocols import dlpc350
-from vamgpu.hosts.run_all import close_all
 
 
 class LightCrafter(ClosedOnce):

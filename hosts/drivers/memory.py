@@ -10,7 +10,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.drivers import alp
-from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SequenceLimits, SlotTiming
+from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SlotTiming
 
 PIECE = 2**21  # bytes of one call that uploads: some milliseconds of a wire
 
@@ -92,11 +92,6 @@ class MirrorMemory:
         self._turns = FairLock()
         self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
         self._cancelled = False
-
-    def limits(self) -> SequenceLimits:
-        """The device's limits for these frames."""
-        with self._turns:
-            return self._all[0].sequence.limits()
 
     def room(self, frames: int = 2, name: bytes | None = None) -> bool:
         """Whether so many frames can be put now, or those of a name that was kept be shown again."""

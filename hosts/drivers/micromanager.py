@@ -11,9 +11,8 @@ from typing import Any, Self
 import numpy as np
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.closing import extra
+from vamgpu.hosts.drivers.cleanup import Closing, extra
 from vamgpu.hosts.drivers.stages import PolledStage, above_zero
-from vamgpu.hosts.run_all import Closing
 
 log: logging.Logger = logging.getLogger(__name__)
 UM_IN_MM = 1000.0
@@ -66,8 +65,6 @@ class _Device(Closing):
 class MicroManagerStage(_Device, PolledStage):
     """A stage of one axis of length; it goes to positions and cannot run at a speed."""
 
-    measured = True
-
     def __init__(
         self, core: Any, label: str, speed_property: str | None = None, patience_s: float = 60.0,
         pause: Callable[[float], None] = time.sleep, owned: bool = False,
@@ -84,11 +81,6 @@ class MicroManagerStage(_Device, PolledStage):
     def position(self) -> float:
         """Where the axis says it is [mm]."""
         return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
-
-    def home(self) -> None:
-        """Find the axis's zero; returns when it has."""
-        self._call("home", self.label)
-        self.wait()
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position [mm]."""

@@ -9,8 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, VamError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,25 @@ import math
 from typing import Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
-from vamgpu.hosts.run_all import Closing
 
 MILLI = 1000.0
 
 
 class PowerMeter(Closing):
-    """A photodiode's meter that speaks SCPI, such as Thorlabs' PM100 and PM400, of any maker or of one."""
+    """A photodiode's meter that speaks SCPI, such as Thorlabs' PM100 and PM400."""
 
-    def __init__(self, wire: Wire, maker: str | None = None) -> None:
+    def __init__(self, wire: Wire) -> None:
         self._wire = wire
         with closed_on_error(wire):
             self.identity: str = self._identify()
-            if maker is not None and maker.lower() not in self.identity.lower():
-                raise WrongDevice(f"{self.identity!r} answers at {wire.name}, not one of {maker!r}; check the port")
             self.tell("*CLS")
 
     @classmethod
-    def open(cls, url: str, maker: str | None = None, baud: int = 115200, timeout_s: float = 2.0) -> Self:
+    def open(cls, url: str, baud: int = 115200, timeout_s: float = 2.0) -> Self:
         """Open the meter at an address, such as ``usbtmc:/dev/usbtmc0``."""
-        return cls(open_wire(url, "the power meter", baud, timeout_s), maker)
+        return cls(open_wire(url, "the power meter", baud, timeout_s))
 
     def _identify(self) -> str:
         """Maker, model, serial number and version, as every such instrument answers."""

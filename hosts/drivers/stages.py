@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.closing import ClosedOnce, closed_on_error, extra
+from vamgpu.hosts.drivers import zaber_protocol as zaber
+from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
-from vamgpu.hosts.protocols import zaber
 
 
 @runtime_checkable
@@ -21,10 +21,8 @@ class Stage(Protocol):
     """One axis; positions in its ``unit``, ``mm`` or ``deg``, and speeds in that a second."""
 
     unit: str
-    measured: bool  # whether the position is read from the device; a stage that only counts its steps says False
 
     def position(self) -> float: ...  # where the axis says it is
-    def home(self) -> None: ...  # find the axis's zero; returns when it has
     def move(self, position: float, speed: float) -> None: ...  # begin to move to a position
     def run(self, speed: float) -> None: ...  # begin to move at a speed, for good; 0 brings the axis to rest
     def wait(self) -> None: ...  # return when the axis rests
@@ -160,7 +158,6 @@ class ZaberStage(PolledStage):
     """One axis of one Zaber device, with so many microsteps a unit, ``mm`` or ``deg``."""
 
     microsteps: float
-    measured = True
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
@@ -208,11 +205,6 @@ class ZaberStage(PolledStage):
     def position(self) -> float:
         """Where the axis says it is."""
         return self._whole("get pos") / self.microsteps
-
-    def home(self) -> None:
-        """Find the axis's zero; returns when it has."""
-        self.ask("home")
-        self.wait()
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position at most at a speed."""
@@ -281,7 +273,6 @@ class StandaStage(ClosedOnce):
     """One axis of libximc's ``highlevel.Axis``, with so many full steps a unit, each of ``fraction`` microsteps."""
 
     steps: float
-    measured = True
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
@@ -317,10 +308,6 @@ class StandaStage(ClosedOnce):
         """Where the axis says it is."""
         found = self._call("get_position")
         return (found.Position + found.uPosition / self._fraction) / self.steps
-
-    def home(self) -> None:
-        """Find the axis's zero; returns when it has."""
-        self._call("command_homezero")
 
     def move(self, position: float, speed: float) -> None:
         """Begin to move to a position."""

@@ -1,13 +1,14 @@
-"""A stepper that a computer gives pulses by hardware PWM; its position is counted from them, not measured."""
+"""A stepper that a computer gives pulses by hardware PWM, counted and not measured, and an index at one of its pins."""
 
 from __future__ import annotations
 
+from collections import deque
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound
-from vamgpu.hosts.clock import Clock
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, extra
+from vamgpu.hosts.schedules.clock import Clock, RealClock
 from vamgpu.hosts.schedules.timing import SECOND
 
 STEP = SECOND // 100  # between two rates of a ramp [ns]
@@ -70,7 +71,6 @@ class StepperStage(Closing):
     """A `Stage` by so many pulses a unit, forward only; an index, at 0 each turn, corrects position and rate."""
 
     microsteps: float
-    measured = False
 
     def __init__(
         self, pulses: PulseOutput, clock: Clock, microsteps: float, unit: str = "deg", ramp: float = 100.0,
@@ -111,10 +111,6 @@ class StepperStage(Closing):
             self._gain *= turned / (turned + missed)
             self._set(self._speed)
 
-    def home(self) -> None:
-        """Call where it is 0."""
-        self._at, self._since, self._found, self._seen = 0.0, self._clock.now(), False, 0.0
-
     def move(self, position: float, speed: float) -> None:
         """Move on to a position; returns when it is there."""
         if not speed > 0 or (way := position - self.position()) < 0:
@@ -152,3 +148,39 @@ class StepperStage(Closing):
         finally:
             if self._index is not None:
                 self._index.close()
+
+
+MOST = 1000  # edges that wait to be asked for; a mark comes once a turn
+
+
+class GpioIndex(Closing):
+    """An index mark at a pin. device: gpiozero's ``DigitalInputDevice``, which calls in a thread of its own."""
+
+    def __init__(self, device: Any, clock: Clock) -> None:
+        self._device, self._clock = device, clock
+        self._edges: deque[int] = deque(maxlen=MOST)
+        device.when_activated = self._seen
+
+    @classmethod
+    def open(cls, pin: int, clock: Clock | None = None) -> Self:
+        """Open a pin by its number (BCM on a Raspberry Pi); a mark is its rising edge."""
+        with extra("gpio", "an index at a pin needs gpiozero"):
+            from gpiozero import DigitalInputDevice  # type: ignore[import-not-found]
+        try:
+            device = DigitalInputDevice(pin)
+        except Exception as error:  # each of its ways to the pins has errors of its own
+            raise DeviceNotFound(
+                f"there is no pin {pin} ({error}); run on the computer that has it, and close what else uses it"
+            ) from error
+        return cls(device, clock or RealClock())
+
+    def _seen(self) -> None:
+        self._edges.append(self._clock.now())
+
+    def edges(self) -> tuple[int, ...]:
+        """Times of the marks since it was asked last [ns]."""
+        return tuple(self._edges.popleft() for _ in range(len(self._edges)))
+
+    def close(self) -> None:
+        """Let go of the pin; more than once does no harm."""
+        self._device.close()

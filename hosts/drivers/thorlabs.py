@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, WrongDevice
-from vamgpu.hosts.drivers.closing import closed_on_error, extra
+from vamgpu.hosts.drivers.cleanup import closed_on_error, extra
 from vamgpu.hosts.drivers.stages import PolledStage, above_zero
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
@@ -37,8 +37,6 @@ class ThorlabsStage(PolledStage):
     """One axis, with so many counts a unit: of its encoder, or microsteps on a stepper's cube."""
 
     counts: float
-    unit: str
-    measured: bool
 
     def __init__(
         self, wire: Wire, counts: float, unit: str = "deg", patience_s: float = 60.0,
@@ -71,7 +69,7 @@ class ThorlabsStage(PolledStage):
         cube = CUBES.get(self.kind[:3])
         if cube is None:
             raise WrongDevice(f"{self._wire.name} is a {self.kind}; expected a motion cube: {', '.join(CUBES)}")
-        self._cube, self.measured, self._name = cube, cube.encoder, f"the {self.kind}"
+        self._cube, self._name = cube, f"the {self.kind}"
         self._send("mod_set_chanenablestate", CHANNEL, 1)
 
     def _send(self, name: str, *arguments: int) -> None:
@@ -95,12 +93,6 @@ class ThorlabsStage(PolledStage):
     def position(self) -> float:
         """Where the axis says it is."""
         return self._status().position / self.counts
-
-    def home(self) -> None:
-        """Find the axis's zero; returns when it has."""
-        self._ended = False
-        self._send("mot_move_home", CHANNEL)
-        self.wait()
 
     def _speed(self, speed: float) -> None:
         """Set the greatest speed, and leave the rest of its profile."""

@@ -1,9 +1,7 @@
 """A line to a machine: bytes out, bytes in, and errors that say what to check.
 
-Every serial machine is opened through pyserial's ``serial_for_url``, so ``/dev/ttyUSB0``, ``COM3``,
-``socket://host:port``, ``rfc2217://`` and ``spy://`` work alike. Measuring instruments are opened by the kernel's
-``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``USB0::0x1313::0x8075::P0012345::INSTR`` and
-``TCPIP::host::INSTR``, on Windows too.
+Ports open by pyserial's ``serial_for_url``: ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port``. Instruments open by the
+kernel's ``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``TCPIP::host::INSTR``.
 """
 
 from __future__ import annotations
@@ -12,11 +10,12 @@ import errno
 import logging
 import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
-from vamgpu.hosts.drivers.closing import extra
-from vamgpu.hosts.run_all import Closing
+from vamgpu.hosts.drivers.cleanup import Closing, extra
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -146,35 +145,40 @@ class Wire(Closing):
         self.lock: threading.RLock = threading.RLock()
         self._ahead = bytearray()
 
+    @contextmanager
+    def _used(self) -> Iterator[None]:
+        """Raise `DeviceLost` where the port fails."""
+        try:
+            yield
+        except OSError as error:
+            raise DeviceLost(
+                f"{self.name} is gone ({error}); check its plug and its power, then start again"
+            ) from error
+
     def send(self, data: bytes) -> None:
         """Send all bytes."""
-        try:
+        with self._used():
             self.port.write(data)
-        except OSError as error:
-            raise self._lost(error) from error
 
     def receive(self, size: int) -> bytes:
         """Receive ``size`` bytes, or fewer if they do not come in time."""
-        try:
+        with self._used():
             while len(self._ahead) < size:
                 more = self.port.read(size - len(self._ahead))
                 if not more:
                     break
                 self._ahead += more
-        except OSError as error:
-            raise self._lost(error) from error
         return self._take(size)
 
     def line(self, longest: int = 256) -> bytes:
         """Receive up to and with a line feed; fewer bytes, or none, if it does not come in time."""
-        try:
+        end = -1
+        with self._used():
             while (end := self._ahead.find(b"\n", 0, longest)) < 0 and len(self._ahead) < longest:
                 more = self.port.read(max(self.port.in_waiting, 1))
                 if not more:
                     break
                 self._ahead += more
-        except OSError as error:
-            raise self._lost(error) from error
         return self._take(end + 1 if end >= 0 else longest)
 
     def _take(self, size: int) -> bytes:
@@ -184,27 +188,23 @@ class Wire(Closing):
 
     def waiting(self) -> int:
         """Bytes that have come in and are not read."""
-        try:
+        with self._used():
             return len(self._ahead) + self.port.in_waiting
-        except OSError as error:
-            raise self._lost(error) from error
 
     def drain(self) -> None:
         """Forget what has come in."""
         self._ahead.clear()
-        try:
+        with self._used():
             self.port.reset_input_buffer()
-        except OSError as error:
-            raise self._lost(error) from error
 
     def reopen(self) -> None:
         """Open the port again, of a machine that was unplugged. Raises DeviceLost where it is not back."""
         self.close()
         self._ahead.clear()
-        try:
-            self.port.open()  # type: ignore[attr-defined] - ports that cannot be opened again raise below
-        except (OSError, AttributeError) as error:
-            raise self._lost(error) from error
+        with self._used():
+            if not hasattr(self.port, "open"):
+                raise OSError("it cannot be opened again")
+            self.port.open()  # type: ignore[attr-defined]
 
     def close(self) -> None:
         """Let go of the port; more than once does no harm."""
@@ -212,9 +212,6 @@ class Wire(Closing):
             self.port.close()
         except OSError as error:
             log.warning("closing %s: %s", self.name, error)
-
-    def _lost(self, error: Exception) -> DeviceLost:
-        return DeviceLost(f"{self.name} is gone ({error}); check its plug and its power, then start again")
 
 
 def open_wire(

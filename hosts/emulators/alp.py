@@ -1,7 +1,6 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
-``EmulatedAlp.library`` has real C functions, made with declarations of their own, so the driver crosses a true C
-border: wrong widths of integers or bad pointers fail here as they would there.
+``EmulatedAlp.library`` has real C functions, so wrong widths of integers or bad pointers fail as they would there.
 """
 
 from __future__ import annotations
@@ -105,22 +104,18 @@ class EmulatedAlp(EmulatedArray):
             return INVALID
         if bits * count > self.free_planes():
             return FULL
-        self._stored[self._next_id] = Stored(bits, count, bits, count - 1)
+        self._stored[self._next_id] = Stored(bits, count, count - 1)
         answer[0] = self._next_id
         self._next_id += 1
         return 0
 
     def _AlpSeqControl(self, stored: Stored, kind: int, value: int) -> int:  # noqa: N802
-        if kind == 2100 and value >= 1:
-            stored.repeat = value
-        elif kind == 2102 and 0 <= value < stored.count:
+        if kind == 2102 and 0 <= value < stored.count:
             stored.last = value
-        elif kind == 2103 and 1 <= value <= stored.bits:
-            stored.shown_bits = value
-        elif kind == 2104 and value in (2105, 2106) and stored.shown_bits == 1:
+        elif kind == 2104 and value in (2105, 2106) and stored.bits == 1:
             stored.uninterrupted = value == 2106
-        elif kind == 2110 and value in (0, 2):
-            stored.format = value
+        elif kind == 2110 and value == 2:
+            stored.packed = True
         else:
             return INVALID
         return 0
@@ -128,7 +123,7 @@ class EmulatedAlp(EmulatedArray):
     def _AlpSeqTiming(self, stored: Stored, lit: int, frame: int, *rest: int) -> int:  # noqa: N802
         if min(lit, frame, *rest) < 0:
             return INVALID
-        least = self.model.least_picture_us(stored.shown_bits)
+        least = self.model.least_picture_us(stored.bits)
         frame = frame or (max(lit + 1, least) if lit else max(33334, least))
         lit = lit or frame
         if frame < least or lit > frame or lit < least - 1 or frame > 10_000_000 or rest[2] > 130_000:
@@ -137,18 +132,17 @@ class EmulatedAlp(EmulatedArray):
         return 0
 
     def _AlpSeqInquire(self, stored: Stored) -> dict[int, int]:  # noqa: N802
-        least, lit_us = self.model.least_picture_us(stored.shown_bits), self._lit_ns(stored) // MICRO
+        least, lit_us = self.model.least_picture_us(stored.bits), self._lit_ns(stored) // MICRO
         return {
-            2103: stored.shown_bits, 2200: stored.bits, 2201: stored.count, 2203: stored.picture_us,
+            2200: stored.bits, 2201: stored.count, 2203: stored.picture_us,
             2204: stored.illuminate_us, 2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1),
             2213: 10_000_000, 2214: lit_us, 2215: stored.picture_us - lit_us,
         }  # fmt: skip
 
     def _AlpSeqPut(self, stored: Stored, first: int, count: int, address: int) -> int:  # noqa: N802
-        if first < 0 or first + count > stored.count or not address:
+        if first < 0 or first + count > stored.count or not address or not stored.packed:
             return INVALID
-        rows, row_bytes = self.model.height, self.model.row_bytes
-        size = rows * (row_bytes * stored.bits if stored.format == 2 else self.model.width)
+        size = self.model.height * self.model.row_bytes * stored.bits
         raw = np.frombuffer(ctypes.string_at(address, size * count), np.uint8)
         for i, data in enumerate(raw.reshape(count, size)):
             stored.frames[first + i] = self._planes(data, stored)
@@ -160,14 +154,7 @@ class EmulatedAlp(EmulatedArray):
 
     def _planes(self, data: np.ndarray, stored: Stored) -> np.ndarray:
         """Bit planes, the most significant first, of one frame as it was sent."""
-        rows, row_bytes = self.model.height, self.model.row_bytes
-        if stored.format == 2:
-            return data.reshape(stored.bits, rows, row_bytes)
-        planes = np.zeros((stored.bits, rows, row_bytes), np.uint8)
-        for plane in range(stored.bits):
-            lit = np.packbits(data.reshape(rows, -1) >> (7 - plane) & 1, axis=-1)
-            planes[plane, :, : lit.shape[1]] = lit
-        return planes
+        return data.reshape(stored.bits, self.model.height, self.model.row_bytes)
 
     # the device
 
@@ -237,7 +224,7 @@ class EmulatedAlp(EmulatedArray):
         stored = self._stored.get(sequence)
         if stored is None or self.floating:
             return INVALID
-        return self._start(stored, sequence, None if forever else stored.repeat)
+        return self._start(stored, sequence, None if forever else 1)
 
     def _AlpProjStartCont(self, sequence: int) -> int:  # noqa: N802
         return self._AlpProjStart(sequence, forever=True)

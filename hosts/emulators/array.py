@@ -57,10 +57,8 @@ class DisplayedFrame:
 class Stored:
     bits: int
     count: int
-    shown_bits: int
     last: int
-    repeat: int = 1
-    format: int = 0
+    packed: bool = False
     uninterrupted: bool = False
     picture_us: int = 33334
     illuminate_us: int = 33333
@@ -117,10 +115,9 @@ class EmulatedArray:
         planes = stored.frames.get(frame)
         if planes is None:
             planes = np.zeros((stored.bits, self.model.height, self.model.row_bytes), np.uint8)
-        planes = planes[: stored.shown_bits]
         lit = self._lit_ns(stored)
-        levels = 2**stored.shown_bits
-        edges = [start + lit * (levels - (levels >> plane)) // (levels - 1) for plane in range(stored.shown_bits + 1)]
+        levels = 2**stored.bits
+        edges = [start + lit * (levels - (levels >> plane)) // (levels - 1) for plane in range(stored.bits + 1)]
         self.counts["shown"] += 1
         shown = DisplayedFrame(
             self.counts["shown"] - 1, head.sequence, frame, planes, tuple(edges[:-1]), tuple(edges[1:])
@@ -132,7 +129,7 @@ class EmulatedArray:
             self._iterate(head)
 
     def _lit_ns(self, stored: Stored) -> int:
-        if stored.uninterrupted and stored.shown_bits == 1:
+        if stored.uninterrupted and stored.bits == 1:
             return stored.picture_us * MICRO
         return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
 

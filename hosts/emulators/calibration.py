@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +20,61 @@ from vamgpu.hosts.emulators.array import ArrayModel, DisplayedFrame
 from vamgpu.hosts.emulators.camera import EmulatedCamera, Sensor
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.line import plug
+from vamgpu.hosts.emulators.line import LineDevice, plug
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
-if TYPE_CHECKING:
-    from vamgpu.hosts.rigs.config import RigFile
+
+class EmulatedMeter(LineDevice):
+    """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
+
+    wavelength: float
+    count: int
+
+    def __init__(
+        self, light: Callable[[int], float], noise_mw: float = 0.0, greatest_mw: float = 500.0, seed: int = 0
+    ) -> None:
+        super().__init__(5000.0)
+        self.errors: deque[str] = deque()
+        self._light, self._noise, self._greatest = light, noise_mw, greatest_mw
+        self._random = np.random.default_rng(seed)
+        self.wavelength, self.count = 405.0, 1
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes."""
+        for line in self.lines(data):
+            if words := line.decode("ascii", "replace").upper().split():
+                answer = self._answer(words, now)
+                if answer is None:
+                    self.errors.append('-113,"Undefined header"')
+                elif answer:
+                    self._out.put(answer.encode("ascii") + b"\n", now)
+
+    def _answer(self, words: list[str], now: int) -> str | None:
+        """The answer to a command ('' if it has none), or None if there is no such command."""
+        match words:
+            case ["*IDN?"]:
+                return "Emulated,PM400,1001,1.0"
+            case ["*CLS"]:
+                self.errors.clear()
+                return ""
+            case ["SYST:ERR?"]:
+                return self.errors.popleft() if self.errors else '+0,"No error"'
+            case ["MEAS:POW?"]:
+                reading = self._light(now) + self._noise / self.count**0.5 * self._random.standard_normal()
+                return "9.91E+37" if reading > self._greatest else f"{reading / 1000:.9E}"
+            case ["SENS:CORR:WAV", value]:
+                wavelength = float(value)
+                if 350 <= wavelength <= 1100:
+                    self.wavelength = wavelength
+                else:
+                    self.errors.append('-222,"Data out of range"')
+                return ""
+            case ["SENS:AVER:COUN", value]:
+                self.count = int(value)
+                return ""
+        return None
+
 
 MICRO = 1000
 FAINT = 1e-15
@@ -234,10 +282,10 @@ class EmulatedCalibrationRig:
     """All machines, and the optics between them; each method opens the driver of one. numbers: lamps of projectors."""
 
     optics: Optics
-    rig: RigFile
+    rig: Any  # what its file says
     clock: VirtualClock
 
-    def __init__(self, optics: Optics, rig: RigFile, numbers: tuple[int, ...] = (0,)) -> None:
+    def __init__(self, optics: Optics, rig: Any, numbers: tuple[int, ...] = (0,)) -> None:
         self.optics, self.rig, self.clock = optics, rig, VirtualClock()
         rows, columns = optics.mirrors
         model = ArrayModel(height=rows, width=columns)

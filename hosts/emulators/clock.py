@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Protocol, runtime_checkable
 
-from vamgpu.hosts.clock import RealClock
+from vamgpu.hosts.schedules.clock import RealClock
 
 
 @runtime_checkable

@@ -1,8 +1,4 @@
-"""Dose in the resin: recorded from mirrors, lamp, lens and motion as they truly were, and compared with the frames.
-
-A frame's light goes to the pose that the motion was in, and to the focus plane that the lens was at, while the lamp
-shone; light from a lens under way goes astray.
-"""
+"""Dose in the resin: recorded from mirrors, lamp, lens and motion as they truly were, and compared with the frames."""
 
 from __future__ import annotations
 

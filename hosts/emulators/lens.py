@@ -1,7 +1,6 @@
 """An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
 
-It reads frames by a table of their own lengths and with a check sum of its own, so that a mistake in the driver's
-coding cannot hide in both.
+Lengths and check sums are of its own, so that a mistake in the driver's coding cannot hide in both.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Lines to emulated machines: a cable that takes time, and faults on it.
-
-A machine on a line takes bytes with ``receive`` and gives bytes with ``take``. It is reached in two ways:
-`plug` makes a port on a virtual clock, ``servers.PtyServer`` a pseudo terminal in real time.
-"""
+"""Lines to emulated machines, which ``receive`` bytes and give what one may ``take``: cables, and faults on them."""
 
 from __future__ import annotations
 

@@ -20,10 +20,9 @@ from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.dose import DoseRecorder
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort, plug
-from vamgpu.hosts.emulators.pulses import EmulatedStepper
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
-from vamgpu.hosts.emulators.stage import EmulatedStage
-from vamgpu.hosts.players.machines import MirrorMachines, StageMachines, VideoMachines
+from vamgpu.hosts.emulators.stage import EmulatedStage, EmulatedStepper
+from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMachines
 
 LENS_BAUD = 38400
 MICROSTEPS = 1000.0  # of the video rig's stage in a degree

@@ -1,12 +1,15 @@
-"""An emulated Zaber device of one axis: ASCII messages with check sums, and motion that takes time."""
+"""An emulated Zaber device of one axis, in ASCII messages with check sums, and an emulated stepper behind pulses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil, floor
 
+from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
+from vamgpu.hosts.schedules.timing import SECOND
 
 SPEED = 1.6384  # units of speed in a microstep a second
 
@@ -27,7 +30,6 @@ class EmulatedStage(LineDevice):
         self.track: Track = Track(self.acceleration)
         self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64, "limit.max": self.limit}
         self.settings |= {"deviceid": 50081, "system.serial": 42}
-        self.homed: bool = False
         self.fault = ""
         self.rejected: list[str] = []
         self.on_trigger: Callable[[int], None] | None = None
@@ -80,7 +82,7 @@ class EmulatedStage(LineDevice):
         if not good:
             self.rejected.append(data)
         state = "BUSY" if self.track.moving(now) else "IDLE"
-        warning = self.fault or ("--" if self.homed or self.rotary else "WR")
+        warning = self.fault or ("--" if self.rotary else "WR")
         fields = [f"{self.device:02d}", "1" if len(numbers) > 1 and numbers[1] != "0" else "0"]
         fields += [number] if number else []
         text = " ".join([*fields, "OK" if good else "RJ", state, warning, data])
@@ -105,9 +107,6 @@ class EmulatedStage(LineDevice):
                 case ["set", name, value] if name in self.settings:
                     self.settings[name] = int(value)
                     return True, "0"
-                case ["home"]:
-                    self.homed = True
-                    return self._go(0.0, now)
                 case ["stop"] | ["estop"]:
                     self.track.run(now, 0.0)
                     return True, "0"
@@ -144,3 +143,48 @@ class EmulatedStage(LineDevice):
             return False, "BADDATA"
         self.track.go(now, target, self.settings["maxspeed"] / SPEED)
         return True, "0"
+
+
+@dataclass(eq=False)
+class EmulatedStepper:
+    """A pulse output and its motor, which stands once it is stalled."""
+
+    clock: VirtualClock
+    turn: float  # pulses
+    off: float = 0.0  # how much quicker its clock is than the host's [ppm]
+
+    def __post_init__(self) -> None:
+        self.stalled: bool = False
+        self._pieces: list[tuple[int, float, float]] = [(0, 0.0, 0.0)]
+        self._asked = 0
+
+    def position(self, now: int) -> float:
+        """Where the motor truly was at a time [pulses]."""
+        at, place, speed = next(piece for piece in reversed(self._pieces) if piece[0] <= now)
+        return place + speed * (now - at) / SECOND
+
+    def rate(self, hz: float) -> float:
+        now = self.clock.now()
+        true = 0.0 if self.stalled else hz * (1 + 1e-6 * self.off)
+        self._pieces.append((now, self.position(now), true))
+        return hz
+
+    def stall(self) -> None:
+        """The motor stands, and pulses go on."""
+        self.rate(0.0)
+        self.stalled = True
+
+    def edges(self) -> tuple[int, ...]:
+        """When the index passed since it was asked last [ns]."""
+        found, now = [], self.clock.now()
+        for piece, (at, place, speed) in enumerate(self._pieces):
+            end = self._pieces[piece + 1][0] if piece + 1 < len(self._pieces) else now
+            last = place + speed * (end - at) / SECOND
+            marks = range(ceil(place / self.turn), floor(last / self.turn) + 1) if speed else ()
+            found += [at + round((mark * self.turn - place) / speed * SECOND) for mark in marks]
+        asked, self._asked = self._asked, now
+        return tuple(at for at in dict.fromkeys(found) if asked < at <= now)
+
+    def close(self) -> None:
+        """No pulses."""
+        self.rate(0.0)

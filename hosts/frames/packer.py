@@ -43,11 +43,8 @@ class PlanePacker:
 class DevicePacker(PlanePacker):
     """Packs frames on a device, cut by focus plane, so that only finished bytes cross the bus.
 
-    images: uint8 table [image, row, column or byte] on the device; or reads those of poses, in rising order, to the
-    host.  frames: how many there are; number = image · planes + plane.  own: rows and columns of an image.  bits: 8 or
-    1.  shown: which columns each focus plane shows, bool (planes, columns).  row_bytes: of a row in the mirrors'
-    memory, a multiple of 8 for 8 bits; None: what is needed.  batch: frames at once.  size: rows and columns of the
-    mirrors, in whose middle smaller images go; None for those of the images. Raises `BadInput`, `WrongDevice`.
+    images: on the device, or what reads those of poses to the host.  shown: bool (planes, columns).  size: rows and
+    columns of the mirrors, in whose middle smaller images go.
     """
 
     device: Device

@@ -67,11 +67,9 @@ class _Leveled:
         raise NotImplementedError
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
-        """See `FrameSource`."""
         return self._mirrors.packed(self.levels(numbers), self.bits)
 
     def frame(self, number: int) -> np.ndarray:
-        """See `FrameSource`."""
         return self.levels(np.array([number]))[0]
 
 
@@ -96,17 +94,13 @@ class VialFrames(_Leveled):
         return DevicePacker.of(frames, row_bytes=mirrors.row_bytes, batch=batch, size=size)
 
     def levels(self, numbers: np.ndarray) -> np.ndarray:
-        """See `_Leveled`."""
         return self._levels[np.asarray(numbers)] * self._full
 
 
 class WebFrames(_Leveled):
-    """The frames of a web, cut by columns among its focus planes: number pose · planes + plane.
+    """The frames of a web, cut by columns among its focus planes: number pose · planes + plane; only a batch is held.
 
-    read: frames from one pose to another, uint8 [pose, row, column], never by two threads at once.  masks: which
-    plane shows which column, bool (planes, columns) or those of a roller; None for one focus.  device: that cuts and
-    splits them; None for the host.  Frames are read in runs when they are wanted, and only those of a batch are held,
-    however long the web is.
+    read: frames from one pose to another, uint8 [pose, row, column].  masks: which plane shows which column.
     """
 
     bits = 8
@@ -124,7 +118,6 @@ class WebFrames(_Leveled):
         self.count: int = poses * len(self._masks)
 
     def packer(self, batch: int) -> DevicePacker | None:
-        """See `VialFrames`."""
         mirrors = self._mirrors
         if self._device is None or mirrors.row_bytes % 8:
             return None
@@ -134,7 +127,6 @@ class WebFrames(_Leveled):
         )  # fmt: skip
 
     def levels(self, numbers: np.ndarray) -> np.ndarray:
-        """See `_Leveled`."""
         poses, planes = np.divmod(np.asarray(numbers), len(self._masks))
         wanted, place = np.unique(poses, return_inverse=True)
         levels = self._poses(wanted)[place]

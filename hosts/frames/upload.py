@@ -13,11 +13,11 @@ from typing import Protocol
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch, Underrun, VamError
-from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
-from vamgpu.hosts.frames.late import Action, LatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import Action, LatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.packer import PlanePacker
 from vamgpu.hosts.frames.versions import Boundaries
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.schedule import NONE
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -73,14 +73,9 @@ class LateFrame:
 class UploadQueue:
     """Brings the frames of one projector to its mirrors, through a ring of buffers made beforehand.
 
-    order: number of the frame in each slot.  batch: frames a buffer.  depth: buffers.  poses: of each slot, by default
-    its number.  policy: decides on frames that are late.  guard: how many frames ahead of the counter a missing one is
-    given up.  preroll: black frames before the first slot.  turn: slots after which frames come round again, where the
-    mirrors hold so many: they are uploaded once and shown as often as they come.  boundaries: where frames may be
-    replaced: none is packed together with those beyond. Raises `BadInput`, `ShapeMismatch`.
-
-    Call ``pump`` as often as there is time, which on a clock that a program sets is exactly repeatable, or ``start``
-    two threads that do the same: one packs frames, one uploads.
+    order: frame of each slot.  batch: frames a buffer.  guard: how many ahead of the counter a missing one is given up.
+    turn: slots after which frames come again, uploaded once where the mirrors hold so many.  boundaries: where they
+    may be replaced. Two threads pack and upload; without them ``pump`` does both, exactly repeatably.
     """
 
     batch: int

@@ -1,9 +1,6 @@
-"""Frames in versions: those of coming turns of a vial, or segments of a web, may be replaced where one begins, never
-inside.
+"""Frames in versions: those of coming turns of a vial, or segments of a web, may be replaced where one begins.
 
-In the order of a queue, frame ``n`` of version ``v`` is number ``v * frames + n``. Nothing beyond the next boundary is
-packed until a lead before it, so a version may come late; one that comes later is dropped, and the frames
-before it go on.
+In a queue frame ``n`` of version ``v`` is number ``v * frames + n``. A version that comes too late is dropped.
 """
 
 from __future__ import annotations
@@ -60,12 +57,8 @@ class FrameVersion:
 class FrameVersions:
     """The versions of the frames of a print: which there are, and which slot shows which.
 
-    sources: the job's frames, of each projector.  count: slots of a turn, or of a segment.  turns: of the print, or its
-    segments.  allowance: light that versions may add, over that of all the job's turns; each version of a web, whose
-    segments light other resin, over that of the segments that it replaces.  unit: "turn", whose frames come round
-    again, or "segment".  slots: of the print; a web's last segment may be shorter.
-
-    Any thread may `swap`; the printing thread takes what is offered, and commits or drops it. Raises `BadInput`.
+    count: slots of a turn, or of a segment.  turns: of the print, or its segments.  allowance: light they may add.
+    Any thread may `swap`; the printing thread takes what is offered, and commits or drops it.
     """
 
     count: int
@@ -248,7 +241,6 @@ class VersionedFrames:
         self._packer: VersionedPacker | None = None
 
     def planes(self, numbers: np.ndarray) -> np.ndarray:
-        """See `FrameSource`."""
         versions, frames = np.divmod(np.asarray(numbers), self._versions.frames)
         found = {
             number: iter(self._versions.source(number, self._engine).planes(frames[versions == number]))
@@ -257,7 +249,6 @@ class VersionedFrames:
         return np.stack([next(found[number]) for number in versions.tolist()])
 
     def frame(self, number: int) -> np.ndarray:
-        """See `FrameSource`."""
         version, frame = divmod(int(number), self._versions.frames)
         return self._versions.source(version, self._engine).frame(frame)
 
@@ -304,7 +295,6 @@ class VersionedPacker(PlanePacker):
         self._made = {number: made for number, made in self._made.items() if number in wanted}
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> None:
-        """See `PlanePacker`."""
         lit = frames != NONE
         number = int(frames[lit][0]) // self._versions.frames if lit.any() else 0
         if number not in self._made:  # a run segment began since

@@ -9,7 +9,7 @@ from contextlib import suppress
 from multiprocessing.connection import Listener
 
 from vamgpu.hosts.live.worker import PlannerClient, function_of
-from vamgpu.hosts.realtime.child import address, ordered
+from vamgpu.hosts.process.messages import address, ordered
 
 STARTING = 10.0  # how long it waits for the print that started it [s]
 

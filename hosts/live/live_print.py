@@ -11,14 +11,14 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.errors import BadInput, JobError
 from vamgpu.geometry import positive
-from vamgpu.hosts.live.link import LiveOrder
 from vamgpu.hosts.live.planner import PLACE, light_of
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.rig import carry_out, check, close, opened, plan, read_rig, rehearsal
+from vamgpu.hosts.process.execution import carry_out, check, close, opened, plan, read_rig, rehearsal
+from vamgpu.hosts.process.live_link import LiveOrder
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rigs.planning import PrintPlan
-from vamgpu.hosts.rigs.rehearsing import curing
+from vamgpu.hosts.rigs.rehearsal import curing
 from vamgpu.hosts.schedules.timing import whole
-from vamgpu.hosts.state import Board, PrintState
 from vamgpu.jobs.run import prove
 from vamgpu.live import CuringResin, LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
 from vamgpu.metrics import score

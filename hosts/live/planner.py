@@ -1,7 +1,6 @@
 """The planning function of a watched print: a `LiveLoop` in the planning process, and the record of its decisions.
 
-Images of turn t tell what the turns before it did. They are looked at late in turn t, so that what is decided can be
-shown from turn t + 1 on.
+Images of turn t tell what the turns before it did; what is decided late in turn t can be shown from t + 1 on.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ from vamgpu.printing.pack import pack
 from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
-PLACE = "live"
-"""The folder of the record in that of the run."""
+PLACE = "live"  # The folder of the record in that of the run
 SEEN = 0.6
 """Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.realtime.messages import receive, send
+from vamgpu.hosts.process.messages import receive, send
 
 PIECE = 2**26  # bytes of an array in a message
 
@@ -42,7 +42,7 @@ class PlannerClient:
 
         Returns:
             A dict: ``image`` uint8 or uint16 [row, column] with its ``angle`` [deg], turns running on, and ``at`` [ns];
-            or ``shown``, columns of `vamgpu.hosts.record.FRAME_RECORD` by name; or ``answer``, what became of a
+            or ``shown``, columns of `vamgpu.hosts.records.record.FRAME_RECORD` by name; or ``answer``, what became of a
             proposal. None after the timeout.
 
         Raises:

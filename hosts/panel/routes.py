@@ -17,7 +17,7 @@ from starlette.routing import Route
 from vamgpu.errors import VamError
 from vamgpu.hosts.panel.history import past, report
 from vamgpu.hosts.panel.view import ImageStore, curve, described, images, refusal, told
-from vamgpu.hosts.state import Board
+from vamgpu.hosts.records.state import Board
 from vamgpu.storage.reading import read_bytes
 
 PERIOD = 0.25  # between two polls of a page [s]

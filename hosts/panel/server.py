@@ -12,8 +12,8 @@ from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.panel.auth import TokenAuth, loopback
+from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.timing import whole
-from vamgpu.hosts.state import Board
 
 STARTING = 10.0  # longest wait for the web server [s]; before it is up, nobody could stop a print at the page
 PORTS = 65535
@@ -84,7 +84,7 @@ class Panel:
         try:
             import uvicorn
 
-            from vamgpu.hosts.panel.routes import served
+            from vamgpu.hosts.panel.routes import served  # it needs the extra too
 
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.hosts.state import Board, Snapshot
+from vamgpu.hosts.records.state import Board, Snapshot
 
 WIDTH = 640  # pixels of an image's longer side on the page
 POINTS = 400  # of the curve

@@ -2,30 +2,109 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from vamgpu.deprecated import Renamed
-from vamgpu.errors import JobError
+from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.drivers.controller_protocol import LONGEST_LEASE_MS
 from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
 from vamgpu.hosts.rigs.guarantees import refusal
-from vamgpu.hosts.rigs.old_files import current
-from vamgpu.hosts.rigs.roles import DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
-from vamgpu.hosts.rigs.sections import (
-    CalibrationSection,
-    CameraStageSection,
-    ControllerSection,
-    RigSection,
-    SafetySection,
-)
+from vamgpu.hosts.rigs.roles import Baud, DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
 from vamgpu.jobs.read import checked
+from vamgpu.schema.quantities import Count, NonNegative, Speed, Thickness, Time
 from vamgpu.schema.read import noun
+from vamgpu.schema.registry import find
 from vamgpu.schema.section import Misplaced, Section
 from vamgpu.storage.reading import MOST_TOML, read_text
+
+SHORTEST_LEASE_MS = 20  # A host renews it four times meanwhile
+
+
+class RigSection(Section):
+    """The rig itself. machine: what jobs it prints."""
+
+    name: str
+    machine: Literal["vial", "web", "slices", "any"]
+
+
+class ControllerSection(Section):
+    """The line to the controller, for the roles that it fills: motion, clock, light, lens line and lease."""
+
+    driver: Literal["vam-controller", "emulated"] = "vam-controller"
+    port: str | None = None
+    baud: Baud = 115200
+
+
+class SafetySection(Section):
+    """Limits of the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
+
+    lease: how long the controller keeps the light by itself, 20 ms to 1 s.  resume: the longest pause after which a
+    print goes on; resin forgets a dose meanwhile.  drift: of the frames against the motion that is accepted where no
+    clock keeps them in step [deg/min] or [mm/min].
+    """
+
+    lease: Time = 0.25
+    tolerance: Annotated[float, Field(gt=0, le=5)] = 0.5
+    budget: Annotated[float, Field(ge=1, le=2)] = 1.01
+    resume: Time = 30.0
+    drift: NonNegative = 0.0
+
+    @field_validator("lease")
+    @classmethod
+    def _kept(cls, lease: float) -> float:
+        if not SHORTEST_LEASE_MS <= 1000 * lease <= LONGEST_LEASE_MS:
+            raise ValueError(
+                f"expected {SHORTEST_LEASE_MS} ms to {LONGEST_LEASE_MS} ms, as the controller keeps a lease"
+            )
+        return lease
+
+
+DATE = re.compile(r"none|\d{4}(-\d\d(-\d\d(T\d*)?)?)?")
+
+
+def _chosen(value: str) -> str:
+    if not DATE.fullmatch(value):
+        raise ValueError('expected the date of one, such as "2026-11-20", or "none"')
+    return value
+
+
+Chosen = Annotated[str, AfterValidator(_chosen)] | None
+
+
+class CalibrationSection(Section):
+    """Which calibrations of the rig are applied: of each kind the newest, or that of a date, or ``"none"``.
+
+    warn_after: age from which a calibration is reported as old.
+    """
+
+    gray: Chosen = None
+    flat: Chosen = None
+    axis: Chosen = None
+    focus: Chosen = None
+    mtf: Chosen = None
+    runout: Chosen = None
+    warn_after: Time = 90 * 86400.0
+
+
+class CameraStageSection(Section):
+    """The stage that carries the camera along the light. microsteps: a millimeter; a Standa's have 256 in a step.
+
+    middle: its position [mm] on the axis of rotation, from which positions are counted.
+    """
+
+    driver: Literal["zaber", "standa", "emulated"]
+    port: str | None = None
+    device: Count = 1
+    axis: Count = 1
+    microsteps: Annotated[float, Field(gt=0)] = 1000.0
+    speed: Speed = 5.0
+    middle: Thickness = 0.0
+
 
 EMULATED = """\
 # A rehearsal: every machine is emulated and time is a program's, so that nothing shines and an hour takes seconds.
@@ -136,8 +215,6 @@ class RigConfig:
     source: str  # where it came from
     settings: tuple[str, ...] = ()  # that replace its values
 
-    wanted: ClassVar[Renamed] = Renamed("setup")
-
 
 def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
     """Read a rig file.
@@ -170,7 +247,35 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
         raise JobError(f"the rig's text is {text!r}; expected the text of a TOML file")
     try:
         given = (settings,) if isinstance(settings, str) else tuple(settings)
-        return RigConfig(checked(RigFile, text, given, source=source, current=current)[0], text, source, given)
+        return RigConfig(checked(RigFile, text, given, source=source, complete=_completed)[0], text, source, given)
     except JobError as error:
-        alone = "[[display]]" not in text and "[[projector]]" not in text
+        alone = "[[display]]" not in text
         raise JobError(str(error).replace("display.0", "display") if alone else str(error)) from error
+
+
+OLD = {"projector": "display", "stage": "motion", "camera": "feedback", "photodiode": "feedback"}
+"""Tables of version 0.2 → those of today."""
+
+
+def _completed(data: dict[str, Any]) -> None:
+    """Add motion, light and clock that the other parts suggest. Raises `JobError` for tables of version 0.2."""
+    if old := [name for name in OLD if name in data]:
+        raise JobError(f"[{old[0]}] is a table of version 0.2; expected [{OLD[old[0]]}], see hosts/README.md")
+    controller, light = data.get("controller"), data.setdefault("light", {})
+    if isinstance(controller, dict):
+        data.setdefault("motion", {"driver": "emulated" if controller.get("driver") == "emulated" else "controller"})
+    if isinstance(light, dict):
+        light.setdefault("driver", "display" if controller is None else "controller")
+    if "clock" in data or not isinstance(motion := data.get("motion"), dict):
+        return
+    moves = controller is not None and motion.get("driver") in ("controller", "emulated")
+    driver = "vblank" if any(map(_cabled, _each(data.get("display", ())))) else "controller" if moves else "stage"
+    data["clock"] = {"driver": driver}
+
+
+def _cabled(display: Any) -> bool:
+    """Whether a display is on a video cable; False for one that there is not."""
+    try:
+        return not find("rig_display", display["driver"]).triggered
+    except (BadInput, KeyError, TypeError, AttributeError):
+        return False

@@ -7,35 +7,26 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import model_validator
 
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers import dlpc350_protocol, projector
+from vamgpu.hosts.drivers.cleanup import closed_on_error
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
 from vamgpu.hosts.rigs.roles import ORDERS, CablePart, Color, MirrorPart, Share
 from vamgpu.schema.section import Listed
 
 
 class AlpDisplay(MirrorPart):
-    """Mirrors on a controller by Vialux.
-
-    library: path of the maker's library.  size: rows, columns.  serial: number of the device; 0 for any.
-     frame_time: the shortest that a frame of 8 bits is shown.
-    """
+    """Mirrors by Vialux.  library: path of the maker's library.  serial: number of the device; 0 for any."""
 
     library: str
     serial: int = 0
 
     def open(self) -> Any:
-        """See `DisplayPart`."""
-        from vamgpu.hosts.drivers.dmd import Dmd
-
         return Dmd.open(self.library, self.serial, self.array)
 
 
 class VideoDisplay(CablePart):
-    """A projector on a video cable, which shows several frames in each video frame.
-
-    screen: number of the output.  size: rows, columns.  refresh: of the cable.  bits: of a frame, 7 or 8.  order:
-    channels of a video frame, as their frames are shown.  latency: video frames from cable to mirrors.  tolerance:
-    of the clock of the refresh [ppm].
-    """
+    """A projector on a video cable, which shows several frames in each video frame."""
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -43,21 +34,16 @@ class VideoDisplay(CablePart):
         return tuple({"red": 0, "green": 1, "blue": 2}[name] for name in self.order or ORDERS[self.bits])
 
     def open(self) -> Any:
-        """See `DisplayPart`."""
-        from vamgpu.hosts.drivers.projector import ONE_GRAY, HdmiProjector, PygletWindow, SlotLayout
-
-        layout = ONE_GRAY if self.slots == 1 else SlotLayout(self.channels, self.bits)
-        return HdmiProjector(PygletWindow(self.screen, self.array, self.refresh), layout, self.latency)
+        layout = projector.ONE_GRAY if self.slots == 1 else projector.SlotLayout(self.channels, self.bits)
+        window = projector.PygletWindow(self.screen, self.array, self.refresh)
+        return projector.HdmiProjector(window, layout, self.latency)
 
 
 class LightCrafterDisplay(VideoDisplay):
     """A LightCrafter (DLPC350) in video pattern mode: frames by cable, settings and its own LEDs by USB.
 
     control: usb, or usb: and its serial number.  leds: that light the frames.  current: of them, share of their
-    greatest; the projector keeps its own where none is said.  screen: number of the output.  size: rows, columns.
-     refresh: of the cable.  bits: of a frame, 7 or 8.  order: channels of a video frame, as their frames are shown.
-     latency: video frames from cable to mirrors.  slots: none, as bits say how many.  tolerance: of the clock of the
-    refresh [ppm].
+    greatest; the projector keeps its own where none is said.  slots: none, as bits say how many.
     """
 
     lamps: ClassVar[bool] = True
@@ -71,10 +57,8 @@ class LightCrafterDisplay(VideoDisplay):
             raise ValueError(f'control is "{self.control}"; expected "usb", or "usb:" and the serial number')
         if not self.leds or self.slots is not None:
             raise ValueError("expected leds that light the frames, and no slots: bits say how many frames are shown")
-        from vamgpu.hosts.protocols import dlpc350
-
         exposure = self.exposure
-        dlpc350.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
+        dlpc350_protocol.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
         return self
 
     @property
@@ -84,8 +68,6 @@ class LightCrafterDisplay(VideoDisplay):
 
     def open(self) -> Any:
         """See `DisplayPart`; its LEDs are dark, and switched by the ``lamp`` of what is returned."""
-        from vamgpu.hosts.drivers.lightcrafter import LightCrafter, LightCrafterScreen
-
         box = LightCrafter.open(self.control.partition(":")[2] or None)
         with closed_on_error(box):
             if self.current is not None:
@@ -96,10 +78,6 @@ class LightCrafterDisplay(VideoDisplay):
 
 
 class EmulatedDisplay(MirrorPart):
-    """The mirrors of a rehearsal.
-
-    size: rows, columns; as large as the job where none are said.  frame_time: the shortest that a frame of 8 bits
-    is shown.
-    """
+    """The mirrors of a rehearsal.  size: rows, columns; as large as the job where none are said."""
 
     emulated: ClassVar[bool] = True

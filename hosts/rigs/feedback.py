@@ -6,8 +6,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.camera import GenicamCamera
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Encoder, Index
+from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
 from vamgpu.hosts.rigs.roles import FeedbackPart
 from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
 
@@ -95,12 +97,8 @@ class CameraFeedback(FeedbackPart):
         """Open the camera with its settings. Raises what its driver does."""
         exposure = 1e6 * self.exposure
         if self.producer is not None:
-            from vamgpu.hosts.drivers.camera import GenicamCamera
-
             settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger}
             return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)
-        from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
-
         camera = MicroManagerCamera.open(str(self.config), str(self.label))
         with closed_on_error(camera):
             camera.expose(exposure)
@@ -108,20 +106,15 @@ class CameraFeedback(FeedbackPart):
 
 
 class EmulatedCameraFeedback(CameraFeedback):
-    """The camera of a rehearsal.
-
-    exposure: of an image.  pixel: in the plane that it sees.  bits: of its levels.  producer, serial: none.
-     discard: images that are on their way when mirrors or lens have changed.  config, label, gain, format, trigger:
-    none.
-    """
+    """The camera of a rehearsal."""
 
     emulated: ClassVar[bool] = True
 
 
 class PowerMeterFeedback(FeedbackPart):
-    """A power meter, or a photodiode on one.
+    """A power meter, or a photodiode on one.  port: address.  wavelength: [nm].
 
-    port: address.  wavelength: [nm].  average: samples a reading.  settle: how long it takes to follow light.
+    average: samples a reading.  settle: how long it takes to follow light.
     """
 
     sees: ClassVar[Sees] = "light"
@@ -132,10 +125,7 @@ class PowerMeterFeedback(FeedbackPart):
 
 
 class EmulatedPowerMeterFeedback(PowerMeterFeedback):
-    """The photodiode of a rehearsal.
-
-    settle: how long it takes to follow light.  average: samples a reading.  port, wavelength: none.
-    """
+    """The photodiode of a rehearsal."""
 
     emulated: ClassVar[bool] = True
     port: str = ""

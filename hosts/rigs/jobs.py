@@ -14,15 +14,21 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.names import is_slice
 from vamgpu.curethrough.output import RECORD
+from vamgpu.curethrough.stack import ZipStack, layer_height, open_stack
 from vamgpu.errors import BadInput, SliceError, StorageError
 from vamgpu.geometry import Turntable
-from vamgpu.hosts.drivers.closing import closed_on_error
+from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
 from vamgpu.hosts.rigs.calibrations import MachineCalibration
+from vamgpu.jobs.run import is_interrupted
+from vamgpu.jobs.web import is_web_folder
+from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.folder import MANIFEST
 from vamgpu.storage.reading import parse_json, read_text
+from vamgpu.webs.describe import wrap_from
+from vamgpu.webs.store import WebFolder
 
 Kind = Literal["vial", "web", "slices"]
 
@@ -62,10 +68,6 @@ def print_job(
     projector: int = 0,
 ) -> PrintJob:  # fmt: skip
     """Read a job's folder; ``machine`` corrects the frames of vials and webs for a projector, not slices."""
-    from vamgpu.jobs.run import is_interrupted
-    from vamgpu.jobs.web import is_web_folder
-    from vamgpu.printing.folder import load_frames
-
     place = Path(path)
     if is_web_folder(place):
         again = partial(machine.frames, projector=projector, vial=False) if machine else None
@@ -92,9 +94,6 @@ def print_job(
 
 def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) -> PrintJob:
     """again: shows the light of frames on another machine; None shows them as they are."""
-    from vamgpu.webs.describe import wrap_from
-    from vamgpu.webs.store import WebFolder
-
     folder = WebFolder.open(place)
     if not folder.complete:
         raise BadInput(
@@ -126,22 +125,12 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
         "web", str(place), (rows, columns), folder.frames, lambda mirrors: WebFrames(
             read, folder.frames, mirrors, shown, device
         ), advance=float(wrap.advance),
-        speed=folder.details.get("speed") or _web_speed(place), depths=depths, bath=wrap.film.bath_index,
+        speed=folder.details.get("speed"), depths=depths, bath=wrap.film.bath_index,
         stretch=stretch, masks=shown, segment=folder.segments[0].frames[1],
     )  # fmt: skip
 
 
-def _web_speed(place: Path) -> float | None:
-    """The speed in the job's file beside a folder of 0.2, which does not tell it."""
-    from vamgpu.jobs.web import is_web, read_web
-
-    file = place.with_suffix(".toml")
-    return read_web(file).file.web.speed if file.is_file() and is_web(file) else None
-
-
 def _slices(place: Path, device: Device) -> PrintJob:
-    from vamgpu.curethrough.stack import layer_height, open_stack
-
     stack = open_stack(place)
     with closed_on_error(stack):
         machine = _record(place, stack).get("machine", {})
@@ -171,8 +160,6 @@ def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
 
 def _record(place: Path, stack: Any) -> dict[str, Any]:
     """The record of slices; empty where there is none."""
-    from vamgpu.curethrough.stack import ZipStack
-
     try:
         if isinstance(stack, ZipStack):
             held = any(info.filename == RECORD for info in stack.others)

@@ -1,4 +1,4 @@
-"""Parts that move: the controller's own motor, stages, and steppers that are given pulses."""
+"""Parts that move, the controller's own motor, stages and steppers, and clocks that decide when a frame comes."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.protocols.controller import STEEPEST
-from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Ppm, StagePart
+from vamgpu.hosts.drivers import stepper
+from vamgpu.hosts.drivers.controller_protocol import STEEPEST
+from vamgpu.hosts.drivers.micromanager import MicroManagerStage
+from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
+from vamgpu.hosts.drivers.stepper import GpioIndex
+from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
+from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Part, Ppm, StagePart
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.schema.quantities import Count
 
 
 class ControllerMotion(MotionPart):
     """The motor that the controller steps; rows are triggered by its steps.
 
-    microsteps: of a millimeter or degree.  ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without
-    it as the controller's own firmware does.  tolerance: of the clock that its speed follows [ppm]; frames do not
-    depend on it, as they follow its steps.
+    ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without it as the controller's firmware does.
     """
 
     triggers: ClassVar[bool] = True
@@ -35,8 +38,7 @@ class ControllerMotion(MotionPart):
 class ZaberMotion(StagePart):
     """A stage by Zaber, whose trigger output can fire at every pose.
 
-    port: serial port, or socket://host:port.  microsteps: of a millimeter or degree.  device, axis: its numbers on
-    the line.  encoder: whether one tells where it is; without, it counts its steps.  tolerance: of its clock [ppm].
+    port: serial port, or socket://host:port.  device, axis: its numbers on the line.
     """
 
     triggers: ClassVar[bool] = True
@@ -46,9 +48,6 @@ class ZaberMotion(StagePart):
     axis: Count = 1
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
-        from vamgpu.hosts.drivers.stages import ZaberStage
-
         return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
 
 
@@ -56,33 +55,25 @@ class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
     port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps of a millimeter or degree; each has 256.
-     tolerance: of its clock [ppm].
     """
 
     port: str
     microsteps: Microsteps = 6400.0 / 3.0
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
-        from vamgpu.hosts.drivers.stages import StandaStage
-
         return StandaStage.open(self.port, self.microsteps, unit)
 
 
 class ThorlabsMotion(StagePart):
     """A stage on a motion cube by Thorlabs (K-Cube, T-Cube).
 
-    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.  encoder: whether one tells where it
-    is; a stepper's cube counts its steps.  tolerance: of its clock [ppm].
+    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.
     """
 
     port: str
     microsteps: Microsteps  # type: ignore[assignment]  # no two stages of theirs have the same
 
     def open(self, unit: str) -> Stage:
-        """See `MotionPart`."""
-        from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
-
         return ThorlabsStage.open(self.port, self.microsteps, unit)
 
 
@@ -90,7 +81,6 @@ class MicroManagerMotion(StagePart):
     """A stage that Micro-Manager drives, through pymmcore-plus; it knows places alone, so no print runs on it.
 
     config: its configuration file.  label: of the stage in it.  speed_property: that holds its speed [mm/s].
-     microsteps: units of its positions, a millimeter.  tolerance: of its clock [ppm].
     """
 
     runs: ClassVar[bool] = False
@@ -101,8 +91,6 @@ class MicroManagerMotion(StagePart):
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`. Raises `BadInput` for degrees."""
-        from vamgpu.hosts.drivers.micromanager import MicroManagerStage
-
         if unit != "mm":
             raise BadInput(
                 f"the stage {self.label!r} of Micro-Manager moves in mm, and {unit} are needed: take another"
@@ -113,8 +101,7 @@ class MicroManagerMotion(StagePart):
 class StepperMotion(MotionPart):
     """A stepper that a computer's hardware PWM gives pulses, such as a Raspberry Pi's; nobody measures where it is.
 
-    chip, channel: of the PWM, as in /sys/class/pwm.  microsteps: pulses of a millimeter or degree.  ramp: how fast
-    it changes its speed [mm/s2] or [deg/s2].  tolerance: of the clock of the PWM [ppm].
+    chip, channel: of the PWM, as in /sys/class/pwm.  ramp: how fast it changes its speed [mm/s2] or [deg/s2].
     """
 
     reports: ClassVar[bool] = False
@@ -126,21 +113,30 @@ class StepperMotion(MotionPart):
 
     def open(self, unit: str, pin: int | None = None) -> Stage:
         """See `MotionPart`. pin: that sees its index; None where none does."""
-        from vamgpu.hosts.clock import RealClock
-        from vamgpu.hosts.drivers.gpio import GpioIndex
-        from vamgpu.hosts.drivers.stepper import StepperStage, SysfsPwm
-
         clock = RealClock()
-        pulses = SysfsPwm(self.chip, self.channel)
+        pulses = stepper.SysfsPwm(self.chip, self.channel)
         index = None if pin is None else GpioIndex.open(pin, clock)
-        return StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
+        return stepper.StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
 
 
 class EmulatedMotion(MotionPart):
-    """The motion of a rehearsal.
-
-    microsteps: of a millimeter or degree.  tolerance: of its clock [ppm].
-    """
+    """The motion of a rehearsal."""
 
     emulated: ClassVar[bool] = True
     triggers: ClassVar[bool] = True
+
+
+class ControllerClock(Part):
+    """The controller triggers the mirrors, row by row, by the steps of its own motor."""
+
+
+class StageClock(Part):
+    """The stage's trigger output triggers the mirrors at every pose."""
+
+
+class RefreshClock(Part):
+    """The projector's vertical blanking; the angle that the stage says chooses the frame of every refresh."""
+
+
+class FreeClock(Part):
+    """Nobody: projector and motion each follow a clock of their own, and drift apart."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
-from vamgpu.hosts.exposure import StopRule
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
+from vamgpu.hosts.player.exposure import StopRule
+from vamgpu.hosts.player.rows import steppable
 from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
@@ -23,17 +23,14 @@ from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
 from vamgpu.hosts.rigs.turns import Turning, proved
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.rows import steppable
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable
+from vamgpu.jobs.run import Proven
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.quantity import parse
-
-if TYPE_CHECKING:
-    from vamgpu.jobs.run import Proven
 
 HOUR = 3600.0
 UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # of a speed that is a plain number
@@ -68,9 +65,6 @@ class PrintPlan:
     calibration: MachineCalibration = MachineCalibration()
     dose: GivenDose | None = None
     proven: Proven | None = None
-
-    works: ClassVar[Renamed] = Renamed("jobs")
-    pictures: ClassVar[Renamed] = Renamed("sources")
 
     @property
     def kind(self) -> Kind:

@@ -12,12 +12,12 @@ import numpy as np
 
 from vamgpu.errors import BadInput, TimingInfeasible, WrongDevice
 from vamgpu.geometry import positive
-from vamgpu.hosts.clock import Clock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.memory import PIECE
 from vamgpu.hosts.frames.upload import BUFFERS, guard, length
-from vamgpu.hosts.players.triggered import triggers
+from vamgpu.hosts.player.controller_mirrors import triggers
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, numeric, whole

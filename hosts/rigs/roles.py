@@ -29,10 +29,7 @@ MIRRORS = (1080, 1920)
 
 
 class Part(Section):
-    """A machine, or what stands for one.
-
-    emulated: whether it is one of a rehearsal.
-    """
+    """A machine, or what stands for one. emulated: whether it is one of a rehearsal."""
 
     emulated: ClassVar[bool] = False
 
@@ -62,16 +59,12 @@ class MotionPart(Part):
 
 
 class StagePart(MotionPart):
-    """A stage that says where it is.
-
-    encoder: whether an encoder on its axis tells it.
-    """
+    """A stage that says where it is.  encoder: whether an encoder on its axis tells it; else it counts its steps."""
 
     encoder: bool = False
 
     @property
     def measured(self) -> bool:
-        """See `MotionPart`."""
         return self.encoder
 
 
@@ -98,12 +91,8 @@ class DisplayPart(Part):
 
 
 class MirrorPart(DisplayPart):
-    """Mirrors that show a frame at each trigger.
+    """Mirrors that show a frame at each trigger.  frame_time: the shortest that a frame of 8 bits is shown."""
 
-    frame_time: the shortest that a frame of 8 bits is shown.
-    """
-
-    renamed: ClassVar[dict[str, str]] = {"picture": "frame_time"}
     frame_time: ExposureTime = 1.0 / 266.0
 
 
@@ -166,7 +155,6 @@ class LensPart(Part):
     that of the relays, ``focal`` lengths, in the web's bath.  focal: of the relays.
     """
 
-    renamed: ClassVar[dict[str, str]] = {"told_by": "controlled_by"}
     controlled_by: Literal["controller", "host"] = "controller"
     settle: Time = 0.005
     latency: Time = 0.0
@@ -188,9 +176,6 @@ class LensPart(Part):
 
 
 class FeedbackPart(Part):
-    """A sensor of the motion, the light or the resin.
-
-    sees: which of them.
-    """
+    """A sensor of the motion, the light or the resin. sees: which of them."""
 
     sees: ClassVar[Literal["motion", "resin", "light"]]

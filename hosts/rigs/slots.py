@@ -9,7 +9,7 @@ from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import closest, rising, sla, turned, web
+from vamgpu.hosts.schedules.mirrors import closest, rising, sla, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import DAY, SECOND
 

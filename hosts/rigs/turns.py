@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,24 +15,17 @@ from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.rigs.roles import LightPart
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.jobs.run import Proven, prove
 from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.storage.folder import Folder
 
-if TYPE_CHECKING:
-    from vamgpu.jobs.run import Proven
-
-SLOTS = 10**7
-"""Most frames of a print; more are a slip of the pen."""
-CLOSE = 1e-3
-"""Share of a turn below which frames are not dimmed."""
-MICRO = 1000
-"""Machines light frames for whole microseconds [ns]."""
+SLOTS = 10**7  # Most frames of a print; more are a slip of the pen
+CLOSE = 1e-3  # Share of a turn below which frames are not dimmed
+MICRO = 1000  # Machines light frames for whole microseconds [ns]
 
 
 def proved(jobs: tuple[PrintJob, ...], device: str | Device | None = None) -> Proven | str:
     """The proof of a vial's job, or why nobody knows its exposure. Raises what `prove` raises."""
-    from vamgpu.jobs.run import prove
-
     path = jobs[0].path
     if len(jobs) > 1:
         return f"{len(jobs)} projectors share the dose, and each job is proved by itself"

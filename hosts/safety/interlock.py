@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from vamgpu.errors import BadInput, VamError
 from vamgpu.geometry import positive
-from vamgpu.hosts.clock import Clock
+from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import whole
 
 
@@ -62,11 +62,6 @@ class Budget:
     def spent(self) -> float:
         """Light that has been spent."""
         return self._spent
-
-    @property
-    def left(self) -> float:
-        """Light that is left; never below 0."""
-        return max(0.0, self.limit - self._spent)
 
     def arm(self, limit: float) -> None:
         """Set another limit, for light that is planned anew: at most what was given first. Raises `BadInput`."""

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
 from math import ceil
-
-import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
@@ -31,35 +28,18 @@ PATTERNS = {1: 24, 2: 12, 3: 8, 4: 6, 6: 4, 7: 3, 8: 2}  # bits → frames that 
 
 @dataclass(frozen=True)
 class LensTiming:
-    """A tunable lens and the line that tells it its power.
+    """A tunable lens and the line that tells it its power. Raises `BadInput`."""
 
-    settle: seconds from one focus plane to another, one number for all or a table [from, to], whose diagonal does not
-    count.  frame_bytes, baud: of one command, ten bits a byte.  latency: seconds that the driver thinks.
-    Raises `BadInput`.
-    """
-
-    settle: Number | Sequence[Sequence[Number]] = 5e-3
-    frame_bytes: int = 10
-    baud: int = 38400
-    latency: Number = 0
+    settle: Number = 5e-3  # from one focus plane to another [s]
+    frame_bytes: int = 10  # of one command
+    baud: int = 38400  # ten bits a byte
+    latency: Number = 0  # that the driver thinks [s]
 
     def __post_init__(self) -> None:
         whole("frame_bytes", self.frame_bytes)
         whole("baud", self.baud)
         nanoseconds("latency [s]", self.latency)
-        if self.table.ndim == 2 and self.table.shape[0] != self.table.shape[1]:
-            raise BadInput(f"the table of settling has shape {self.table.shape}; expected as many rows as columns")
-
-    @cached_property
-    def table(self) -> np.ndarray:
-        """Settling [ns], int64 (from, to), or a single number."""
-        if numeric(self.settle):
-            return np.array(nanoseconds("settle [s]", self.settle))
-        rows = [[nanoseconds("settle [s]", value) for value in every("a row of settle", row)]
-                for row in every("settle", self.settle)]  # fmt: skip
-        if len({len(row) for row in rows}) != 1:
-            raise BadInput("the rows of the table of settling differ in length; expected one row and column a plane")
-        return np.array(rows)
+        nanoseconds("settle [s]", self.settle)
 
     @property
     def wire(self) -> int:
@@ -67,42 +47,24 @@ class LensTiming:
         line = Fraction(10 * int(self.frame_bytes) * SECOND, int(self.baud))
         return ceil(line) + nanoseconds("latency [s]", self.latency)
 
-    def settling(self, start: int, end: int) -> int:
-        """Time from one plane to another [ns]; 0 for the same. Raises `BadInput`."""
-        if start == end:
-            return 0
-        if self.table.ndim == 0:
-            return int(self.table)
-        if max(start, end) >= len(self.table):
-            raise BadInput(f"there are {max(start, end) + 1} planes; the table of settling has {len(self.table)}")
-        return int(self.table[start, end])
-
     @property
-    def slowest(self) -> int:
-        """The longest settling [ns]."""
-        return int(self.table.max())
+    def settling(self) -> int:
+        """Time from one plane to another [ns]."""
+        return nanoseconds("settle [s]", self.settle)
 
 
 @dataclass(frozen=True)
 class MirrorTiming:
-    """Mirrors that show a frame at each trigger.
-
-    frame: bits → least seconds that a frame is shown.  pixels: columns, rows.  row_bytes: of a packed row in the
-    mirrors' memory; None for what the columns need.  trigger_delay: seconds from trigger to light, set in the device.
-    greatest_delay: that the device allows [s].  dark: least seconds without light after a frame.  memory: bit planes
-    that fit.  link: bytes a second from the host; None where it was not measured. Raises `BadInput`.
+    """Mirrors that show a frame at each trigger. Raises `BadInput`.
 
     The defaults are 1080p mirrors at 266 Hz and 8 bits; inquire those of a device rather than trusting them.
     """
 
     frame: Mapping[int, Number] = field(default_factory=lambda: {8: 1 / 266, 1: 1 / 17900})
-    pixels: tuple[int, int] = (1920, 1080)
-    row_bytes: int | None = 256
-    trigger_delay: Number = 0
-    greatest_delay: Number = Fraction(130, 1000)
-    dark: Number = 0
-    memory: int = 31069
-    link: Number | None = None
+    pixels: tuple[int, int] = (1920, 1080)  # columns, rows
+    row_bytes: int | None = 256  # of a packed row in their memory; None for what the columns need
+    dark: Number = 0  # least time without light after a frame [s]
+    memory: int = 31069  # bit planes that fit
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", counts("pixels", self.pixels, 2))
@@ -114,21 +76,12 @@ class MirrorTiming:
         if self.row_bytes is not None:
             object.__setattr__(self, "row_bytes", whole("row_bytes", self.row_bytes))
         nanoseconds("dark [s]", self.dark)
-        if self.delay > nanoseconds("greatest_delay [s]", self.greatest_delay):
-            raise BadInput(f"trigger_delay is {self.trigger_delay} s; the device has at most {self.greatest_delay} s")
-        if self.link is not None:
-            exact("link [bytes/s]", self.link)
 
     def least(self, bits: int) -> int:
         """Least time of a frame [ns]. Raises `BadInput` for a bit depth the device does not show."""
         if bits not in self.frame:
             raise BadInput(f"frames have {bits} bits; the device shows {', '.join(map(str, self.frame))}")
         return nanoseconds("frame [s]", self.frame[bits])
-
-    @property
-    def delay(self) -> int:
-        """Time from trigger to light [ns]."""
-        return nanoseconds("trigger_delay [s]", self.trigger_delay)
 
     @property
     def pause(self) -> int:
@@ -143,21 +96,15 @@ class MirrorTiming:
 
 @dataclass(frozen=True)
 class HdmiTiming:
-    """Mirrors that take their frames from a video cable, several in the 24 bits of each video frame.
+    """Mirrors that take their frames from a video cable, several in each video frame. Raises `BadInput`."""
 
-    refresh: video frames a second.  bits: of a frame; 8 gives two a video frame, 7 three, 1 twenty-four.  exposures:
-    least seconds a frame for 1 to 8 bits.  dark: seconds without light in every slot, for instance to fill with
-    black.  latency: video frames from cable to mirrors.  slots: frames of a video frame, where it carries fewer than
-    its bits could: 1 on a projector that shows all colors at once. Raises `BadInput`.
-    """
-
-    refresh: Number = 60
-    bits: int = 8
+    refresh: Number = 60  # video frames a second
+    bits: int = 8  # of a frame; 8 gives two a video frame, 7 three, 1 twenty-four
     exposures: tuple[Number, ...] = (250e-6, 700e-6, 1.6e-3, 1.7e-3, 2e-3, 2.5e-3, 4.5e-3, Fraction(1, 120))
-    dark: Number = 0
-    latency: int = 1
-    pixels: tuple[int, int] = (912, 1140)
-    slots: int | None = None
+    dark: Number = 0  # seconds without light in every slot
+    latency: int = 1  # video frames from cable to mirrors
+    pixels: tuple[int, int] = (912, 1140)  # columns, rows
+    slots: int | None = None  # frames of a video frame, where it carries fewer than its bits could
 
     def __post_init__(self) -> None:
         exact("refresh [1/s]", self.refresh)

@@ -1,8 +1,6 @@
 """The table of a print: when each frame is shown, where, through which focus, how bright and for how long. No I/O.
 
-Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up. A
-slot is told to the lens at ``command``; the mirrors are triggered at ``trigger``, there is light from ``light`` to
-``dark``, and ``on`` of that time it is really on.
+Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up.
 """
 
 from __future__ import annotations
@@ -16,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
+from vamgpu.printing.planes import PlaneTime
 
 NONE = -1  # in place of a time or frame: there is none
 
@@ -43,34 +43,24 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Slots in the order of time, one array each (slots,).
+    """Slots in the order of time, one array each (slots,)."""
 
-    command, trigger, light, dark: times [ns], int64; ``command`` is `NONE` where the lens stays.  on: duration of light
-    in the slot [ns], what dose follows.  frame: number of the frame to show.  pose: of the motion, running on over
-    turns.  plane: focus plane.  position: that the frame is meant for, in ``unit``.  focus: lens power [dpt], NaN
-    without a lens.  power: of the light, 0 to 1, float (slots, engines).
-
-    cadence: of the poses, and so of the motion.  advance: from pose to pose, exact; of measured angles between the
-    nearest two, and the cadence is theirs.  unit: "mm" or "deg".  delay: from
-    trigger to light [ns], the same in every engine; one that is quicker is set to wait.  frames: how many there are.
-    """
-
-    command: np.ndarray
-    trigger: np.ndarray
-    light: np.ndarray
-    dark: np.ndarray
-    on: np.ndarray
-    frame: np.ndarray
-    pose: np.ndarray
-    plane: np.ndarray
-    position: np.ndarray
-    focus: np.ndarray
-    power: np.ndarray
-    cadence: Cadence
-    advance: Fraction
-    unit: str
-    delay: int
-    frames: int
+    command: np.ndarray  # when the lens is told [ns]; `NONE` where it stays
+    trigger: np.ndarray  # of the mirrors [ns]
+    light: np.ndarray  # when there is light [ns]
+    dark: np.ndarray  # when there is none any more [ns]
+    on: np.ndarray  # of that time it is really on, what dose follows [ns]
+    frame: np.ndarray  # number of the frame to show
+    pose: np.ndarray  # of the motion, running on over turns
+    plane: np.ndarray  # focus plane
+    position: np.ndarray  # that the frame is meant for, in ``unit``
+    focus: np.ndarray  # lens power [dpt], NaN without a lens
+    power: np.ndarray  # of the light, 0 to 1, float (slots, engines)
+    cadence: Cadence  # of the poses, and so of the motion
+    advance: Fraction  # from pose to pose, exact; of measured angles between the nearest two
+    unit: str  # "mm" or "deg"
+    delay: int  # from trigger to light [ns], the same in every engine
+    frames: int  # how many there are
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -159,3 +149,21 @@ class Schedule:
     @cached_property
     def _per_nanosecond(self) -> Fraction:
         return self.advance / self.cadence.period
+
+
+def plane_times(schedule: Schedule, bits: int, display: HdmiTiming | None = None) -> tuple[PlaneTime, ...]:
+    """Planes of a frame of a vial, lit one after the other, as shares of its step about the middle of its light."""
+    if schedule.unit != "deg" or int(schedule.plane.max()) > 0:
+        raise BadInput("the schedule moves a web or several focus planes; expected that of a vial with one focus")
+    slot = schedule[0]
+    lit, step = Fraction(slot.dark - slot.light), schedule.cadence.period
+    times = 1 if display is None else max(round(step * display.slot_rate / SECOND), 1)
+    worth = [Fraction(2**bit, 2**bits - 1) for bit in reversed(range(bits))]
+    found = []
+    for number in range(times):
+        begin = lit * number / times - lit / 2
+        for rank, share in enumerate(worth):
+            width = lit / times * share
+            found.append(PlaneTime(bits - 1 - rank, float(begin / step), float(width / step)))
+            begin += width
+    return tuple(found)

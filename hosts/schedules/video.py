@@ -11,7 +11,7 @@ import numpy as np
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.geometry import Turntable
 from vamgpu.hosts.schedules.limits import HdmiTiming, powers
-from vamgpu.hosts.schedules.moving import even_images
+from vamgpu.hosts.schedules.mirrors import even_images
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds, whole
 

@@ -16,11 +16,11 @@ from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import RunFolder
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.operators.projection import Projection

@@ -8,13 +8,13 @@ import numpy as np
 
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
-from vamgpu.hosts.calibrating import axis as axes_of
-from vamgpu.hosts.calibrating import focus as foci
-from vamgpu.hosts.calibrating import gray as grays
-from vamgpu.hosts.calibrating import mtf as mtfs
-from vamgpu.hosts.calibrating.connect import rehearsal
-from vamgpu.hosts.calibrating.machines import CalibrationMachines
-from vamgpu.hosts.calibrating.report import CalibrationResult
+from vamgpu.hosts.calibrate import axis as axes_of
+from vamgpu.hosts.calibrate import focus as foci
+from vamgpu.hosts.calibrate import gray as grays
+from vamgpu.hosts.calibrate import mtf as mtfs
+from vamgpu.hosts.calibrate.connection import rehearsal
+from vamgpu.hosts.calibrate.machines import CalibrationMachines
+from vamgpu.hosts.calibrate.report import CalibrationResult
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.methods.papers import ROLL_TO_ROLL

@@ -22,7 +22,7 @@ from PIL import Image
 import vamgpu
 from vamgpu.errors import BadInput
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.state import Board, Estimated, PrintState
+from vamgpu.hosts.records.state import Board, Estimated, PrintState
 from vamgpu.live.maps import cuts
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading

@@ -16,13 +16,13 @@ import pytest
 from test_planning import vial, web
 
 from vamgpu.errors import VamError
-from vamgpu.hosts.account import LightAccount, account, wanted_light
 from vamgpu.hosts.emulators.screen import LitSlot
-from vamgpu.hosts.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.account import LightAccount, account, wanted_light
+from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, plan, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 RIGS = Path(__file__).parents[2] / "docs" / "rigs"
 NAMES = [path.stem for path in sorted(RIGS.glob("*.toml"))]
@@ -87,7 +87,7 @@ class Life:
 
 def on_its_days(patch: pytest.MonkeyPatch, clock: Any) -> None:
     """The time of day is that of a rig's clock."""
-    for module in ("resume", "record"):
+    for module in ("process.resume", "records.record"):
         patch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: 1e9 + clock.now() * 1e-9))
 
 

@@ -11,17 +11,17 @@ import numpy as np
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.upload import UploadQueue
-from vamgpu.hosts.players import mirrors
-from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, RunRecord, read_run
-from vamgpu.hosts.resume import asked_for, limits
+from vamgpu.hosts.player import mirrors
+from vamgpu.hosts.player.controller_mirrors import PREROLL, TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.process.resume import asked_for, limits
+from vamgpu.hosts.process.versions import planned_versions
+from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.rig import PrintPlan, player, rehearsal
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.mirrors import web
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.state import Board
-from vamgpu.hosts.version_store import planned_versions
 
 if TYPE_CHECKING:
     import pytest

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from vamgpu.errors import ProtocolError
-from vamgpu.hosts.protocols import dlpc350 as p
+from vamgpu.hosts.drivers import dlpc350_protocol as p
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,18 @@ from pathlib import Path
 
 from doubles import White
 
-from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock
-from vamgpu.hosts.players.machines import MirrorMachines
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.machines import MirrorMachines
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import RunFolder
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 
 MICROSTEPS = 100.0
 

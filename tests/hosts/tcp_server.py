@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import socket
 
+from servers import Server
+
 from vamgpu.hosts.emulators.line import Faults, LineDevice
-from vamgpu.hosts.emulators.servers import Server
 
 
 class TcpServer(Server):

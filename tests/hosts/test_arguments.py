@@ -15,16 +15,16 @@ import pytest
 from vamgpu.errors import BadInput, DeviceError, JobError, WrongDevice
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.record import RunFolder
+from vamgpu.hosts.records.record import RunFolder
+from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.rig import check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.rigs.preflight import judged, measure, preflight
 from vamgpu.hosts.safety.interlock import Budget, Lease, OverDose
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming, powers
-from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.mirrors import sla, turned, web
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, exact, nanoseconds, whole
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import Board
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -51,7 +51,7 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         wrong += [(make, right, "engines", (None, 1, (), (None,), "mirrors", HdmiTiming()))]
         wrong += [(make, right, "bits", (None, "8", [8], 8.5)), (make, right, "on", ("1", float("inf"), -1, 0, 1e9))]
     wrong += [
-        (web, WEB, "first", (0.5, None, -1, "0", float("inf"))), (web, WEB, "lens", ("lens", 1)),
+        (web, WEB, "lens", ("lens", 1)),
         (web, WEB, "focus", (None, (1, None), ("a", "b"), (float("nan"), 1.0), 3.0)), (web, WEB, "advance", NUMBERS),
         (turned, TURNED, "turns", COUNTED), (vial, VIAL, "turns", COUNTED), (web, WEB, "poses", (10**14,)),
         (vial, VIAL, "display", (None, MIRRORS)),
@@ -59,10 +59,8 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         (LensTiming, {}, "frame_bytes", COUNTED), (LensTiming, {}, "baud", COUNTED),
         (LensTiming, {}, "latency", NUMBERS),
         (MirrorTiming, {}, "frame", (None, {}, 1, {"8": 1}, {8: None}, {8: 0}, {0.5: 1}, [8])),
-        (MirrorTiming, {}, "dark", NUMBERS), (MirrorTiming, {}, "trigger_delay", NUMBERS),
-        (MirrorTiming, {}, "greatest_delay", NUMBERS), (MirrorTiming, {}, "memory", NUMBERS),
+        (MirrorTiming, {}, "dark", NUMBERS), (MirrorTiming, {}, "memory", NUMBERS),
         (MirrorTiming, {}, "row_bytes", ("1", 0, -1, 0.5)), (MirrorTiming, {}, "pixels", (None, (1,), (0, 1))),
-        (MirrorTiming, {}, "link", ("1", 0, -1, float("inf"))),
         (HdmiTiming, {}, "bits", (None, "8", 5, [8], 7.5, True)), (HdmiTiming, {}, "refresh", (*NUMBERS, 0)),
         (HdmiTiming, {}, "exposures", (None, (), (1e-3,), (None,) * 8, 1e-3)), (HdmiTiming, {}, "dark", NUMBERS),
         (HdmiTiming, {}, "latency", (*NUMBERS, 0.5)), (HdmiTiming, {}, "pixels", (None, (1,), (0, 1), "ab")),

@@ -17,15 +17,15 @@ import pytest
 from doubles import MODEL
 
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-from vamgpu.hosts.operator import print_with_operator
 from vamgpu.hosts.panel.view import refusal
-from vamgpu.hosts.players.machines import senses
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.player.machines import senses
+from vamgpu.hosts.player.operator import print_with_operator
+from vamgpu.hosts.player.run import Print, SafetyLimits
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import Board, PrintState, Snapshot, WrongState
 from vamgpu.hosts.rig import plan, player, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.run import Print, SafetyLimits
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import Board, PrintState, Snapshot, WrongState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -163,7 +163,7 @@ def test_the_print_waits_for_no_frame_that_people_see(job: Attended, monkeypatch
         raise OSError("the disk is gone")
 
     monkeypatch.setattr(job.player, "frame", frame)
-    monkeypatch.setattr("vamgpu.hosts.operator.LEAVE", 0.0)
+    monkeypatch.setattr("vamgpu.hosts.player.operator.LEAVE", 0.0)
     job.at(PrintState.PRINTING, 5, asked.wait)
     assert job.run() is PrintState.COMPLETE
     hangs.set()

@@ -11,9 +11,9 @@ import pytest
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.calibrating import runout as runout_run
-from vamgpu.hosts.calibrating.connect import rehearsal
-from vamgpu.hosts.calibrating.report import keep
+from vamgpu.hosts.calibrate import runout as runout_run
+from vamgpu.hosts.calibrate.connection import rehearsal
+from vamgpu.hosts.calibrate.report import keep
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rig import plan
 from vamgpu.hosts.rigs.calibrations import calibration_of

@@ -12,10 +12,10 @@ import pytest
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
-from vamgpu.hosts.calibrating import flat as flat_run
-from vamgpu.hosts.calibrating import gray as gray_run
-from vamgpu.hosts.calibrating.connect import rehearsal
-from vamgpu.hosts.calibrating.report import CalibrationResult, keep
+from vamgpu.hosts.calibrate import flat as flat_run
+from vamgpu.hosts.calibrate import gray as gray_run
+from vamgpu.hosts.calibrate.connection import rehearsal
+from vamgpu.hosts.calibrate.report import CalibrationResult, keep
 from vamgpu.hosts.emulators.calibration import Optics
 from vamgpu.hosts.rig import plan
 from vamgpu.hosts.rigs.calibrations import KINDS, calibration_of, in_force, taken_of

@@ -9,9 +9,9 @@ import pytest
 from chances import NAMES, RIGHTLY, Life, RigStand, acts, ended
 
 from vamgpu.errors import BadInput
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 30))]
 

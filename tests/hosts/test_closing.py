@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from vamgpu.hosts.drivers.closing import ClosedOnce
+from vamgpu.hosts.drivers.cleanup import ClosedOnce
 
 
 class Machine(ClosedOnce):

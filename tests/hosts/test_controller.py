@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 
 import pytest
+from servers import PtyServer
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
-from vamgpu.hosts.emulators.servers import PtyServer
-from vamgpu.hosts.protocols.controller import ControllerRow
 
 SECOND = 1_000_000_000
 

@@ -13,11 +13,11 @@ from doubles import MIRRORS, MODEL, STEPS, White
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.resume import interrupted
-from vamgpu.hosts.run import Print
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.process.resume import interrupted
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 

@@ -22,32 +22,32 @@ def _array(clock: VirtualClock, **options: object) -> tuple[EmulatedAlp, ctypes.
     return fake, device, shown
 
 
-def _sequence(fake: EmulatedAlp, device: ctypes.c_uint32, bits: int, frames: np.ndarray, packed: bool) -> int:
+def _sequence(fake: EmulatedAlp, device: ctypes.c_uint32, planes: np.ndarray) -> int:
     sequence = ctypes.c_uint32()
     alp = fake.library
-    assert alp.AlpSeqAlloc(device, bits, len(frames), ctypes.byref(sequence)) == 0
-    if packed:
-        assert alp.AlpSeqControl(device, sequence, 2110, 2) == 0
-    assert alp.AlpSeqPut(device, sequence, 0, len(frames), frames.ctypes.data) == 0
+    assert alp.AlpSeqAlloc(device, planes.shape[1], len(planes), ctypes.byref(sequence)) == 0
+    assert alp.AlpSeqPut(device, sequence, 0, len(planes), planes.ctypes.data) == 1005, (
+        "bytes are not what drivers send"
+    )
+    assert alp.AlpSeqControl(device, sequence, 2110, 2) == 0
+    assert alp.AlpSeqPut(device, sequence, 0, len(planes), planes.ctypes.data) == 0
     return sequence.value
 
 
-def test_mirrors_show_bytes_and_packed_planes_alike() -> None:
+def test_mirrors_light_each_plane_for_its_share() -> None:
     levels = np.random.default_rng(1).integers(0, 256, (3, 4, 16), dtype=np.uint8)
     planes = np.stack([np.packbits(levels >> (7 - b) & 1, axis=-1) for b in range(8)], axis=1)
-    for frames, packed in ((levels, False), (np.ascontiguousarray(planes), True)):
-        clock = VirtualClock()
-        fake, device, shown = _array(clock)
-        sequence = _sequence(fake, device, 8, frames, packed)
-        assert fake.library.AlpSeqTiming(device, sequence, 10_000, 12_000, 0, 0, 0) == 0
-        assert fake.library.AlpProjStart(device, sequence) == 0
-        clock.sleep(SECOND)
-        assert [each.starts[0] for each in shown] == [0, 12 * MILLI, 24 * MILLI]
-        for each, wanted in zip(shown, levels, strict=True):
-            light = sum(
-                each.mirrors(plane, 16).astype(float) * (each.ends[plane] - each.starts[plane]) for plane in range(8)
-            )
-            assert np.abs(light / (10 * MILLI) - wanted / 255).max() < 1e-6
+    clock = VirtualClock()
+    fake, device, shown = _array(clock)
+    sequence = _sequence(fake, device, np.ascontiguousarray(planes))
+    assert fake.library.AlpSeqTiming(device, sequence, 10_000, 12_000, 0, 0, 0) == 0
+    assert fake.library.AlpProjStart(device, sequence) == 0
+    clock.sleep(SECOND)
+    assert [each.starts[0] for each in shown] == [0, 12 * MILLI, 24 * MILLI]
+    for each, wanted in zip(shown, levels, strict=True):
+        lit = [end - start for start, end in zip(each.starts, each.ends, strict=True)]
+        light = sum(each.mirrors(plane, 16).astype(float) * lit[plane] for plane in range(8))
+        assert np.abs(light / (10 * MILLI) - wanted / 255).max() < 1e-6
 
 
 def test_memory_limits_and_states_are_the_librarys() -> None:
@@ -71,7 +71,7 @@ def test_triggers_that_come_too_soon_are_missed_and_a_halt_cuts_the_frame() -> N
     fake, device, shown = _array(clock)
     alp = fake.library
     assert alp.AlpProjControl(device, 2300, 2302) == 0 and alp.AlpDevControl(device, 2014, 1) == 0
-    sequence = _sequence(fake, device, 8, np.full((4, 4, 16), 255, np.uint8), False)
+    sequence = _sequence(fake, device, np.full((4, 8, 4, 2), 255, np.uint8))
     assert alp.AlpSeqTiming(device, sequence, 5000, 5000, 0, 0, 1000) == 0
     assert alp.AlpProjStart(device, sequence) == 0
     for at in (0, 3, 10, 20):
@@ -92,7 +92,7 @@ def test_slave_mode_times_out_unless_told_not_to() -> None:
     fake, device, _ = _array(clock)
     alp, state = fake.library, ctypes.c_int32()
     assert alp.AlpProjControl(device, 2300, 2302) == 0
-    sequence = _sequence(fake, device, 1, np.zeros((1, 4, 16), np.uint8), False)
+    sequence = _sequence(fake, device, np.zeros((1, 1, 4, 2), np.uint8))
     assert alp.AlpProjStart(device, sequence) == 0
     clock.sleep(2 * SECOND)
     assert alp.AlpProjInquire(device, 2400, ctypes.byref(state)) == 0 and state.value == 1201

@@ -13,17 +13,17 @@ import pytest
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceLost, JobError, StorageError, WrongDevice
-from vamgpu.hosts import exposure
 from vamgpu.hosts.drivers.camera import CameraDriver
 from vamgpu.hosts.emulators.camera import ResinModel, ResinScene, RunningCamera, Sensor
 from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
-from vamgpu.hosts.players.approach import POLL
-from vamgpu.hosts.players.turning import STEP
-from vamgpu.hosts.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.player import exposure
+from vamgpu.hosts.player.motor import POLL
+from vamgpu.hosts.player.video import STEP
+from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, opened, plan, rehearsal, stopping
 from vamgpu.hosts.rigs.config import EMULATED, RigConfig, parse_rig
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -207,7 +207,7 @@ def test_a_camera_that_fails_ends_the_print_dark(job: Path, tmp_path: Path, pace
 
 
 def test_a_camera_that_hangs_ends_the_print_dark(job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vamgpu.hosts.rig.ScatterWatch", partial(exposure.ScatterWatch, patience=SECOND))
+    monkeypatch.setattr("vamgpu.hosts.process.execution.ScatterWatch", partial(exposure.ScatterWatch, patience=SECOND))
     monkeypatch.setattr(exposure, "LEAVE", 0.05)
     run, emulated = failed(job, tmp_path / "run", 12, True, paced=True)
     assert [to for to, _ in light(run)] == ["on", "off"] and not emulated.controller.light
@@ -240,7 +240,7 @@ def test_a_full_disk_is_the_error_that_is_told(job: Path, tmp_path: Path, monkey
             super().begin()
             self._file = Full()  # type: ignore[assignment]
 
-    monkeypatch.setattr("vamgpu.hosts.rig.ScatterWatch", Filling)
+    monkeypatch.setattr("vamgpu.hosts.process.execution.ScatterWatch", Filling)
     wanted = planned(job)
     emulated, _ = stand(wanted)
     with pytest.raises(StorageError, match="'scatter.csv'"):

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch, TimingInfeasible, VamError, WrongDevice
-from vamgpu.hosts.clock import Clock, RealClock
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
-from vamgpu.hosts.frames.late import Action, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import Action, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.packer import DevicePacker, PlanePacker
 from vamgpu.hosts.frames.upload import FrameMemory, UploadQueue
-from vamgpu.hosts.players.triggered import PREROLL
+from vamgpu.hosts.player.controller_mirrors import PREROLL
 from vamgpu.hosts.rigs.preflight import MARGIN, Residence, fits, measure, preflight
+from vamgpu.hosts.schedules.clock import Clock, RealClock
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.mirrors import web
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

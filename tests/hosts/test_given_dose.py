@@ -16,12 +16,12 @@ import trimesh
 from vamgpu.cli import main
 from vamgpu.cli.print import _begun as begun
 from vamgpu.errors import BadInput, DoseWarning, StorageError
-from vamgpu.hosts.proof import prove_run
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.proof import prove_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, may_go_on, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
-from vamgpu.hosts.rigs.rehearsing import Rehearsal
-from vamgpu.hosts.state import PrintState
+from vamgpu.hosts.rigs.rehearsal import Rehearsal
 from vamgpu.jobs.run import prove
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
@@ -203,7 +203,8 @@ def test_another_dose_is_told_and_never_green(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     record, run, proofs = Recorder(monkeypatch), tmp_path / "run", []
-    monkeypatch.setattr("vamgpu.jobs.run.prove", lambda *given: proofs.append(given) or prove(*given))
+    for place in ("vamgpu.hosts.rigs.turns.prove", "vamgpu.jobs.run.prove"):
+        monkeypatch.setattr(place, lambda *given: proofs.append(given) or prove(*given))
     capsys.readouterr()
     assert printed(part, "emulated", run, "--turns", str(turns), "--speed", "120") == status
     assert len(proofs) == 1, "planning proves the job, and the report takes that proof"

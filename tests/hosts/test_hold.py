@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from doubles import MIRRORS, Scene, late, roll
-from test_spinning import Room
+from test_video import Room
 
 from vamgpu.errors import DeviceError, OriginLost, VamError
-from vamgpu.hosts.account import LightAccount, account, wanted_light
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.operator import attended
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.run import SafetyLimits
+from vamgpu.hosts.player.operator import attended
+from vamgpu.hosts.player.run import SafetyLimits
+from vamgpu.hosts.records.account import LightAccount, account, wanted_light
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 SLOTS = 24
 

@@ -10,13 +10,13 @@ from doubles import MIRRORS, STEPS, Scene, roll
 from test_planning import vial
 
 from vamgpu.hosts.drivers.controller import Index
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.state import PrintState
 
 SLOTS = 24
 PRINTS = {"vial": turned(SLOTS, speed=60, engines=MIRRORS), "web": roll(SLOTS)}

@@ -29,13 +29,13 @@ from hypothesis.stateful import (
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
-from vamgpu.hosts.players.approach import POLL
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.motor import POLL
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
-from vamgpu.hosts.state import PrintState
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 

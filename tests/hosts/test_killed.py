@@ -20,9 +20,9 @@ from typing import Any
 
 import pytest
 
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH
-from vamgpu.hosts.state import PrintState
 
 LANES, KILLS = 4, 26
 PREROLL = 2
@@ -143,7 +143,7 @@ def test_a_killed_host_leaves_no_light(tmp_path: Path) -> None:
         lanes = {str(number): Lane(str(number), tmp_path, hosts.stdin) for number in range(LANES)}
         for lane in lanes.values():
             lane.log.touch()
-            serve = ["-m", "vamgpu.hosts.emulators.controller", "--link", str(tmp_path / lane.name), "--log"]
+            serve = [str(Path(__file__).with_name("servers.py")), "--link", str(tmp_path / lane.name), "--log"]
             controller = subprocess.Popen([sys.executable, *serve, str(lane.log)], env=environment())
             stack.enter_context(controller)
             stack.callback(controller.kill)

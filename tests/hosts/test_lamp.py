@@ -8,7 +8,7 @@ import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound
 from vamgpu.hosts.drivers.lamp import TtlLamp
-from vamgpu.hosts.players.machines import gate
+from vamgpu.hosts.player.machines import gate
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.video import vial
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import pytest
+from servers import PtyServer
 from tcp_server import TcpServer
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
+from vamgpu.hosts.drivers import optotune_protocol as ld4
 from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, LineDevice, plug
-from vamgpu.hosts.emulators.servers import PtyServer
-from vamgpu.hosts.protocols import optotune as ld4
 
 MILLI = 1_000_000
 

@@ -6,8 +6,8 @@ import pytest
 from emulated_lightcrafter import EmulatedLightCrafter, parse_command
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError
+from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
-from vamgpu.hosts.protocols import dlpc350
 
 
 def test_a_command_to_the_byte() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from servers import PtyServer
 
 from vamgpu.errors import DeviceBusy, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers.controller import Controller
@@ -15,12 +16,11 @@ from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.emulators.calibration import EmulatedMeter
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.instruments import EmulatedMeter
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Faults, Outbox, VirtualPort, plug
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 MILLI, SECOND = 1_000_000, 1_000_000_000

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, StorageError
-from vamgpu.hosts import version_store
-from vamgpu.hosts.live import link as linking
-from vamgpu.hosts.live.images import LiveCamera
-from vamgpu.hosts.live.link import LiveLink, LiveOrder
-from vamgpu.hosts.players.player import StatusPoll
-from vamgpu.hosts.realtime.order import PrintOrder
-from vamgpu.hosts.realtime.watch import started
-from vamgpu.hosts.record import RunRecord, read_run
+from vamgpu.hosts.player.player import StatusPoll
+from vamgpu.hosts.process import live_link as linking
+from vamgpu.hosts.process.live_camera import LiveCamera
+from vamgpu.hosts.process.live_link import LiveLink, LiveOrder
+from vamgpu.hosts.process.order import PrintOrder
+from vamgpu.hosts.process.watch import started
+from vamgpu.hosts.records import plans
+from vamgpu.hosts.records.record import RunRecord, read_run
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rig import Rehearsal, carry_out, plan, read_rig, rehearsal
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import Board, PrintState
 
 TURNS, COUNT = 4, 36
 
@@ -87,8 +87,8 @@ def test_a_planning_process_replaces_coming_turns_and_ends_the_print(made: Calla
     assert np.allclose(light.sum(axis=0) * 255 / on, job.levels() + 9.0 + 5.0, atol=0.1), "what the resin saw"
     now = live.board.now
     assert (now.plan, now.stop) == (2, 3) and [each.name for each in now.parameters] == ["sensitivity"]
-    frames = version_store.kept_frames(live.run_path, 2, 0)
-    assert (frames.levels() == 5).all() and version_store.last_kept(live.run_path) == 2
+    frames = plans.kept_frames(live.run_path, 2, 0)
+    assert (frames.levels() == 5).all() and plans.last_kept(live.run_path) == 2
 
 
 def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., Live]) -> None:
@@ -105,7 +105,7 @@ def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., 
     ]  # fmt: skip
     assert len(whys) == len(wanted) and all(part in why for part, why in zip(wanted, whys, strict=True)), whys
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT, "the one that is right was taken"
-    assert version_store.last_kept(live.run_path) == 1, "what is refused is not kept"
+    assert plans.last_kept(live.run_path) == 1, "what is refused is not kept"
     assert not live.board.now.parameters and not live.board.now.maps
 
 
@@ -144,7 +144,7 @@ def test_a_slow_disk_makes_a_version_late_and_a_full_one_refuses_it(
     made: Callable[..., Live], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = made("good")
-    keep, slow = version_store.keep, []
+    keep, slow = plans.keep, []
 
     def hangs(*what: Any) -> None:
         if slow:

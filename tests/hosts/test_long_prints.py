@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import DeviceRefused
-from vamgpu.hosts.account import account
 from vamgpu.hosts.drivers.controller import Encoder
 from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
 from vamgpu.hosts.drivers.memory import MirrorMemory
@@ -20,15 +19,16 @@ from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
-from vamgpu.hosts.record import FRAME_RECORD, FrameRecord, RunFolder, read_run
+from vamgpu.hosts.player.controller_mirrors import PREROLL, TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.account import account
+from vamgpu.hosts.records.record import FRAME_RECORD, FrameRecord, RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rigs.preflight import Judged, Residence, judged, round_again
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.state import PrintState
 
 MODEL = ArrayModel(height=2, width=16)
 MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=2e-3)

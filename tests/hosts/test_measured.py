@@ -8,21 +8,20 @@ from typing import Any
 
 import pytest
 from emulated_lightcrafter import EmulatedLightCrafter
+from servers import PtyServer
 
 from vamgpu.errors import DeviceLost, DeviceNotFound, JobError
 from vamgpu.hosts.drivers import camera, micromanager, projector, stepper
+from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.gpio import GpioIndex
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
-from vamgpu.hosts.drivers.stepper import StepperStage
+from vamgpu.hosts.drivers.stepper import GpioIndex, StepperStage
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.emulators.servers import PtyServer
 from vamgpu.hosts.emulators.stage import EmulatedStage
-from vamgpu.hosts.players.machines import MirrorMachines, VideoMachines
-from vamgpu.hosts.protocols import dlpc350
+from vamgpu.hosts.player.machines import MirrorMachines, VideoMachines
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
-from vamgpu.hosts.rigs.connect import close, opened
+from vamgpu.hosts.rigs.connection import close, opened
 from vamgpu.hosts.rigs.displays import AlpDisplay
 from vamgpu.hosts.rigs.guarantees import guarantees
 

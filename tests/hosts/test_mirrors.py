@@ -19,6 +19,7 @@ from vamgpu.errors import (
 )
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.dmd import Dmd, SlotTiming
 from vamgpu.hosts.drivers.lens import LensDriver
 from vamgpu.hosts.drivers.memory import MirrorMemory
@@ -29,7 +30,6 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import Cable, Faults, LineDevice, plug
-from vamgpu.hosts.protocols.controller import ControllerRow
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 
@@ -57,7 +57,7 @@ def test_two_sequences_stream_more_than_fits_one_a_trigger() -> None:
     with pytest.raises(OutOfMemory, match="296 planes, and 64 are free"):
         dmd.sequence(37, 8)
     stream = MirrorMemory(dmd, 4, 8, SlotTiming(5000, 5000))
-    assert dmd.free_planes() == 0 and stream.limits().on_us == 5000
+    assert dmd.free_planes() == 0 and stream._all[0].sequence.limits().on_us == 5000
     put = 0
     for trigger in range(37):
         while put < 37 and stream.room():

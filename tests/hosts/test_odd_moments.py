@@ -14,20 +14,20 @@ import pytest
 from doubles import MIRRORS, STEPS, Scene, White, late, roll
 
 from vamgpu.errors import BadInput, DeviceLost
-from vamgpu.hosts.clock import TimedQuery
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.frames.late import WebLatePolicy
-from vamgpu.hosts.players.approach import Origin
-from vamgpu.hosts.players.triggered import PREROLL, TriggeredPlayer
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.resume import interrupted
-from vamgpu.hosts.run import SafetyLimits
+from vamgpu.hosts.frames.lateness import WebLatePolicy
+from vamgpu.hosts.player.controller_mirrors import PREROLL, TriggeredPlayer
+from vamgpu.hosts.player.motor import Origin
+from vamgpu.hosts.player.run import SafetyLimits
+from vamgpu.hosts.process.resume import interrupted
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.schedules.clock import TimedQuery
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 QUICK = MirrorTiming(pixels=(16, 2), row_bytes=2, frame={8: 1e-3}, dark=1e-3)
 
@@ -309,7 +309,7 @@ def test_a_clock_that_was_set_back_is_told(run: Path, monkeypatch: pytest.Monkey
     scene = Scene(run, roll())
     scene.paused()
     now = time.time()
-    monkeypatch.setattr("vamgpu.hosts.resume.time", SimpleNamespace(time=lambda: now - 3600))
+    monkeypatch.setattr("vamgpu.hosts.process.resume.time", SimpleNamespace(time=lambda: now - 3600))
     with pytest.raises(BadInput, match="ahead of this host's clock"):
         interrupted(run, scene.machines.controller, roll())
 

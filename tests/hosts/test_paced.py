@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import Underrun
-from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.run import Print, SafetyLimits
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print, SafetyLimits
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import web
+from vamgpu.hosts.schedules.mirrors import web
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 MODEL = ArrayModel(height=2, width=16)
 MIRRORS = MirrorTiming(pixels=(16, 2), row_bytes=2, dark=4e-3)

@@ -23,8 +23,8 @@ from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.panel import Panel, auth, view
 from vamgpu.hosts.panel import server as panels
 from vamgpu.hosts.panel.routes import LONGEST, RateLimit
-from vamgpu.hosts.record import RunFolder
-from vamgpu.hosts.state import Board, Estimated, PrintState, StateChange
+from vamgpu.hosts.records.record import RunFolder
+from vamgpu.hosts.records.state import Board, Estimated, PrintState, StateChange
 from vamgpu.printing.scatter import ScatterReading
 
 

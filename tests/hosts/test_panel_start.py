@@ -12,7 +12,7 @@ import uvicorn
 from vamgpu.errors import DeviceError
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.panel import server as panels
-from vamgpu.hosts.state import Board
+from vamgpu.hosts.records.state import Board
 
 
 def refused(why: str) -> None:

@@ -19,10 +19,10 @@ from test_planning import vial, web
 
 from vamgpu.errors import VamError
 from vamgpu.hosts.panel import Panel
+from vamgpu.hosts.records.state import Board, PrintState, Snapshot
 from vamgpu.hosts.rig import carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.planning import PrintPlan
-from vamgpu.hosts.state import Board, PrintState, Snapshot
 
 pytestmark = pytest.mark.slow
 WIDTHS = {"desk": (1100, 760), "phone": (390, 844)}

@@ -20,8 +20,8 @@ import needs
 import numpy as np
 import pytest
 
-from vamgpu.hosts.record import read_run
-from vamgpu.hosts.state import PrintState
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -29,7 +29,7 @@ from vamgpu.printing.gray import GrayCurve
 HOST = """
     import json, sys
     from vamgpu.hosts.panel import server as panels
-    from vamgpu.hosts.state import Board
+    from vamgpu.hosts.records.state import Board
     from vamgpu.hosts.rig import carry_out, plan, rehearsal
     from vamgpu.hosts.rigs.config import read_rig
 

@@ -11,8 +11,8 @@ from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.drivers.stepper import StepperStage, SysfsPwm
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.emulators.pulses import EmulatedStepper
 from vamgpu.hosts.emulators.rigs import EmulatedLine
+from vamgpu.hosts.emulators.stage import EmulatedStepper
 
 SECOND = 1_000_000_000
 
@@ -25,7 +25,7 @@ def stepper(off: float = 0.0, indexed: bool = False) -> tuple[VirtualClock, Emul
 
 def test_a_stepper_counts_its_pulses() -> None:
     clock, motor, stage = stepper(off=100.0)
-    assert isinstance(stage, Stage) and not stage.measured
+    assert isinstance(stage, Stage)
     stage.run(40.0)
     assert clock.now() == pytest.approx(SECOND, rel=0.02), "a second of ramp"
     clock.sleep(100 * SECOND)

@@ -16,15 +16,15 @@ from vamgpu.curethrough.output import RECORD
 from vamgpu.errors import BadInput, JobError, SliceError, StorageError, TimingInfeasible, VamError
 from vamgpu.hosts.frames.packer import DevicePacker, packer
 from vamgpu.hosts.frames.sources import MirrorArray, WebFrames
-from vamgpu.hosts.players.turning import STEP
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.player.video import STEP
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import Rehearsal, carry_out, player, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.rigs.planning import PrintPlan, plan
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks
@@ -154,8 +154,6 @@ def test_a_lens_that_the_host_controls_has_one_focus(tmp_path: Path) -> None:
     planned = plan(web(tmp_path / "one.vam", None), told, speed=0.8)
     bare = plan(tmp_path / "one.vam", parse_rig(ALP), speed=0.8)
     assert len(planned.focus) <= 1 and (planned.schedule.on == bare.schedule.on).all(), "no time for its settling"
-    with pytest.warns(FutureWarning, match="the key told_by is called controlled_by now"):
-        assert parse_rig(ALP + LENS + 'told_by = "host"\n').setup == told.setup
 
 
 class Shifted:

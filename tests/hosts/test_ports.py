@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from servers import PtyServer
 from tcp_server import TcpServer
 
 import vamgpu
@@ -22,7 +23,6 @@ from vamgpu.hosts.drivers.stages import StandaStage, ZaberStage
 from vamgpu.hosts.drivers.wire import open_wire
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
-from vamgpu.hosts.emulators.servers import PtyServer
 
 
 def test_a_missing_machine_is_an_error_that_says_what_to_check() -> None:

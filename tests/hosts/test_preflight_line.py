@@ -11,11 +11,11 @@ import pytest
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.players.triggered import PREROLL
+from vamgpu.hosts.player.controller_mirrors import PREROLL
 from vamgpu.hosts.rig import check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.preflight import MARGIN, Residence, answered, preflight
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames

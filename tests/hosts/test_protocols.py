@@ -13,14 +13,15 @@ from hypothesis import strategies as st
 
 from vamgpu import hosts
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
+from vamgpu.hosts.drivers import controller_protocol as controller
+from vamgpu.hosts.drivers import optotune_protocol as ld4
 from vamgpu.hosts.drivers import projector as slots
+from vamgpu.hosts.drivers import zaber_protocol as zaber
+from vamgpu.hosts.drivers.optotune_protocol import crc16_arc
+from vamgpu.hosts.drivers.zaber_protocol import lrc
 from vamgpu.hosts.emulators import controller as emulated
 from vamgpu.hosts.emulators.controller import RANGES, EmulatedController
 from vamgpu.hosts.emulators.lens import LENGTHS
-from vamgpu.hosts.protocols import controller, zaber
-from vamgpu.hosts.protocols import optotune as ld4
-from vamgpu.hosts.protocols.optotune import crc16_arc
-from vamgpu.hosts.protocols.zaber import lrc
 
 REQUESTS = [
     (ld4.FIRMWARE_TYPE, "48 00 36"),
@@ -172,10 +173,10 @@ def test_slots_keep_frames_apart_and_levels_in_place() -> None:
 
 
 def test_protocol_emulator_and_sketch_know_the_same_verbs() -> None:
-    table = "\n" + (controller.__doc__ or "").split("=\n", 2)[2].split("\n=====")[0]
-    verbs = set(re.findall(r"\n([a-z]+) ", table))
-    files = sorted((Path(hosts.__file__).parent / "firmware" / "controller").iterdir())
-    sketch = "".join(file.read_text(encoding="utf-8") for file in files)
+    folder = Path(hosts.__file__).parent / "firmware" / "controller"
+    page = (folder / "PROTOCOL.md").read_text(encoding="utf-8")
+    verbs = set(re.findall(r"\n\| ([a-z]+) \|", page.partition("|---|")[2]))
+    sketch = "".join(file.read_text(encoding="utf-8") for file in sorted(folder.glob("*.[hi]*")))
     assert len(verbs) == 18
     counts = {verb: int(words) for verb, words in re.findall(r'\{"(\w+)", (\d)\}', sketch)}
     assert verbs == set(counts) and counts == {"mode": 1} | {verb: len(each) for verb, each in RANGES.items()}

@@ -15,13 +15,12 @@ from vamgpu.cli.print import _place as place_of
 from vamgpu.cli.print import _status as status_of
 from vamgpu.errors import BadInput, DeviceError, StorageError
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.proof import _jobs as jobs_of
-from vamgpu.hosts.proof import prove_run
-from vamgpu.hosts.record import RunRecord, read_run
-from vamgpu.hosts.resume import digest
-from vamgpu.hosts.rigs.rehearsing import Rehearsal, rehearsal
+from vamgpu.hosts.records.proof import _jobs as jobs_of
+from vamgpu.hosts.records.proof import prove_run
+from vamgpu.hosts.records.record import RunRecord, digest, read_run
+from vamgpu.hosts.records.state import Board, PrintState
+from vamgpu.hosts.rigs.rehearsal import Rehearsal, rehearsal
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import Board, PrintState
 
 PART = """
 [target]

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from vamgpu.errors import StorageError
-from vamgpu.hosts.record import RESERVE, FrameRecord, RunFolder, read_run, timing
-from vamgpu.hosts.state import PrintState, PrintStates, StateChange
+from vamgpu.hosts.records.record import RESERVE, FrameRecord, RunFolder, read_run, timing
+from vamgpu.hosts.records.state import PrintState, PrintStates, StateChange
 
 RIG = 'name = "lab"\n'
 
@@ -92,7 +92,7 @@ def test_a_full_disk_still_learns_how_the_print_ended(
 def test_a_killed_host_loses_no_frame(tmp_path: Path) -> None:
     script = """
         import sys
-        from vamgpu.hosts.record import RESERVE, FrameRecord, RunFolder
+        from vamgpu.hosts.records.record import RESERVE, FrameRecord, RunFolder
         folder = RunFolder.begin(sys.argv[1], {}, "")
         for number in range(10**9):
             folder.shown(FrameRecord(number, number, 0, 0, 1))

@@ -15,16 +15,16 @@ from doubles import LAB
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, TimingInfeasible
-from vamgpu.hosts.players.triggered import PREROLL
-from vamgpu.hosts.protocols.controller import ControllerRow
-from vamgpu.hosts.record import FrameRecord, RunFolder, read_run
-from vamgpu.hosts.resume import asked_for, left_by_a_host
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
+from vamgpu.hosts.player.controller_mirrors import PREROLL
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.process.resume import asked_for, left_by_a_host
+from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
-from vamgpu.hosts.run import Print
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
 
 
 def planned(job: Path, *settings: str) -> PrintPlan:
@@ -129,7 +129,7 @@ def test_a_refusal_forgets_nothing(job: Path, tmp_path: Path, monkeypatch: pytes
     for _ in range(2):
         stand.emulated.alps[0].disconnect()
         with monkeypatch.context() as patch, pytest.raises(TimingInfeasible, match="too slow"):
-            patch.setattr("vamgpu.hosts.rig.judged", too_slow)
+            patch.setattr("vamgpu.hosts.process.execution.judged", too_slow)
             check(wanted, again(stand, wanted))
     assert stand.emulated.controller.shown == shown
     stand.emulated.alps[0].disconnect()
@@ -237,7 +237,7 @@ def test_a_clock_that_was_set_back_in_the_light_hides_no_rest(
     job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted, path, real, ahead = planned(job), tmp_path / "run", time.time, [3600.0]
-    for module in ("resume", "record"):
+    for module in ("process.resume", "records.record"):
         monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + ahead[0]))
     stand, old = begun(wanted, path, 6)
     ahead[0] = 0.0
@@ -258,7 +258,7 @@ def test_black_before_the_first_slot_is_no_light_after_a_pause(
 ) -> None:
     """The second host dies in its black frames; the controller shows more until the lease is over."""
     wanted, path, real, later = planned(job, "safety.lease=1 s"), tmp_path / "run", time.time, [0.0]
-    for module in ("resume", "record"):
+    for module in ("process.resume", "records.record"):
         monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + later[0]))
     stand, machines = died(wanted, path)
     later[0] = 20.0
@@ -283,7 +283,7 @@ def test_a_pause_is_counted_over_several_hosts(job: Path, tmp_path: Path, monkey
     """The second host dies before its light; the dark began with the first."""
     wanted, path, later = planned(job), tmp_path / "run", [0.0]
     real = time.time
-    for module in ("resume", "record"):
+    for module in ("process.resume", "records.record"):
         monkeypatch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: real() + later[0]))
     stand, machines = died(wanted, path)
     later[0] = 20.0
@@ -332,7 +332,7 @@ def test_the_command_asks_before_it_opens_machines(
 ) -> None:
     carry_out(planned(job), rehearsal(planned(job)).machines, tmp_path / "run")
     opened: list[int] = []
-    monkeypatch.setattr("vamgpu.hosts.rig.opened", lambda *_, **__: opened.append(1))
+    monkeypatch.setattr("vamgpu.hosts.process.watch.started", lambda *_, **__: opened.append(1))
     rig = tmp_path / "lab.toml"
     rig.write_text(LAB)
     assert main(["print", str(job), "--rig", str(rig), "--resume", str(tmp_path / "run")]) == 1

@@ -12,11 +12,11 @@ from doubles import LAB
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceNotFound, JobError, StorageError, TimingInfeasible
 from vamgpu.hosts.frames.sources import MirrorArray
-from vamgpu.hosts.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rig import PrintPlan, carry_out, opened, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig, read_rig
-from vamgpu.hosts.run import Print
-from vamgpu.hosts.state import Board, PrintState
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
@@ -158,7 +158,7 @@ def test_a_print_that_was_stopped_has_the_status_of_a_command_that_was(
         board.stop("pressed")
         return carry_out(wanted, machines, folder, board, *rest, **named)
 
-    monkeypatch.setattr("vamgpu.hosts.realtime.printing.carry_out", pressed)
+    monkeypatch.setattr("vamgpu.hosts.process.order.carry_out", pressed)
     assert main(["print", str(job), "--rig", "emulated", "--turns", "1", "--out", str(tmp_path / "run")]) == 130
     assert "cancelled: 0 frames" in capsys.readouterr().out
     assert read_run(tmp_path / "run").message == "pressed"

@@ -12,11 +12,11 @@ from test_planning import Shifted, vial, web
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, DeviceError, TimingInfeasible
-from vamgpu.hosts.record import read_run
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
-from vamgpu.hosts.state import PrintState
 
 RIGS = Path(__file__).parents[2] / "docs" / "rigs"
 IMAGES = 60

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,10 @@ import pytest
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
-from vamgpu.hosts.rigs.displays import AlpDisplay
 from vamgpu.hosts.rigs.guarantees import accepted, driver_of, guarantees
-from vamgpu.hosts.rigs.motions import ControllerMotion
-from vamgpu.hosts.state import PrintState
 from vamgpu.jobs.keys import keys_of, reference
 from vamgpu.schema import registry
 
@@ -102,57 +99,19 @@ def test_poses_must_be_whole_microsteps(job: Path) -> None:
         plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True, turns=1)
 
 
-OLD = """
-[rig]
-name = "old"
-machine = "vial"
-[controller]
-driver = "vam-controller"
-port = "/dev/ttyACM0"
-microsteps = 80.0
-ramp = 30.0
-[projector]
-driver = "alp"
-library = "libalp.so"
-picture = "5 ms"
-[camera]
-driver = "genicam"
-producer = "x.cti"
-[photodiode]
-driver = "scpi"
-port = "/dev/usbtmc0"
-"""
+@pytest.mark.parametrize(
+    ("old", "new"), [("projector", "display"), ("stage", "motion"), ("camera", "feedback"), ("photodiode", "feedback")]
+)
+def test_tables_of_the_version_before_are_refused_with_todays(old: str, new: str) -> None:
+    with pytest.raises(JobError, match=rf"\[{old}\] is a table of version 0.2; expected \[{new}\]"):
+        parse_rig(HEAD + BOX + ALP + f'[{old}]\ndriver = "x"\n')
 
 
-def test_old_spellings_are_read_and_warned_of() -> None:
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        setup = parse_rig(OLD).setup
-    said = " ".join(str(one.message) for one in told)
-    for old, new in (("[controller] microsteps", "[motion]"), ("[projector]", "[display]"), ("picture", "frame_time"),
-                     ("[camera]", '[[feedback]] with driver = "camera"'), ("[photodiode]", "power meter")):  # fmt: skip
-        assert old in said and new in said
-    motion, display = setup.motion, setup.display[0]
-    assert isinstance(motion, ControllerMotion) and isinstance(display, AlpDisplay)
-    assert (motion.microsteps, motion.ramp, display.frame_time) == (80.0, 30.0, 0.005)
-    assert setup.camera is not None and setup.photodiode is not None and driver_of(setup.light) == "controller"
-    cable = OLD[: OLD.index("[camera]")].replace("alp", "hdmi").split("library")[0] + '[stage]\ndriver = "standa"\n'
-    with pytest.warns(FutureWarning, match=r"\[stage\]"):
-        setup = parse_rig(cable.replace("microsteps = 80.0\nramp = 30.0\n", "") + 'port = "x"\nsteps = 9.0\n').setup
-    assert (driver_of(setup.motion), setup.motion.microsteps, driver_of(setup.clock)) == ("standa", 9.0, "vblank")
-    with pytest.warns(DeprecationWarning, match="setup"):
-        assert parse_rig(HEAD + BOX + ALP).wanted.rig.name == "lab"
-
-
-@pytest.mark.filterwarnings("ignore::FutureWarning")
-def test_wrong_values_in_old_spellings_are_named_by_their_line() -> None:
-    line = 1 + OLD[: OLD.index("ramp")].count("\n")
-    with pytest.raises(JobError, match=rf"line {line}: motion.ramp"):
-        parse_rig(OLD.replace("ramp = 30.0", "ramp = -1.0"))
-    with pytest.raises(JobError, match="--set: motion.microsteps"):
-        parse_rig(OLD, ["controller.microsteps=-3"])
-    new = HEAD + BOX + MOTOR + ALP
-    assert parse_rig(new, ["controller.microsteps=160.0"]).setup.motion.microsteps == 160.0
+def test_parts_that_are_left_out_are_those_that_the_others_suggest() -> None:
+    setup = parse_rig(HEAD + BOX + ALP).setup
+    assert [driver_of(part) for part in (setup.motion, setup.light, setup.clock)] == ["controller"] * 3
+    setup = rig(ZABER, ALP).setup
+    assert [driver_of(part) for part in (setup.light, setup.clock)] == ["display", "stage"]
 
 
 def test_the_command_tells_roles_and_guarantees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

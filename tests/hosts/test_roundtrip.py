@@ -12,13 +12,13 @@ from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray, VialFrames, WebFrames
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.record import RunFolder, read_run
-from vamgpu.hosts.run import Print
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
-from vamgpu.hosts.state import PrintState
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.web import WebProjection
 from vamgpu.optics.film import Film

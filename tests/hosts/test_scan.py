@@ -11,12 +11,12 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput, TimingInfeasible
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, plan, read_rig, rehearsal
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.hosts.schedules.video import vial
-from vamgpu.hosts.state import PrintState
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.units import deg
 
@@ -31,12 +31,12 @@ def test_frames_are_lit_from_their_angles(motion: vam.Turntable) -> None:
     degrees = np.degrees(motion.poses) - np.floor(np.degrees(motion.poses[0]) / 360) * 360
     assert schedule.position == pytest.approx(np.concatenate([degrees + 360 * turn for turn in range(3)]))
     assert schedule.speed == 40 and len(schedule) == 3 * motion.angles == 3 * schedule.frames
-    at = [float(schedule.position_at(int(time) - schedule.delay)) for time in schedule.light]
+    at = [float(schedule.position_at(int(time))) for time in schedule.light]
     assert at == pytest.approx(schedule.position, abs=1e-6), "where the vial is when light begins"
     assert (np.diff(schedule.light) > 0).all() and (schedule.on == schedule.on[0]).all()
     assert (schedule.light[1:] >= schedule.dark[:-1] + TIMING.pause).all()
     assert schedule.gap == pytest.approx(float(min(np.diff(degrees).min(), 360 - np.ptp(degrees))) / 40 * SECOND, abs=2)
-    assert schedule.on[0] == pytest.approx(schedule.gap - TIMING.pause - TIMING.delay, abs=2)
+    assert schedule.on[0] == pytest.approx(schedule.gap - TIMING.pause, abs=2)
     assert np.array_equal(schedule.frame, np.tile(np.arange(motion.angles), 3))
 
 

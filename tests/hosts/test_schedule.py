@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vamgpu.errors import BadInput, TimingInfeasible
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import sla, turned, web
+from vamgpu.hosts.schedules.mirrors import sla, turned, web
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
 from vamgpu.hosts.schedules.video import vial
@@ -32,19 +32,18 @@ milliseconds = st.integers(0, 20_000).map(lambda count: count * 1e-6)
 def webs(draw: st.DrawFn) -> tuple[Schedule, LensTiming, MirrorTiming]:
     """A web at a speed that is some share of the greatest."""
     planes = draw(st.integers(1, 4))
-    settle = draw(st.lists(st.lists(milliseconds, min_size=planes, max_size=planes), min_size=planes, max_size=planes))
-    lens = LensTiming(settle=settle, baud=draw(st.sampled_from([9600, 38400, 115200])), latency=draw(milliseconds))
-    mirrors = MirrorTiming(
-        frame={8: draw(st.integers(50, 9000)) * 1e-6}, trigger_delay=draw(milliseconds), dark=draw(milliseconds)
+    lens = LensTiming(
+        settle=draw(milliseconds), baud=draw(st.sampled_from([9600, 38400, 115200])), latency=draw(milliseconds)
     )
+    mirrors = MirrorTiming(frame={8: draw(st.integers(50, 9000)) * 1e-6}, dark=draw(milliseconds))
 
     def built(speed: float) -> Schedule:
         return web(
             draw_poses, advance=POSE, speed=speed, engines=mirrors, lens=lens, focus=tuple(range(planes)),
-            turning=turning, first=first,
+            turning=turning,
         )  # fmt: skip
 
-    draw_poses, turning, first = draw(st.integers(1, 40)), draw(st.booleans()), draw(st.integers(0, 10**6))
+    draw_poses, turning = draw(st.integers(1, 40)), draw(st.booleans())
     return built(draw(st.floats(0.05, 1.0)) * greatest(built)), lens, mirrors
 
 
@@ -61,11 +60,10 @@ def test_a_web_shows_every_frame_once_in_its_own_time(case: tuple[Schedule, Lens
     schedule, lens, mirrors = case
     assert (np.diff(schedule.light) > 0).all() and (schedule.command[0] == NONE or schedule.command[0] >= 0)
     assert (schedule.on > 0).all() and (schedule.dark - schedule.light == schedule.on).all()
-    assert (schedule.light - schedule.trigger == mirrors.delay).all()
+    assert (schedule.light == schedule.trigger).all()
     assert (schedule.trigger[1:] >= schedule.dark[:-1] + mirrors.pause).all()  # no trigger into a frame
     assert (np.diff(schedule.light) >= mirrors.least(8)).all()
-    first = schedule.frame.min()
-    assert np.array_equal(np.sort(schedule.frame), first + np.arange(len(schedule)))
+    assert np.array_equal(np.sort(schedule.frame), np.arange(len(schedule)))
     begins = np.array([schedule.cadence.at(int(pose)) for pose in schedule.pose])
     assert (schedule.light >= begins).all()
     assert (schedule.dark <= begins + schedule.cadence.period).all()  # a pose's light while the web is at the pose
@@ -77,25 +75,22 @@ def test_the_lens_rests_on_the_plane_before_there_is_light(case: tuple[Schedule,
     schedule, lens, _ = case
     if np.isnan(schedule.focus[0]):
         return
-    assert schedule.command[0] + lens.wire + lens.slowest <= schedule.light[0]
+    assert schedule.command[0] + lens.wire + lens.settling <= schedule.light[0]
     for before, slot in zip(schedule.window(0, len(schedule) - 1), schedule.window(1, len(schedule)), strict=True):
         if slot.command == NONE:
             assert slot.plane == before.plane and slot.focus == before.focus
             continue
         assert slot.command >= before.dark  # the lens stays while there is light
-        assert slot.command + lens.wire + lens.settling(before.plane, slot.plane) <= slot.light
+        assert slot.command + lens.wire + lens.settling <= slot.light
         assert slot.trigger >= slot.command + lens.wire  # the pulse comes after the last bit
 
 
 @given(
-    planes=st.integers(1, 4), settle=milliseconds, delay=milliseconds, share=st.integers(1, 10**6), on=st.booleans(),
-    link=st.sampled_from([None, 20e6, 300e6]), turning=st.booleans(),
+    planes=st.integers(1, 4), settle=milliseconds, share=st.integers(1, 10**6), on=st.booleans(), turning=st.booleans(),
 )  # fmt: skip
 @settings(max_examples=100, deadline=None)
-def test_the_greatest_speed_is_the_greatest(
-    planes: int, settle: float, delay: float, share: int, on: bool, link: float | None, turning: bool
-) -> None:
-    mirrors = MirrorTiming(trigger_delay=delay, link=link)
+def test_the_greatest_speed_is_the_greatest(planes: int, settle: float, share: int, on: bool, turning: bool) -> None:
+    mirrors = MirrorTiming()
 
     def built(speed: float) -> Schedule:
         return web(
@@ -156,18 +151,14 @@ def test_a_web_agrees_with_the_limits_of_its_machine(turning: bool) -> None:
 
 def test_the_error_names_what_binds() -> None:
     def refused(**changes: object) -> TimingInfeasible:
-        mirrors = MirrorTiming(link=changes.pop("link", None))  # pyright: ignore[reportArgumentType]
         with pytest.raises(TimingInfeasible, match="mm/s") as error:
-            web(9, advance=POSE, speed=8, engines=mirrors, focus=(5.0, 6.0), **changes)  # pyright: ignore
+            web(9, advance=POSE, speed=8, engines=MirrorTiming(), focus=(5.0, 6.0), **changes)  # pyright: ignore
         return error.value
 
     assert refused(lens=LensTiming(15e-3)).limit == "lens"
     assert refused(lens=LensTiming(0, baud=4800)).limit == "serial line"
     assert refused(lens=LensTiming(0)).limit == "mirrors"
     assert refused(lens=LensTiming(0), on=9e-3).limit == "light"
-    slow = refused(lens=LensTiming(0), link=40e6)
-    assert slow.limit == "data link" and slow.unit == "mm/s"
-    assert slow.speed == pytest.approx(POSE * 40e6 / (2 * 8 * 1080 * 256), rel=1e-6)
 
 
 def video_frames(schedule: Schedule, display: HdmiTiming) -> np.ndarray:
@@ -220,13 +211,13 @@ def test_seven_bits_give_three_images_a_video_frame() -> None:
 
 
 def test_two_engines_wait_for_the_slower() -> None:
-    fast, slow = MirrorTiming(trigger_delay=1e-4), MirrorTiming({8: 1 / 120}, trigger_delay=1e-3, dark=1e-3)
+    fast, slow = MirrorTiming(), MirrorTiming({8: 1 / 120}, dark=1e-3)
     schedule = turned(720, speed=30, engines=(fast, slow), power=(0.5, 1.0), turns=3)
     assert schedule.power.tolist()[0] == [0.5, 1.0] and schedule.frames == 720 and len(schedule) == 2160
-    assert (schedule.light - schedule.trigger == slow.delay).all() and schedule.unit == "deg"
-    assert (schedule.dark + slow.pause <= schedule.light[0] + np.arange(1, 2161) * (SECOND // 60)).all()
+    assert (schedule.light == schedule.trigger).all() and schedule.unit == "deg"
+    assert (schedule.dark[:-1] + slow.pause <= schedule.light[1:]).all()
     most = greatest(lambda speed: turned(720, speed=speed, engines=(fast, slow)))
-    assert most == pytest.approx(0.5 / (1 / 120 + 1e-3 + 1e-3)), "light, the pause and the delay"
+    assert most == pytest.approx(0.5 / (1 / 120 + 1e-3)), "light and the pause"
 
 
 def test_continuous_sla_shows_a_slice_every_pitch() -> None:
@@ -245,11 +236,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         web(3, advance=1, speed=1, engines=MirrorTiming(), focus=(1.0, 2.0))
     with pytest.raises(BadInput, match="speed"):
         web(3, advance=1, speed=float("nan"), engines=MirrorTiming())
-    with pytest.raises(BadInput, match="3 planes"):
-        web(3, advance=1, speed=1, engines=MirrorTiming(), lens=LensTiming([[0, 0], [0, 0]]), focus=range(5))
     with pytest.raises(BadInput, match="shows 8, 1"):
         web(3, advance=1, speed=1, engines=MirrorTiming(), bits=4)
     with pytest.raises(BadInput, match="2 engines and 1 powers"):
         sla(3, pitch=1, speed=1, engines=(MirrorTiming(), MirrorTiming()), power=(1.0,))
-    with pytest.raises(BadInput, match="at most"):
-        MirrorTiming(trigger_delay=0.2)

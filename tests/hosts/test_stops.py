@@ -14,13 +14,13 @@ import pytest
 from doubles import MIRRORS, Scene, late, roll
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.players.triggered import PREROLL
-from vamgpu.hosts.record import RunFolder, read_run
+from vamgpu.hosts.player.controller_mirrors import PREROLL
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import Board, PrintState, WrongState
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.limits import LensTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import Board, PrintState, WrongState
 
 
 def test_a_stop_in_a_pause_is_not_forgotten(run: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_full_disk_still_learns_how_the_print_ended(run: Path, monkeypatch: py
         scene.print.begin(0)
         scene.until(5)
         scene.print.folder._write = full
-        monkeypatch.setattr("vamgpu.hosts.record.os.replace", replaced)
+        monkeypatch.setattr("vamgpu.hosts.records.record.os.replace", replaced)
         with pytest.raises(StorageError) as error:
             scene.until(60)
     scene.print.ended(error.value)

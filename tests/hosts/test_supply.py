@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import TimingInfeasible, Underrun, WrongDevice
-from vamgpu.hosts.clock import RealClock
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.memory import MirrorMemory
 from vamgpu.hosts.emulators.alp import EmulatedAlp
 from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
-from vamgpu.hosts.frames.late import WebLatePolicy
+from vamgpu.hosts.frames.lateness import WebLatePolicy
 from vamgpu.hosts.frames.packer import DevicePacker, PlanePacker, packer
 from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
 from vamgpu.hosts.frames.upload import BUFFERS, HELD, UploadQueue, guard, length
-from vamgpu.hosts.players.machines import MirrorMachines
+from vamgpu.hosts.player.machines import MirrorMachines
 from vamgpu.hosts.rig import check, plan, rehearsal
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.preflight import judged
+from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames

@@ -10,26 +10,27 @@ from typing import Any
 import numpy as np
 import pytest
 from doubles import MODEL, STEPS, Replaced, late
-from test_stage_clocked import RIG
+from test_stage_mirrors import RIG
 
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.hosts.account import account
 from vamgpu.hosts.emulators.clock import PacedClock
 from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.versions import Boundaries, FrameVersion, FrameVersions
-from vamgpu.hosts.players.spinning import SpinningPlayer
-from vamgpu.hosts.players.triggered import TriggeredPlayer
-from vamgpu.hosts.proof import _shown
-from vamgpu.hosts.record import FrameRecord, RunFolder, RunRecord, read_run
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.run import Print, SafetyLimits
+from vamgpu.hosts.player.video import SpinningPlayer
+from vamgpu.hosts.process.versions import sources_of
+from vamgpu.hosts.records.account import account
+from vamgpu.hosts.records.plans import keep
+from vamgpu.hosts.records.proof import _shown
+from vamgpu.hosts.records.record import FrameRecord, RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, carry_out, plan, read_rig
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
-from vamgpu.hosts.run import Print, SafetyLimits
 from vamgpu.hosts.safety.interlock import Budget
 from vamgpu.hosts.schedules.limits import MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
+from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import PrintState
-from vamgpu.hosts.version_store import keep, sources_of
 from vamgpu.printing.frames import Frames
 
 COUNT = 40

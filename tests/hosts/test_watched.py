@@ -15,8 +15,8 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.live import live_print
 from vamgpu.hosts.live.live_print import RedCamera
 from vamgpu.hosts.live.planner import levels_of, light_of
-from vamgpu.hosts.record import RunRecord, read_run
-from vamgpu.hosts.state import Board, PrintState
+from vamgpu.hosts.records.record import RunRecord, read_run
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve

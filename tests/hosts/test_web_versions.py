@@ -12,21 +12,22 @@ import pytest
 from doubles import Replaced
 from test_live_faults import answered, kinds
 from test_planning import BEAM, MASKS, ROLLER
-from test_stage_clocked import RIG
+from test_stage_mirrors import RIG
 from web_workers import WEAK, bars
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.account import account
 from vamgpu.hosts.frames.sources import WebFrames
 from vamgpu.hosts.frames.versions import Boundaries, FrameVersions
-from vamgpu.hosts.live.link import LiveLink, LiveOrder, task_of
-from vamgpu.hosts.players.player import StatusPoll
-from vamgpu.hosts.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.player.player import StatusPoll
+from vamgpu.hosts.process.live_link import LiveLink, LiveOrder, task_of
+from vamgpu.hosts.process.versions import boundary, planned_versions, replaced, sources_of
+from vamgpu.hosts.records.account import account
+from vamgpu.hosts.records.plans import keep, kept_frames, last_kept
+from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rig import carry_out, check, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.hosts.state import Board, PrintState
-from vamgpu.hosts.version_store import boundary, keep, kept_frames, last_kept, planned_versions, replaced, sources_of
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

@@ -10,8 +10,8 @@ import pytest
 import vamgpu as vam
 from vamgpu.errors import BadInput
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
-from vamgpu.hosts.schedules.moving import turned
-from vamgpu.hosts.schedules.planes import plane_times
+from vamgpu.hosts.schedules.mirrors import turned
+from vamgpu.hosts.schedules.schedule import plane_times
 from vamgpu.hosts.schedules.video import vial
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve

@@ -13,8 +13,8 @@ from vamgpu.cli.commands import app
 from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.calibrating.machines import CalibrationMachines
-    from vamgpu.hosts.calibrating.report import CalibrationResult
+    from vamgpu.hosts.calibrate.machines import CalibrationMachines
+    from vamgpu.hosts.calibrate.report import CalibrationResult
 
 group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a dry run.")
 app.command(group)
@@ -41,7 +41,7 @@ def focus(
         half_period: of the grating [mirrors]
         projector: which one, from 0
     """
-    from vamgpu.hosts.calibrating.focus import TABLES, focus, steps, sweep
+    from vamgpu.hosts.calibrate.focus import TABLES, focus, steps, sweep
 
     places, stepped = steps(reach, step), sweep(low, high, powers)
     _run("focus", rig, TABLES, out, settings, overwrite, lambda machines, progress: focus(
@@ -67,7 +67,7 @@ def axis(
         flip_r: jobs are packed with flip_r
         projector: which one, from 0
     """
-    from vamgpu.hosts.calibrating.axis import TABLES, axis
+    from vamgpu.hosts.calibrate.axis import TABLES, axis
 
     _run("axis", rig, TABLES, out, settings, overwrite, lambda machines, progress: axis(
         machines, first=first, stop=stop, every=every, repeats=repeats, radius=radius, flip_r=flip_r,
@@ -88,7 +88,7 @@ def gray(
         repeats: readings of each
         reader: what reads the light
     """
-    from vamgpu.hosts.calibrating.gray import gray, levels
+    from vamgpu.hosts.calibrate.gray import gray, levels
 
     camera, steps = reader == "camera", levels(every)
     _run("gray", rig, (reader,), out, settings, overwrite, lambda machines, progress: gray(
@@ -110,7 +110,7 @@ def flat(
         blocks: of mirrors that are lit one after the other, along rows and columns
         repeats: readings of each
     """
-    from vamgpu.hosts.calibrating.flat import TABLES, flat
+    from vamgpu.hosts.calibrate.flat import TABLES, flat
 
     _run("flat", rig, TABLES, out, settings, overwrite, lambda machines, progress: flat(
         machines, blocks, repeats=repeats, progress=progress))  # fmt: skip
@@ -153,8 +153,8 @@ def mtf(
         repeats: pictures that are averaged
         projector: which one, from 0
     """
-    from vamgpu.hosts.calibrating.mtf import POSITIONS, TABLES, mtf
-    from vamgpu.hosts.calibrating.report import focused_at
+    from vamgpu.hosts.calibrate.mtf import POSITIONS, TABLES, mtf
+    from vamgpu.hosts.calibrate.report import focused_at
 
     places = tuple(at) if at else POSITIONS
     powers = None if focused is None else focused_at(focused, places)
@@ -179,7 +179,7 @@ def runout(
         speed: of the turntable from angle to angle [deg/s]
         projector: which one, from 0
     """
-    from vamgpu.hosts.calibrating.runout import TABLES, runout
+    from vamgpu.hosts.calibrate.runout import TABLES, runout
 
     _run("runout", rig, TABLES, out, settings, overwrite, lambda machines, progress: runout(
         machines, poses=angles, repeats=repeats, speed=speed, projector=projector, progress=progress))  # fmt: skip
@@ -192,9 +192,9 @@ def _run(
     """Open the machines, measure, and write the result."""
     from rich.progress import Progress
 
-    from vamgpu.hosts.calibrating.connect import opened, rehearsal
-    from vamgpu.hosts.calibrating.report import free, keep, save
-    from vamgpu.hosts.calibrating.truth import compared
+    from vamgpu.hosts.calibrate.connection import opened, rehearsal
+    from vamgpu.hosts.calibrate.report import free, keep, save
+    from vamgpu.hosts.calibrate.truth import compared
     from vamgpu.hosts.rigs.calibrations import folder_of
     from vamgpu.hosts.rigs.config import read_rig
 

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from vamgpu.hosts.live.live_print import Watched
-    from vamgpu.hosts.realtime.order import PrintOrder
+    from vamgpu.hosts.process.order import PrintOrder
+    from vamgpu.hosts.records.state import Board, PrintState
     from vamgpu.hosts.rig import PrintPlan
-    from vamgpu.hosts.state import Board, PrintState
     from vamgpu.printing.given_dose import ProvedDose
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
@@ -101,8 +101,8 @@ def print_(
     planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
         screen.print(f"  {name:<27} [bold]{escape(value)}[/]")
-    from vamgpu.hosts.realtime.order import PrintOrder
-    from vamgpu.hosts.state import Board
+    from vamgpu.hosts.process.order import PrintOrder
+    from vamgpu.hosts.records.state import Board
 
     order = PrintOrder.of(
         folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
@@ -121,7 +121,7 @@ def print_(
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
     """Turns and exposure of the run that is resumed, so that the rest gets the light of the beginning."""
-    from vamgpu.hosts.record import read_run
+    from vamgpu.hosts.records.record import read_run
     from vamgpu.printing.given_dose import GivenDose
 
     asked = read_run(run).asked
@@ -257,8 +257,8 @@ def _attached(run: Path, host: str, port: int) -> int:
     """Serve the page of a print that goes on, to its end."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.panel import Panel
-    from vamgpu.hosts.realtime.watch import attached, watched
-    from vamgpu.hosts.state import Board, PrintState
+    from vamgpu.hosts.process.watch import attached, watched
+    from vamgpu.hosts.records.state import Board, PrintState
 
     screen, board = console(), Board(job=run.name)
     with attached(run, board) as watch:
@@ -281,10 +281,10 @@ def _attached(run: Path, host: str, port: int) -> int:
 def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> int:
     """Print, and say what became of it; the exit status."""
     from vamgpu.errors import VamError
-    from vamgpu.hosts.account import account
-    from vamgpu.hosts.record import read_run, timing
+    from vamgpu.hosts.records.account import account
+    from vamgpu.hosts.records.record import read_run, timing
+    from vamgpu.hosts.records.state import PrintState
     from vamgpu.hosts.rig import may_go_on
-    from vamgpu.hosts.state import PrintState
 
     place = Path(order.folder)
     if order.resume:
@@ -332,8 +332,8 @@ def _onward(planned: PrintPlan, place: Path) -> str:
 
 def _left(error: VamError, board: Board, place: Path) -> PrintState:
     """State of a print that an error left held; shows the error. Raises it where nothing is held."""
-    from vamgpu.hosts.record import read_run
-    from vamgpu.hosts.state import PrintState
+    from vamgpu.hosts.records.record import read_run
+    from vamgpu.hosts.records.state import PrintState
 
     kept = read_run(place).state if (place / "state.json").is_file() else None
     if PrintState.HELD not in (board.now.state, kept):
@@ -344,7 +344,7 @@ def _left(error: VamError, board: Board, place: Path) -> PrintState:
 
 def _status(state: PrintState) -> int:
     """The exit status for a state."""
-    from vamgpu.hosts.state import PrintState
+    from vamgpu.hosts.records.state import PrintState
 
     statuses = {
         PrintState.COMPLETE: 0, PrintState.CANCELLED: CANCELLED, PrintState.INCOMPLETE: INCOMPLETE,
@@ -355,7 +355,7 @@ def _status(state: PrintState) -> int:
 
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
     """Run dry in this process, as fast as it computes; how it ended."""
-    from vamgpu.hosts.realtime.printing import printed
+    from vamgpu.hosts.process.order import printed
     from vamgpu.hosts.rig import rehearsal
 
     asked = _asked(screen) if order.asks else None
@@ -367,7 +367,7 @@ def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Bo
 
 def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
     """Print in a process that holds the light, and watch it from this one; how it ended."""
-    from vamgpu.hosts.realtime.watch import may_begin, started, watched
+    from vamgpu.hosts.process.watch import may_begin, started, watched
 
     may_begin(order.folder)
     with started(order, board) as watch:
@@ -399,7 +399,7 @@ def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], t
     from dataclasses import replace
 
     from vamgpu.errors import StorageError
-    from vamgpu.hosts.rigs.rehearsing import as_frames
+    from vamgpu.hosts.rigs.rehearsal import as_frames
     from vamgpu.jobs.run import prove
     from vamgpu.printing.given_dose import prove_given
 

@@ -112,7 +112,7 @@ def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven
 
     from vamgpu.hosts.rig import plan
     from vamgpu.hosts.rigs.config import read_rig
-    from vamgpu.hosts.schedules.planes import plane_times
+    from vamgpu.hosts.schedules.schedule import plane_times
     from vamgpu.printing.planes import prove_planes
 
     planned = plan((job,), read_rig(rig, ()), speed=speed, turns=1, device="numpy", exposure=False)
@@ -122,7 +122,7 @@ def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> bool:
     """Compare a run with its plan; returns whether it prints, with and without light in doubt."""
-    from vamgpu.hosts.proof import prove_run
+    from vamgpu.hosts.records.proof import prove_run
 
     screen, prints = console(), True
     for number, found in enumerate(prove_run(run, device, printed)):

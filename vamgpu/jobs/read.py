@@ -80,31 +80,29 @@ def read_text(path: str | Path) -> str:
 
 def checked(
     model: type[File], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(),
-    files: bool = False, current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
+    files: bool = False, complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to."""
     try:
         data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise JobError(f"{source}: not valid TOML: {error}; correct that line") from error
-    return validated(model, data, settings, text=text, source=source, folder=folder, files=files, current=current)
+    return validated(model, data, settings, text=text, source=source, folder=folder, files=files, complete=complete)
 
 
 def validated(
     model: type[File], data: dict[str, Any], settings: Iterable[str] = (), *, text: str = "", source: str = "job",
     folder: Path = Path(), files: bool = False,
-    current: Callable[[dict[str, Any]], Mapping[tuple[str, ...], tuple[str, ...]]] | None = None,
+    complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """Tables as a model of a file; arguments and errors as for `checked`, ``text`` yields their lines."""
     replaced = {_replace(data, setting) for setting in settings}
-    moved = {} if current is None else current(data)
-    replaced |= {new + key[len(old) :] for old, new in moved.items() for key in replaced if key[: len(old)] == old}
+    if complete is not None:
+        complete(data)
     try:
         return model.model_validate(data, context={"folder": folder, "files": files}), data
     except ValidationError as error:
         lines = key_lines(text)
-        for old, new in moved.items():
-            lines |= {new + key[len(old) :]: at for key, at in lines.items() if key[: len(old)] == old}
         every = error.errors()
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
         found += [f"{source}: {len(every) - MOST_REPORTED} more wrong values"] if len(every) > MOST_REPORTED else []

@@ -129,10 +129,10 @@ FAMILIES: dict[str, Family] = {
     ),
     "rig_clock": Family(
         {
-            "controller": "vamgpu.hosts.rigs.clocks:ControllerClock",
-            "stage": "vamgpu.hosts.rigs.clocks:StageClock",
-            "vblank": "vamgpu.hosts.rigs.clocks:RefreshClock",
-            "free": "vamgpu.hosts.rigs.clocks:FreeClock",
+            "controller": "vamgpu.hosts.rigs.motions:ControllerClock",
+            "stage": "vamgpu.hosts.rigs.motions:StageClock",
+            "vblank": "vamgpu.hosts.rigs.motions:RefreshClock",
+            "free": "vamgpu.hosts.rigs.motions:FreeClock",
         },
         word="driver",
     ),
@@ -147,16 +147,16 @@ FAMILIES: dict[str, Family] = {
     ),
     "rig_light": Family(
         {
-            "controller": "vamgpu.hosts.rigs.lights:ControllerLight",
-            "laser": "vamgpu.hosts.rigs.lights:LaserLight",
-            "display": "vamgpu.hosts.rigs.lights:DisplayLight",
+            "controller": "vamgpu.hosts.rigs.optics:ControllerLight",
+            "laser": "vamgpu.hosts.rigs.optics:LaserLight",
+            "display": "vamgpu.hosts.rigs.optics:DisplayLight",
         },
         word="driver",
     ),
     "rig_lens": Family(
         {
-            "optotune": "vamgpu.hosts.rigs.lenses:OptotuneLens",
-            "emulated": "vamgpu.hosts.rigs.lenses:EmulatedLensPart",
+            "optotune": "vamgpu.hosts.rigs.optics:OptotuneLens",
+            "emulated": "vamgpu.hosts.rigs.optics:EmulatedLensPart",
         },
         word="driver",
     ),

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, VamError
-from vamgpu.hosts.clock import Clock, RealClock
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import plug
-from vamgpu.hosts.protocols.controller import ControllerRow
+from vamgpu.hosts.schedules.clock import Clock, RealClock
 
 ROWS, PERIOD_US, DELAY_US, ON_US, LEASE_MS = 40, 20_000, 8_000, 5_000, 200
 MILLI = 1_000_000

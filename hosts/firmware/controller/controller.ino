@@ -1,8 +1,7 @@
 // Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
 //
-// It speaks the line protocol described in vamgpu.hosts.protocols.controller. Nothing here waits: loop() looks at
-// lease, interlock, encoder, steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes
-// than it takes at once.
+// It speaks the line protocol described in PROTOCOL.md. Nothing here waits: loop() looks at lease, interlock, encoder,
+// steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes than it takes at once.
 //
 // Wiring that must hold when this program does not: a pull-down resistor on every GATE pin, so that the light is off
 // while the board starts, resets or hangs; the interlock switch in series with the light's supply as well as on its

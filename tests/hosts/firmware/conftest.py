@@ -18,11 +18,11 @@ import pytest
 from vamgpu import hosts
 from vamgpu.errors import DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import Status
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import Faults, plug
-from vamgpu.hosts.protocols.controller import Status
 
 TURN = 30_000
 """The sketch looks at the line, the rows and the light once a turn of 10 us, and acts on them in turns of their own."""

@@ -12,10 +12,10 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
+from servers import PtyServer
 
 from vamgpu.errors import DeviceRefused
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.emulators.servers import PtyServer
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 TURN = 100_000  # some turns of the board's loop, which a line takes [ns]

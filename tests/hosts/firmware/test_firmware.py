@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.line import plug
-from vamgpu.hosts.protocols.controller import ControllerRow
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 TURN = 30_000

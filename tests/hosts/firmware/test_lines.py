@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from vamgpu.hosts.drivers.controller_protocol import LONGEST_LINE
 from vamgpu.hosts.emulators.controller import EmulatedController
-from vamgpu.hosts.protocols.controller import LONGEST_LINE
 
 MILLI, SECOND = 1_000_000, 1_000_000_000
 NewBoard = Callable[..., Any]

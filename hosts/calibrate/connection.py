@@ -1,0 +1,104 @@
+"""Machines of calibrations: those of a rig's file, or emulated ones before emulated optics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.calibrate.machines import CalibrationMachines, SteppedTurntable, need
+from vamgpu.hosts.calibrate.patterns import PatternScreen
+from vamgpu.hosts.calibrate.truth import USUAL
+from vamgpu.hosts.drivers.cleanup import closed_on_error
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.scpi import PowerMeter
+from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
+from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics
+from vamgpu.hosts.rigs.config import RigConfig, RigFile
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.hosts.schedules.clock import Clock, RealClock
+
+STANDA_FRACTION = 256  # microsteps of a full step
+ATTRIBUTES = {"lens": "lens", "camera": "camera", "camera_stage": "stage", "photodiode": "meter"}
+"""Table of a rig's file → attribute of `CalibrationMachines`."""
+
+
+def checked(rig: RigFile, tables: Collection[str]) -> None:
+    """Raises `JobError` naming the first of the tables that the rig has not, before any machine is opened."""
+    for table in tables:
+        need(getattr(rig, table), table)
+
+
+def opened(config: RigConfig, tables: Collection[str]) -> CalibrationMachines:
+    """Open the rig's controller, mirrors, and the machines of the tables; JobError for a table that is missing."""
+    rig = config.setup
+    checked(rig, tables)
+    if rig.video or rig.controller is None:
+        raise BadInput(
+            "calibrations show patterns on mirrors with a trigger, behind a controller; expected displays with driver "
+            '"alp", and a table [controller]'
+        )
+    microsteps = rig.motion.microsteps if driver_of(rig.motion) == "controller" else 1.0
+    controller = Controller.open(str(rig.controller.port), microsteps, rig.controller.baud)
+    return _assembled(rig, tables, RealClock(), controller, (section.open() for section in rig.display), {
+        "lens": lambda: need(rig.lens, "lens").open(), "camera": lambda: need(rig.camera, "camera").open(),
+        "camera_stage": lambda: _stage(rig), "photodiode": lambda: _meter(rig),
+    })  # fmt: skip
+
+
+def rehearsal(
+    config: RigConfig, tables: Collection[str], truth: Any = None, *, kind: str = "axis"
+) -> tuple[CalibrationMachines, Any]:
+    """Emulate a rig's machines before their optics, which are those of a kind unless a truth is given."""
+    rig = config.setup
+    checked(rig, tables)
+    optics = truth or Optics(**USUAL.get(kind, {}))
+    emulated = EmulatedCalibrationRig(optics, rig, tuple(range(len(rig.display))))
+    machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.mirrors(), {
+        "lens": emulated.lens, "camera": emulated.camera, "camera_stage": emulated.stage, "photodiode": emulated.meter,
+    })  # fmt: skip
+    return machines, optics
+
+
+def _assembled(
+    rig: RigFile, tables: Collection[str], clock: Clock, controller: Controller, mirrors: Iterable[Dmd],
+    openers: Mapping[str, Callable[[], Any]],
+) -> CalibrationMachines:  # fmt: skip
+    """Open mirrors and the machines of the tables, each to be closed with those before it."""
+    channels = tuple(range(len(rig.display)))
+    machines = CalibrationMachines(rig, clock, controller, (), channels, closers=[controller.close])
+    with closed_on_error(machines):
+        for section, dmd in zip(rig.display, mirrors, strict=True):
+            machines.closers.append(dmd.close)
+            machines.screens += (PatternScreen(dmd, section.frame_time),)
+        for table in tables:
+            if table != "motion":
+                machine = openers[table]()
+                setattr(machines, ATTRIBUTES[table], machine)
+            elif rig.emulated or driver_of(rig.motion) == "controller":
+                machines.turntable = SteppedTurntable(controller, clock)
+                continue
+            else:
+                machines.turntable = machine = rig.motion.open("deg")
+            machines.closers.append(machine.close)
+        if machines.camera is not None:
+            machines.camera.expose(1e6 * need(rig.camera, "camera").exposure)
+    return machines
+
+
+def _stage(rig: RigFile) -> Stage:
+    section = need(rig.camera_stage, "camera_stage")
+    if section.driver == "standa":
+        return StandaStage.open(str(section.port), section.microsteps / STANDA_FRACTION, "mm", STANDA_FRACTION)
+    return ZaberStage.open(str(section.port), section.microsteps, "mm", section.device, section.axis)
+
+
+def _meter(rig: RigFile) -> PowerMeter:
+    section = need(rig.photodiode, "photodiode")
+    meter = PowerMeter.open(str(section.port))
+    with closed_on_error(meter):
+        if section.wavelength is not None:
+            meter.wavelength(section.wavelength)
+        meter.average(section.average)
+    return meter

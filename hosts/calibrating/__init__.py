@@ -1,1 +1,0 @@
-"""Runs that measure a rig: machines move, mirrors show patterns, and a camera or photodiode reads."""

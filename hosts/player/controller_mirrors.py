@@ -1,0 +1,200 @@
+"""Plays a schedule on mirrors that a controller triggers: it moves, triggers and gates the light, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from vamgpu.errors import DeviceError, OriginLost
+from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.controller_protocol import ControllerRow, Status
+from vamgpu.hosts.frames.sources import FrameSource
+from vamgpu.hosts.player.machines import MirrorMachines
+from vamgpu.hosts.player.mirrors import MirrorPlayer
+from vamgpu.hosts.player.motor import Approach, Origin, SpeedMonitor, own_number
+from vamgpu.hosts.player.player import Renew, StatusPoll
+from vamgpu.hosts.player.rows import RowTable
+from vamgpu.hosts.safety.light import Lamp, LampGate
+from vamgpu.hosts.schedules.clock import TimedQuery
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+
+PREROLL = 2
+"""Black frames that are triggered before the first slot: some mirrors show an unpredictable first frame, and both
+counts must agree before there is light."""
+APART = SECOND // 7  # least time between them, and to the first slot [ns]: some polls
+PATIENCE = 0.25  # how long a trigger may be overdue [s], by where the motion is
+FORGOTTEN = (
+    "the controller has another zero or play than this print: it lost its power, was reset, or served another program, "
+    "so nobody knows where the motor is and what the resin saw; begin anew with fresh resin"
+)
+CLOSED = {
+    "stall": "stall, the encoder is not where the motor was stepped to; look at motor and load",
+    "index": "index, its mark was not where it should be: the motor lost steps, or the belt slipped",
+}
+
+
+def triggers(schedule: Schedule, first: int = 0) -> int:
+    """Frames at the mirrors, and rows at the controller, from a slot on; the black ones before it count as well."""
+    return len(schedule) - first + PREROLL
+
+
+class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
+    """Plays a schedule on mirrors behind a controller. origin: of a print that an earlier host began."""
+
+    def __init__(
+        self, schedule: Schedule, machines: MirrorMachines, sources: Sequence[FrameSource], *,
+        origin: Origin | None = None, **options: Any,
+    ) -> None:  # fmt: skip
+        super().__init__(schedule, machines, sources, preroll=PREROLL, **options)
+        self._apart = APART + int(schedule.on[0])
+        self._longest = int((schedule.dark - schedule.command).max(where=schedule.command != NONE, initial=0))
+        self._origin = origin
+        self._play: int | None = None
+        self._lost: float | None = None
+        self._sent = self._before = 0
+        self._going = False
+        self._blind: tuple[int, int] | None = None  # frames that the mirrors counted, then silence of the line [ns]
+
+    def _gate(self) -> tuple[Lamp, Renew]:
+        gate = LampGate(self.machines.controller, range(self.schedule.engines), shares=self.schedule.power[0])
+        return gate, gate.renew
+
+    # ---- before the light ------------------------------------------------------------------------------------
+    def prime(self, first: int, alive: Callable[[], None]) -> int:
+        """Mirrors and buffers full, the motion at its speed, black frames and first rows queued."""
+        controller = self.machines.controller
+        self._first = self._kept = self._punctual = first
+        self._blind = None
+        self._still_own(controller.status())
+        controller.move(0.0)  # a host that died may have left it running
+        self._fill(first, alive)
+        controller.mode("steps")
+        start = RowTable(self.schedule, self.machines.microsteps).acts(first) - PREROLL * self._apart
+        approach = Approach(self.schedule, controller, self.clock, self.machines.microsteps)
+        self._origin = (
+            approach.fresh(start, alive) if self._origin is None else approach.again(start, self._origin, alive)
+        )
+        self._lost = approach.lost
+        self._origin = approach.to(start, self._origin, alive)
+        code = None if self.machines.lens is None else self.machines.lens.code
+        channels = (1 << self.schedule.engines) - 1
+        self._rows = RowTable(self.schedule, self.machines.microsteps, self._origin.at, code, channels)
+        self._motion = SpeedMonitor(self.schedule, self.machines.microsteps)
+        self._ask = TimedQuery(self.clock, controller.status, float(self.schedule.cadence.period) / 8)
+        self._sent, self._alive = 0, alive
+        self._send(controller.capacity)
+        controller.end(triggers(self.schedule, first))
+        status = controller.status()
+        self._still_own(status)  # all this took its time
+        self._before, self._play, self._going = status.play, own_number(self.clock, status.play), False
+        return round(approach.ahead(start, self._origin.at) * SECOND) + PREROLL * self._apart
+
+    def _still_own(self, status: Status) -> None:
+        """Raise `OriginLost` where the controller forgot this print, or played something else."""
+        if why := self._forgotten(status):
+            raise OriginLost(why)
+
+    def _forgotten(self, status: Status) -> str | None:
+        zero = self._origin is None or status.zero == self._origin.zero
+        plays = (self._play,) if self._going else (self._play, self._before)  # one that was primed may never begin
+        return None if zero and (self._play is None or status.play in plays) else FORGOTTEN
+
+    def facts(self) -> dict[str, Any]:
+        """Where pose 0 is on the motor, and which of the controller's plays the run segment is."""
+        assert self._origin is not None, "primed"
+        own = {"zero": self._origin.zero, "play": self._play, "before": self._before}
+        lost = {} if self._lost is None else {"lost": self._lost}
+        return {"origin": self._origin.at, "preroll": PREROLL} | own | lost
+
+    # ---- in the light ----------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Let the controller play its rows."""
+        self._polled = self.clock.now()
+        assert self._play is not None, "primed"
+        self.machines.controller.go(self._play)
+        self._going = True
+
+    def poll(self) -> StatusPoll:
+        """Compare what the controller triggered with what the mirrors counted."""
+        before = self._counted()
+        began = self.clock.now()
+        try:
+            now, status = self._ask()
+        except DeviceError:
+            self._blind = self._blind or (max(before), self.clock.now() - began)
+            raise
+        after = self._counted()
+        count = status.shown if status.play == self._play else 0  # of an earlier play
+        counts = (each for low, each in zip(before, after, strict=True) if not low <= count <= each)
+        error, frames = self._motion.error(now, status.at), self._since(count)
+        if not status.late:
+            self._punctual = self._kept
+        self._polled, self._free = now, status.free
+        return StatusPoll(
+            status.state == "running", error, next(counts, count), count, frames,
+            status.at / self.machines.microsteps - self._rows.origin, *self._supply(), self._fault(status),
+            self._forgotten(status) is not None,
+        )  # fmt: skip
+
+    def _fault(self, status: Status) -> str | None:
+        """Why the controller cannot be trusted."""
+        if status.state == "fault":
+            return f"the controller closed the light: {CLOSED.get(status.fault, status.fault)}"
+        if why := self._forgotten(status):
+            return why
+        if status.late:
+            return f"{status.late} rows came to the controller after their time; look at what holds up the host"
+        if status.state == "running" and status.shown < triggers(self.schedule, self._first):
+            speed = float(self.schedule.speed) * self.machines.microsteps
+            overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
+            if overdue > PATIENCE:
+                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, though the motion is there"
+        return None
+
+    def feed(self) -> None:
+        """Black for what is late, and rows onward."""
+        super().feed()
+        self._send(self._free)
+
+    def _send(self, free: int) -> None:
+        """Send rows while there is room: the black frames before the first slot, then slots."""
+        stop = min(self._sent + free, triggers(self.schedule, self._first))
+        for number in range(self._sent, stop):
+            self.machines.controller.row(self._row(number))
+            if number % 16 == 15:  # a slow line takes a while
+                self._alive()
+        self._sent = max(self._sent, stop)
+
+    def _row(self, number: int) -> ControllerRow:
+        """A row of this run segment."""
+        if number < PREROLL:
+            return self._rows.dark(self._first, (PREROLL - number) * self._apart, number)
+        return self._rows.row(self._first + number - PREROLL, number)
+
+    # ---- after the light -------------------------------------------------------------------------------------
+    def finish(self) -> None:
+        """End after the frame on its way, so that none is cut."""
+        controller = self.machines.controller
+        controller.end(min(controller.status().shown + 1, triggers(self.schedule, self._first)))
+
+    def _triggered(self) -> int:
+        """Frames of this run segment, in the dark; at most, where the controller does not answer."""
+        try:
+            status = self.machines.controller.status()
+        except DeviceError:
+            if self._blind is None:
+                raise
+            counted, time = self._blind
+            return counted + 1 + time // self.schedule.gap
+        return status.shown if status.play == self._play else 0
+
+    def recover(self) -> None:
+        """Reach the controller again, and drop rows that it could not be told to."""
+        self.machines.controller.revive()
+        self.machines.controller.stop()
+
+    def halt(self) -> None:
+        """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
+        if failed := run_all(self.machines.controller.stop, self._close):
+            raise failed[0]

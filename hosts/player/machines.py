@@ -1,0 +1,203 @@
+"""The opened machines of a rig, around triggered mirrors or around a projector on a video cable."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput, DeviceError, WrongDevice
+from vamgpu.hosts.drivers.camera import CameraDriver
+from vamgpu.hosts.drivers.cleanup import close_all
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.projector import HdmiProjector
+from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.frames.lateness import LatePolicy, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
+from vamgpu.hosts.player.player import Renew
+from vamgpu.hosts.safety.light import Lamp, LampGate
+from vamgpu.hosts.schedules.clock import Clock
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import Schedule
+
+REST = 20_000  # least time from a frame's last light to the next trigger [ns]
+
+
+@dataclass
+class MirrorMachines:
+    """The opened machines of a rig whose controller triggers the mirrors."""
+
+    clock: Clock
+    controller: Controller
+    mirrors: Sequence[Dmd]
+    microsteps: float  # of the motion, in a unit of the schedule
+    lens: LensDriver | None = None
+    camera: CameraDriver | None = None  # watches the resin
+
+
+class TriggeringStage(Stage, Protocol):
+    """A stage with a trigger output."""
+
+    # from where it rests on, fire at every so many units on the way; 0 for no more
+    def trigger_every(self, distance: float) -> None: ...
+
+
+@dataclass
+class StageMachines:
+    """The opened machines of a rig whose stage triggers the mirrors."""
+
+    clock: Clock
+    stage: TriggeringStage
+    mirrors: Sequence[Dmd]
+    microsteps: float  # of the stage, in a unit of the schedule
+    controller: Controller | None = None  # gates the light; None: there is none
+    lamp: Lamp | None = None  # that the host switches; None: mirrors make the dark
+    lens: LensDriver | None = None
+    camera: CameraDriver | None = None
+
+
+class Lamps:
+    """Light that wants all of its lamps, each of which alone makes dark; without any, mirrors alone make the dark."""
+
+    def __init__(self, *lamps: Lamp) -> None:
+        self._lamps = lamps
+
+    def on(self, power: float) -> None:
+        """Light, by one lamp after the other."""
+        for lamp in self._lamps:
+            lamp.on(power)
+
+    def off(self) -> None:
+        """Dark by all, the last first, whatever becomes of one."""
+        close_all([lamp.off for lamp in self._lamps])
+
+
+def gate(controller: Controller | None, lamp: Lamp | None, schedule: Schedule) -> tuple[Lamp, Renew]:
+    """A steady light, and what renews its lease: the controller's, or none. lamp: that the host switches."""
+    own = () if lamp is None else (lamp,)
+    if controller is None:
+        return Lamps(*own), lambda length: None
+    found = LampGate(controller, range(schedule.engines), steady=True, shares=schedule.power[0])
+    return Lamps(found, *own) if own else found, found.renew
+
+
+def late_policy(schedule: Schedule) -> LatePolicy:
+    """The policy for late frames of a web or a vial."""
+    return VialLatePolicy(schedule.frames) if schedule.unit == "deg" else WebLatePolicy()
+
+
+def shows(schedule: Schedule) -> None:
+    """Raise `BadInput` for slots that triggered mirrors do not show."""
+    if len(set(schedule.on.tolist())) != 1 or (schedule.power != schedule.power[0]).any():
+        raise BadInput("frames differ in how long or how brightly they are lit; the mirrors take one time for all")
+    gap = schedule.gap
+    if gap - int(schedule.on[0]) < REST:
+        raise BadInput(
+            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of the {gap / 1000:.6g} us that they have; mirrors "
+            f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
+        )
+
+
+RATES = 0.01  # greatest difference between the refresh that a display should have and that of the screen
+
+
+@dataclass
+class VideoMachines:
+    """The opened machines of a rig with a projector on a video cable."""
+
+    clock: Clock
+    controller: Controller | None  # gates the light and holds its lease; None: there is none
+    stage: Stage  # of the vial [deg] or web [mm]
+    projector: HdmiProjector
+    camera: CameraDriver | None = None
+    lamp: Lamp | None = None  # that the host switches; None: black frames make the dark
+
+    def check(self, schedule: Schedule, display: HdmiTiming) -> None:
+        """Raise `BadInput` for a schedule of no vial, `WrongDevice` for one that was made for another projector."""
+        if schedule.engines != 1 or len(schedule) % schedule.frames:
+            raise BadInput(
+                f"the schedule has {len(schedule)} slots of {schedule.engines} engines in {schedule.unit}; expected "
+                "whole turns of a vial, or a web, before one projector"
+            )
+        if self.stage.unit != schedule.unit:
+            raise BadInput(
+                f"the stage moves in {self.stage.unit}; the schedule needs one that moves in {schedule.unit}"
+            )
+        projector, layout, rate = self.projector, self.projector.layout, float(display.slot_rate)
+        has = (*projector.size, layout.slots, layout.bits, projector.latency)
+        wanted = (*reversed(display.pixels), display.patterns, display.bits, display.latency)
+        if has != wanted or abs(projector.slots_per_s / rate - 1) > RATES:
+            names = "rows, columns, frames a video frame, their bits, frames of delay"
+            raise WrongDevice(
+                f"the projector has {has} {names}, and {projector.slots_per_s:.6g} frames a second; the schedule was "
+                f"made for {wanted} and {rate:.6g}: check the rig's file, or make the job for this projector"
+            )
+
+
+Machines = MirrorMachines | StageMachines | VideoMachines  # The opened machines of any rig
+
+
+def senses(machines: Machines) -> dict[str, bool | float | None]:
+    """Sensor values in the dark, as a `Snapshot` names them; None for unknown ones."""
+    told: dict[str, bool | float | None] = {"interlock_closed": None, "lens_temperature": None}
+    with suppress(DeviceError):
+        if machines.controller is not None:
+            told["interlock_closed"] = machines.controller.status().interlock_closed
+    with suppress(DeviceError):
+        if not isinstance(machines, VideoMachines) and machines.lens is not None:
+            told["lens_temperature"] = machines.lens.temperature()
+    return told
+
+
+class VideoFrames(Protocol):
+    """Numbered frames for a video cable."""
+
+    # one frame, uint8 [row, column], full on at 255; None where it is not there yet
+    def frame(self, number: int) -> np.ndarray | None: ...
+
+
+class SourceFrames:
+    """Frames of a source in the middle of a projector's (rows, columns). Raises `BadInput` for larger ones."""
+
+    def __init__(self, source: FrameSource, size: tuple[int, int]) -> None:
+        self._source, self._size = source, size
+
+    def frame(self, number: int) -> np.ndarray:
+        full, frame = np.zeros(self._size, np.uint8), self._source.frame(number)
+        full[MirrorArray(*self._size, -(-self._size[1] // 8)).place(*frame.shape)] = frame
+        return full
+
+
+class ScreenBlackout:
+    """A projector that shows black from the next video frame on; in the thread that prints at once."""
+
+    def __init__(self, projector: HdmiProjector) -> None:
+        self._projector, self._owner = projector, threading.get_ident()
+        self.dark: bool = False
+
+    def own(self) -> None:
+        """This thread prints, and frames may be shown again."""
+        self._owner, self.dark = threading.get_ident(), False
+
+    def off(self) -> None:
+        """Black; a window belongs to one thread, others leave word."""
+        self.dark = True
+        if threading.get_ident() == self._owner:
+            self._projector.black()
+
+
+class MirrorBlackout:
+    """Mirrors as a way to make it dark."""
+
+    def __init__(self, dmd: Dmd) -> None:
+        self._dmd = dmd
+
+    def off(self) -> None:
+        """Halt: the mirrors turn away."""
+        self._dmd.halt()

@@ -1,0 +1,449 @@
+"""Carry out a print: prime, light, poll, record, feed; whatever happens, the light goes off first.
+
+What made it dark may pass, a door that was opened say: the print is then held, and `Print.run` goes on with it.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from vamgpu.errors import BadInput, OriginLost, Underrun, VamError
+from vamgpu.geometry import positive
+from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.player.player import Player, StatusPoll
+from vamgpu.hosts.records.account import account, wanted_light
+from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
+from vamgpu.hosts.records.state import Board, PrintState, PrintStates, StateChange, WrongState
+from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH, Budget, InterlockOpen, Lease, OverDose
+from vamgpu.hosts.safety.light import LightGuard
+from vamgpu.hosts.schedules.timing import SECOND, whole
+
+log: logging.Logger = logging.getLogger(__name__)
+SIGN = SECOND // 2  # A print leaves a sign of its time at least as often [ns]
+FINAL = (BadInput, OverDose, OriginLost)  # after these no print goes on
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of the light of a print."""
+
+    lease: int = DEFAULT_LENGTH  # how long the controller keeps the light by itself [ns]
+    tolerance: float = 0.5  # of motion [poses]
+    budget: float = 1.01  # light over the plan's
+    resume: int = 30 * SECOND  # longest pause [ns]
+
+    def __post_init__(self) -> None:
+        whole("lease [ns]", self.lease)
+        whole("resume [ns]", self.resume, 0)
+        positive("tolerance [poses]", self.tolerance)
+        positive("budget", self.budget)
+
+
+class PrintObserver(Protocol):
+    """Observes a print: it is called in the printing thread, waits for nothing, and never raises."""
+
+    def saw(self, seen: StatusPoll) -> None: ...  # what a poll saw
+    def notices(self) -> list[tuple[str, dict[str, Any]]]: ...  # events since this was asked, and their facts
+
+
+class Print:
+    """One print: a player's schedule under one holder of the light.
+
+    enough: asked at every poll whether the part has had its light, and why.  short: what is said of a print without.
+    """
+
+    player: Player
+    folder: RunFolder
+    limits: SafetyLimits
+    power: float
+    board: Board
+    states: PrintStates
+    next: int
+    holds: int
+
+    def __init__(
+        self, player: Player, folder: RunFolder, *, limits: SafetyLimits = SafetyLimits(), board: Board | None = None,
+        power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
+        recover: Callable[[], None] = lambda: None, senses: Callable[[], Mapping[str, object]] = dict,
+        live: PrintObserver | None = None,
+    ) -> None:  # fmt: skip
+        if (share := positive("power", power)) > 1:
+            raise BadInput(f"power is {power!r}; expected a share of the schedule's: 1 at most")
+        self.player, self.folder, self.limits, self.power = player, folder, limits, share
+        self._enough, self._short, self._recover, self._live = enough, short, recover, live
+        self._senses, self._sensed = senses, -SIGN
+        self.board, self.states = board or Board(), PrintStates()
+        self.lease: Lease = Lease(player.clock, player.renew, limits.lease)
+        schedule = player.schedule
+        self._wanted = wanted_light(schedule)
+        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
+        self.guard: LightGuard = LightGuard(
+            player.lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
+            others=player.switches, notify=self._notified,
+        )  # fmt: skip
+        self.next = self.holds = 0
+        self.dark_since: int | None = None
+        self._cancelled = self._pausing = self._finishing = self._lit = self._begun = self._final = False
+        self._signed = self._seen = 0
+        self._unwritten: deque[Callable[[], None]] = deque()
+        self.states.listen(folder.state)
+        self.states.listen(self._told)
+        self.board.on_stop(self.stop)
+        self.board.show(slots=len(schedule), unit=schedule.unit)
+        self._arm()  # for a print that goes on with a version
+
+    # ---- from any thread -------------------------------------------------------------------------------------
+    @property
+    def asked(self) -> PrintState | None:
+        """The state that somebody asked for: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
+        return PrintState.CANCELLED if self._cancelled else PrintState.PAUSED if self._pausing else None
+
+    def stop(self, why: str = "emergency stop") -> None:
+        """Light off now; the print is cancelled when its thread polls next."""
+        self._cancelled = True  # first: who sees the light fail shall know why
+        self.guard.fail(why)
+
+    def pause(self) -> None:
+        """Dark after the frame that is shown, and the motion at rest, until `run` is called again."""
+        self._pausing = True
+
+    def restore(self, shown: np.ndarray, pause: int) -> None:
+        """Count light that an earlier host gave, records of its folder, and how long it has been dark since [ns]."""
+        self._begun = True
+        self.dark_since = self.player.clock.now() - pause
+        lit = shown[shown["dark"] == 0]
+        power = self.player.schedule.power[0]
+        for engine in range(self.player.schedule.engines):
+            self.guard.spend(self.power * power[engine], int(lit["on_time"][lit["engine"] == engine].sum()))
+
+    # ---- the printing thread ---------------------------------------------------------------------------------
+    def sense(self) -> None:
+        """In the dark: show what the machines say of themselves, at most twice a second."""
+        if (now := self.player.clock.now()) >= self._sensed + SIGN:
+            self._sensed = now
+            self.board.show(**self._senses())
+
+    def run(self, first: int | None = None) -> PrintState:
+        """Print from a slot on (None: where it stopped) until it ends, pauses or is held. Raises what went wrong."""
+        if self.states.state.ended:
+            raise WrongState(f"the print is {self.states.state.value}; begin another one, in a folder of its own")
+        start = self.next if first is None else whole("slot", first, 0)
+        if self.states.state is PrintState.HELD and start >= self._end_slot:
+            self._account()  # only the disk was in the way
+            return self.states.state
+        if start >= self._end_slot:
+            raise BadInput(f"slot {start} is none of the {len(self.player.schedule)} slots")
+        try:
+            self._check_pause()
+            self._pausing = self._final = False
+            self.board.show(resuming=self.states.state.waits)
+            self._stopped()
+            if self.states.state is PrintState.HELD:
+                self._write()
+                self._recover()
+                self.player.recover()
+            self.sense()
+            with self.guard:
+                going = self.begin(start)
+                while going and self.step():
+                    self.player.wait()
+        except BaseException as error:
+            self.ended(error)
+            state = self.states.state
+            if state in (PrintState.COMPLETE, PrintState.INCOMPLETE) or (
+                isinstance(error, InterlockOpen) and state is PrintState.CANCELLED
+            ):
+                return state
+            raise
+        return self.states.state
+
+    def begin(self, first: int) -> bool:
+        """Prime the machines and make light from a slot on; False where a pause was asked for meanwhile."""
+        self.next, self._finishing, self._lit = first, False, False
+        self._swap()
+        ahead = self.player.prime(first, self._alive)
+        self.states.to(PrintState.PRINTING, "" if first == 0 else f"from slot {first}")
+        dark = 0 if self.dark_since is None else self.player.clock.now() - self.dark_since
+        self._event("segment", first=first, dark=dark, **self.player.facts())
+        self.guard.observe(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
+        self._stopped()
+        self._check_pause(ahead)  # getting ready took its time too
+        if self._pausing:
+            return self._rest(PrintState.PAUSED)
+        self._alive(force=True)  # who made it dark before ended the controller's lease too
+        self.guard.on(self.power)
+        self._lit, self._begun, self.dark_since, self._seen = True, True, None, self.player.clock.now()
+        self.player.start()
+        return True
+
+    def step(self) -> bool:
+        """One poll of the machines; False once the print is over or paused."""
+        if self._cancelled:
+            return self._rest(PrintState.CANCELLED)
+        if self._pausing and not self._finishing:
+            self._finishing = True
+            self.player.finish()
+        seen = self.player.poll()
+        self._final = seen.final or seen.shown != seen.scheduled
+        try:
+            self.guard.observe(motion=seen.motion, shown=seen.shown, scheduled=seen.scheduled, fault=seen.fault)
+        finally:
+            self._keep(seen)
+        if not self.guard.lit:
+            raise InterlockOpen(f"the light is off: {self.guard.fault or 'somebody turned it off'}")
+        self._seen = self.player.clock.now()
+        self._show(seen)
+        self._swap()
+        if (why := self._enough()) is not None:
+            return self._rest(PrintState.COMPLETE, why)
+        if not seen.running or self._at_stop:
+            return self._over()
+        self.player.feed()
+        self._alive()
+        return True
+
+    def ended(self, error: BaseException) -> None:
+        """Bring all to rest after an error; it is dark already. The first error is raised, a second one is logged."""
+        wanted = self._cancelled or self.guard.signalled or isinstance(error, (KeyboardInterrupt, SystemExit))
+        why = self.guard.fault if wanted and self.guard.fault else str(error) or type(error).__name__
+        self.board.show(resuming=False)
+        if self.dark_since is None:
+            self.dark_since = self._seen
+        self.holds += self._lit
+        doubt = self._doubt if self._lit else lambda: None
+        told, end = partial(self._event, "ended", error=repr(error)), partial(self._end, error, wanted, why)
+        for second in run_all(self._last_poll, doubt, self.player.halt, self._write, told, end):
+            log.error("after %r: %r", error, second)
+
+    def _end(self, error: BaseException, wanted: bool, why: str) -> None:
+        """The state after an error."""
+        if wanted:
+            self.states.end(PrintState.CANCELLED, why)
+        elif self._final or not self._begun or isinstance(error, FINAL) or not isinstance(error, (VamError, OSError)):
+            self.states.end(PrintState.ERROR, why)
+        elif not self._ended_short(why):
+            left = self._end_slot - self.next
+            self.states.to(PrintState.HELD, f"{why}; {left} of {len(self.player.schedule)} slots remain, and resin "
+                           f"waits for {self.limits.resume / SECOND:g} s at most")  # fmt: skip
+
+    def _ended_short(self, why: str) -> bool:
+        """After an error: end a print that has shown all its slots and can add none."""
+        try:
+            if self.next < self._end_slot or (not self._sooner and self.player.add_repeats()):
+                return False
+        except Underrun as error:
+            why = str(error)
+        try:
+            self._account(why)
+        except VamError as error:
+            log.error("the record cannot be read or written: %s", error)
+        return self.states.state.ended
+
+    def _account(self, why: str = "") -> None:
+        """The state of a print that came to its end, by the record of its light."""
+        self._write()
+        found = account(read_run(self.folder.path), self._wanted)
+        assert found is not None
+        if found.complete:
+            self.states.to(PrintState.COMPLETE, why)
+        else:
+            self.states.to(PrintState.INCOMPLETE, str(found) + (f" ({why})" if why else ""))
+
+    def _doubt(self) -> None:
+        """Write down what was on show when the light went off unasked; it is not lit again."""
+        try:
+            doubtful = self.player.doubtful()
+        except VamError:
+            self._final = True  # nobody knows what the resin saw
+            raise
+        if not len(doubtful):
+            return
+        schedule, given = self.player.schedule, []
+        for slot in range(max(self.next, doubtful.start), min(doubtful.stop, self._end_slot)):
+            version = 0 if self.player.versions is None else self.player.versions.at(slot)
+            for engine in range(schedule.engines):
+                frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in _RECORDED)
+                self._unwritten.append(
+                    partial(
+                        self.folder.shown, FrameRecord(slot, frame, pose, light, on, engine=engine, version=version)
+                    )
+                )
+                given.append((float(schedule.power[slot, engine]), on))
+        self.next = max(self.next, doubtful.stop)
+        self._unwritten.append(partial(self._event, "unseen", first=doubtful.start, stop=doubtful.stop))
+        for power, on in given:  # after all is noted down: it raises where the budget is spent
+            self.guard.spend(self.power * power, on)
+        self._write()
+
+    def _check_pause(self, ahead: int = 0) -> None:
+        """Raise `BadInput` where it has been dark for too long. ahead: until there is light [ns]."""
+        if self.dark_since is not None:
+            may_resume(self.player.clock.now() + ahead - self.dark_since, self.limits)
+
+    @property
+    def _end_slot(self) -> int:
+        """The slot that the light ends before; a version of the frames may end sooner than the plan."""
+        versions = self.player.versions
+        return len(self.player.schedule) if versions is None or versions.stop is None else versions.end
+
+    @property
+    def _sooner(self) -> bool:
+        """Whether the last slots of the plan are black."""
+        return self._end_slot < len(self.player.schedule)
+
+    @property
+    def _at_stop(self) -> bool:
+        """Whether the first of the black slots that end the print is on show, and so no light is cut."""
+        return self._sooner and self.next > self._end_slot
+
+    def _swap(self) -> None:
+        """Commit or drop the version that was offered, and arm the budget for the light that is then wanted."""
+        if (versions := self.player.versions) is None:
+            return
+        if (version := versions.take()) is not None:
+            if self.player.swap(version):
+                self._arm()
+                self.board.show(plan=version.number, stop=version.stop)
+                # kept until it is written, also by a disk that is full now: who resumes goes by it
+                self._unwritten.append(partial(self._event, "swap", **version.facts(), **versions.facts()))
+                self._write()
+            else:
+                versions.drop(version, f"frames of {versions.unit} {version.turn} were on their way already")
+        for number, why in versions.refused():
+            log.warning("version %d of the frames is not shown: %s", number, why)
+            self._event("swap dropped", version=number, why=why)
+        versions.forget(self.next, self.player.pending_versions)
+
+    def _arm(self) -> None:
+        """The light of all slots that are lit, which is at most what the first plan had."""
+        schedule, versions, budget = self.player.schedule, self.player.versions, self.guard.budget
+        if versions is not None and budget is not None:
+            lit = (schedule.on[:, None] * schedule.power)[: versions.end]
+            budget.arm(float(lit.sum()) * 1e-9 * self.power * self.limits.budget)
+
+    def _over(self) -> bool:
+        """No light is to come: a pause, the end, or a turn more for what was missed."""
+        if self._pausing and self.next < self._end_slot:
+            return self._rest(PrintState.PAUSED)
+        self.guard.off("complete")
+        self._lit = False
+        if self._sooner and self.next >= self._end_slot:
+            assert self.player.versions is not None
+            self.player.halt()
+            self._account(
+                f"it ended after {self.player.versions.stop} {self.player.versions.unit}s, as its last version says"
+            )
+            return False
+        if self.next < len(self.player.schedule):
+            raise InterlockOpen(
+                f"the controller stopped after {self.next} of {len(self.player.schedule)} frames; look at its events"
+            )
+        self.player.halt()
+        if self.player.add_repeats():
+            self.board.show(slots=len(self.player.schedule))
+            if self._pausing:
+                return self._rest(PrintState.PAUSED)
+            return self.begin(self.next)
+        self._account(self._short())
+        return False
+
+    def _rest(self, state: PrintState, why: str = "") -> bool:
+        """Dark, then at rest; what was shown until then is kept."""
+        self.guard.off(why or state.value)
+        if self.dark_since is None:
+            self.dark_since = self.player.clock.now()
+        self._last_poll()
+        self.player.halt()
+        self.states.to(state, self.guard.fault or why)
+        return False
+
+    def _told(self, change: StateChange) -> None:
+        """Show a state, which changes in the dark alone, and until when a print that waits can go on."""
+        deadline = None
+        if change.after.waits and self.dark_since is not None:
+            left = self.limits.resume - (self.player.clock.now() - self.dark_since)
+            deadline = time.monotonic() + left / SECOND
+        self.board.show(state=change.after, message=change.message, deadline=deadline, light=False, resuming=False)
+
+    def _alive(self, force: bool = False) -> None:
+        self._stopped()
+        self.lease.beat()
+        self.lease.keep(force)
+
+    def _stopped(self) -> None:
+        """Raise `InterlockOpen` where somebody has stopped the print."""
+        if self._cancelled:
+            raise InterlockOpen(f"the print was stopped: {self.guard.fault or 'cancelled'}")
+
+    def _last_poll(self) -> None:
+        """In the dark: keep what was shown since the last poll; the last frame may have been cut."""
+        if self._lit:
+            self._lit = False
+            self._keep(self.player.poll())
+
+    def _keep(self, seen: StatusPoll) -> None:
+        """Write down what was shown, and count its light."""
+        schedule = self.player.schedule
+        for shown in seen.frames:
+            self._unwritten.append(partial(self.folder.shown, shown))
+            self.next = shown.slot + 1
+        self._write()
+        for shown in seen.frames:
+            if not shown.dark:
+                self.guard.spend(self.power * float(schedule.power[shown.slot, shown.engine]), shown.on_time)
+        if self._live is not None:
+            self._live.saw(seen)
+            for kind, facts in self._live.notices():
+                self._event(kind, **facts)
+        # a poll that writes nothing would not see a full disk
+        if not seen.frames or self.player.clock.now() >= self._signed + SIGN:
+            self._event("poll", shown=seen.scheduled)
+
+    def _write(self) -> None:
+        """Write down what waits to be; a full disk leaves it waiting."""
+        while self._unwritten:
+            self._unwritten[0]()
+            self._unwritten.popleft()
+
+    def _show(self, seen: StatusPoll) -> None:
+        schedule, slot = self.player.schedule, max(self.next - 1, 0)
+        frame, focus, budget = int(schedule.frame[slot]), float(schedule.focus[slot]), self.guard.budget
+        self.board.show(
+            slot=slot, frame=frame, position=seen.position, focus=None if np.isnan(focus) else focus, fill=seen.fill,
+            margin=round(seen.margin * SECOND), spent=0.0 if budget is None else budget.spent / budget.limit,
+            dark=self.board.now.dark + sum(shown.dark for shown in seen.frames),
+            left=float(schedule.light[-1] + schedule.on[-1] - schedule.light[slot]) / SECOND,
+            lease=self.limits.lease / SECOND, renewed=None if (age := self.lease.age()) is None else age / SECOND,
+            polled=time.monotonic(),
+        )  # fmt: skip
+
+    def _notified(self, what: str, why: str) -> None:
+        self.board.show(light=what == "on", power=self.power)  # under the guard's lock: a poll would be old news
+        try:
+            self._event("light", to=what, why=why)
+        except VamError as error:  # a full disk must not keep the light on
+            log.error("the event could not be kept: %s", error)
+
+    def _event(self, kind: str, **facts: object) -> None:
+        self._signed = self.player.clock.now()
+        self.folder.event(kind, self._signed, **facts)
+
+
+_RECORDED = ("frame", "pose", "light", "on")
+
+
+def may_resume(pause: int, limits: SafetyLimits) -> None:
+    """Raise `BadInput` for a pause [ns] that was too long."""
+    if pause > limits.resume:
+        raise BadInput(
+            f"the print paused for {pause / SECOND:.1f} s; after {limits.resume / SECOND:g} s too much "
+            "of its dose has decayed: begin anew with fresh resin"
+        )

@@ -1,0 +1,412 @@
+"""Plays a vial's schedule on a video projector: the stage's angle chooses the frame of every slot, never the clock.
+
+The light is steady, and black frames make the dark. What a slot did not show is shown in an added turn.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import Underrun
+from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.frames.lateness import Action, Repeats, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
+from vamgpu.hosts.player.machines import ScreenBlackout, VideoFrames, VideoMachines, gate
+from vamgpu.hosts.player.motor import SpeedMonitor
+from vamgpu.hosts.player.player import Renew, StatusPoll
+from vamgpu.hosts.records.record import FrameRecord
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.hosts.safety.light import Lamp, Switch
+from vamgpu.hosts.schedules.clock import Clock, TimedQuery
+from vamgpu.hosts.schedules.limits import HdmiTiming
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+
+log: logging.Logger = logging.getLogger(__name__)
+ASIDE = 0.75  # Distance of the stage from the count of slots beyond which the count is corrected [slots]
+
+
+@dataclass(frozen=True)
+class SlotLight:
+    """Light of some slots."""
+
+    times: int  # slots of light, more than one for a slot that a screen repeated
+    late: int  # the most that one came after the stage was at its angle [ns]
+    missing: tuple[int, ...]  # slots that were not shown
+
+
+class SlotCounter:
+    """Counts slots by the stage, evenly where it is near enough, and keeps what was sent for them until it is taken."""
+
+    def __init__(self, display: HdmiTiming) -> None:
+        self._patterns, self._ahead = display.patterns, display.latency * display.patterns
+        self._slot = float(SECOND / display.slot_rate)
+        self._frames: deque[tuple[int, tuple[int, ...]]] = deque([(0, ()), (0, ())], maxlen=2)
+        self._times: dict[int, int] = {}
+        self._late: dict[int, int] = {}
+        self.begins: int | None = None
+
+    def saw(self, slots: float, since: int) -> None:
+        """Take the stage's word. slots: where it was at the last refresh.  since: refreshes after the last frame's."""
+        nearest = floor(slots + 0.5)
+        expected = nearest if self.begins is None else self.begins + self._patterns
+        self.begins = expected if abs(slots - expected) <= ASIDE else nearest
+        slipped = max((self.begins - expected) // self._patterns, 0)
+        (_, before), (first, last) = self._frames
+        for sent, repeated in ((before, max(slipped - since, 0)), (last, since)):
+            for slot in sent:  # a screen repeats the frame that none has replaced
+                if slot in self._times:
+                    self._times[slot] += repeated
+        behind = slots - since * self._patterns + self._ahead - first
+        self._late |= {slot: round(behind * self._slot) for slot in last if slot in self._times}
+
+    def next(self) -> range:
+        """The slots of the next video frame: it goes out at the next refresh and is lit ``latency`` later."""
+        first = (self.begins or 0) + self._patterns + self._ahead
+        return range(first, first + self._patterns)
+
+    def sent(self, first: int, slots: Sequence[int]) -> None:
+        """A video frame for slots from ``first`` on has frames for ``slots``, and black for the others."""
+        self._frames.append((first, tuple(slots)))
+        self._times |= dict.fromkeys(slots, 1)
+
+    def take(self, slots: Sequence[int]) -> SlotLight:
+        """The light of slots that the stage is past; they are forgotten."""
+        late = max((self._late.pop(slot, 0) for slot in slots), default=0)
+        missing = tuple(slot for slot in slots if slot not in self._times)
+        return SlotLight(sum(self._times.pop(slot, 0) for slot in slots), late, missing)
+
+
+SPIN_UP = 10 * SECOND  # longest wait for the stage to have its speed [ns]
+SETTLED = SECOND // 4  # for how long it must have kept it [ns]
+EVEN = 0.05  # greatest error at its speed [poses]
+RUN_UP = 12.0  # of a web, until it is in step with the cable [s]
+BACK = 4  # how much faster a web goes back
+LEAD = 0.25  # how long before its first frame a stage is ready for light [s]
+NUDGE = 15  # video frames in which the stage is brought into step with the cable
+TRIES = 4  # how often that is tried
+STEP = 0.02  # greatest distance from being in step [slots]
+
+
+@dataclass(frozen=True)
+class StageReading:
+    """A reading of the stage."""
+
+    degrees: float  # since pose 0
+    slots: float  # of the cable since pose 0, at the last refresh
+    since: int  # refreshes after the one that was seen
+    error: float  # within the last second [poses]
+
+
+class StageTracker:
+    """The stage of one print; a vial turns forward only, pose 0 at its zero. repeats: slots of the cable in a pose."""
+
+    def __init__(self, stage: Stage, clock: Clock, schedule: Schedule, display: HdmiTiming, repeats: int) -> None:
+        self._stage, self._clock = stage, clock
+        self.speed: float = float(schedule.speed)
+        self._advance = float(schedule.advance)
+        self._frame, self._patterns = float(SECOND / (display.slot_rate / display.patterns)), display.patterns
+        self._unit = self._advance / repeats
+        self._motion = SpeedMonitor(schedule)
+        self._ask = TimedQuery(clock, stage.position, self._frame / 2)
+        self.origin: float = 0.0
+        self._units, self._web, self._placed = schedule.unit, schedule.unit == "mm", False
+
+    def read(self, refreshed: int) -> StageReading:
+        """Ask the stage. refreshed: when a refresh was seen last [ns]."""
+        now, angle = self._ask()
+        since, age = divmod(now - refreshed, self._frame)
+        here = angle - self.origin
+        slots, error = (here - self.speed * age / SECOND) / self._unit, self._motion.error(now, angle)
+        return StageReading(here, slots, int(since), error)
+
+    def up(self, first: int, refresh: Callable[[], int]) -> None:
+        """Move in step with the cable until a pose is `LEAD` away. refresh: shows black, returns its time [ns]."""
+        if self._web:
+            self._back(first)
+        self._stage.run(self.speed)
+        self._settle(refresh)
+        if not self._web and (marks := getattr(self._stage, "marks", None)) is not None:
+            while getattr(self._stage, "marks", None) == marks:  # pose 0 is at the index: it is found again each time
+                self.read(refresh())
+            self._settle(refresh)
+        for _ in range(TRIES):
+            ahead = self._ahead(refresh)
+            if abs(ahead) <= STEP:
+                break
+            self._stage.run(self.speed * (1 - ahead / (NUDGE * self._patterns)))
+            for _ in range(NUDGE):
+                refresh()
+            self._stage.run(self.speed)
+            self._settle(refresh)
+        else:
+            log.warning("the stage is %.2g slots from being in step with the cable: frames are so far off", ahead)
+        self._meet(first, refresh)
+
+    def _back(self, first: int) -> None:
+        """Where there is room for a run-up: a web begins where it stands, and moves back."""
+        self._stage.run(0.0)
+        self._stage.wait()
+        if not self._placed:
+            self.origin, self._placed = self._stage.position(), True
+        self._stage.move(self.origin + first * self._advance - RUN_UP * self.speed, BACK * self.speed)
+        self._stage.wait()
+
+    def _settle(self, refresh: Callable[[], int]) -> None:
+        """Wait for the speed."""
+        self._motion.restart()
+        began = self._clock.now()
+        while True:
+            self.read(refresh())
+            if self._motion.span >= SETTLED:
+                if abs(self._motion.last) <= EVEN:
+                    return
+                self._motion.restart()
+            if self._clock.now() - began > SPIN_UP:
+                raise InterlockOpen(
+                    f"the stage does not move at {self.speed:.4g} {self._units}/s after {SPIN_UP // SECOND} s: "
+                    f"check motor, load and the {self._units} that its gear makes of a step"
+                )
+
+    def _ahead(self, refresh: Callable[[], int]) -> float:
+        """Distance of the stage ahead of the nearest slot, over some video frames [slots]."""
+        slots = [self.read(refresh()).slots - number * self._patterns for number in range(NUDGE)]
+        mean = sum(slots) / len(slots)
+        return mean - round(mean)
+
+    def _meet(self, first: int, refresh: Callable[[], int]) -> None:
+        """Turn on until a pose is near."""
+        goal, lead = first * self._advance, LEAD * self.speed
+        if not self._web:
+            self.origin = 0.0
+            left = goal - self.read(refresh()).degrees
+            self.origin = 360.0 * ceil((lead - left) / 360.0)
+        elif goal - self.read(refresh()).degrees < lead:
+            raise InterlockOpen("the web has its speed too late; check motor and load")
+        while goal - self.read(refresh()).degrees > lead:
+            if abs(self._motion.last) > 0.5:
+                raise InterlockOpen("the stage lost its speed before the first frame; check motor and load")
+
+
+WINDOW, BORNE = 360, 2  # poses that a voxel of a web sees, and those of them that may be lost
+STATUS = 6  # after so many video frames the controller is asked what it does; what it says by itself is heard at each
+
+
+class SpinningPlayer:
+    """Plays the schedule of `vamgpu.hosts.schedules.video`; pose 0 is at the zero of the stage.
+
+    turns: most that are added for what was missed.
+    """
+
+    schedule: Schedule
+    display: HdmiTiming
+    machines: VideoMachines
+    clock: Clock
+    lamp: Lamp
+    renew: Renew
+
+    def __init__(
+        self, schedule: Schedule, display: HdmiTiming, machines: VideoMachines, frames: VideoFrames, *,
+        turns: int = 1, versions: FrameVersions | None = None,
+    ) -> None:  # fmt: skip
+        machines.check(schedule, display)
+        self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
+        self.lamp, self.renew = gate(machines.controller, machines.lamp, schedule)
+        self._blackout = ScreenBlackout(machines.projector)
+        self.switches: Mapping[str, Switch] = {"projector": self._blackout}
+        self._frames, self._turns, self._planned = frames, turns, len(schedule)
+        self.versions: FrameVersions | None = versions
+        self._repeats = int(schedule.cadence.period * display.slot_rate / SECOND)
+        self._on = int(schedule.on[0]) // self._repeats
+        self._turn = schedule.frames * self._repeats
+        self._turning = StageTracker(machines.stage, machines.clock, schedule, display, self._repeats)
+        self._missed = Repeats(
+            VialLatePolicy(schedule.frames * self._repeats) if schedule.unit == "deg"
+            else WebLatePolicy(WINDOW * self._repeats, BORNE * self._repeats)
+        )  # fmt: skip
+        self._black = np.zeros(machines.projector.size, np.uint8)
+        self._again: dict[int, int] = {}  # slots of an added turn, and the versions that they show
+        self._added = self._refreshed = 0
+        self._begin(0)
+
+    def _begin(self, first: int) -> None:
+        self._first, self._kept, self._limit = first, first, len(self.schedule)
+        self._sent, self._polls, self._stopped = first * self._repeats - 1, 0, False
+        self._sure = self._confirmed = first
+        self._lit = SlotCounter(self.display)
+
+    # ---- before the light ------------------------------------------------------------------------------------
+    def prime(self, first: int, alive: Callable[[], None]) -> int:
+        """Black, and the stage at its speed, in step with the cable and a little before the angle of a slot."""
+        self._begin(first)
+        self._blackout.own()
+
+        def refresh() -> int:
+            self._show([self._black] * self.display.patterns)
+            alive()
+            return self._refreshed
+
+        self._turning.up(first, refresh)
+        return round(LEAD * SECOND)
+
+    def facts(self) -> dict[str, Any]:
+        """Where pose 0 is on the stage [deg]: whole turns."""
+        return {"origin": self._turning.origin}
+
+    # ---- in the light ----------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Listen to the controller from here on; frames follow the stage."""
+        if self.machines.controller is not None:
+            self.machines.controller.poll()
+
+    def poll(self) -> StatusPoll:
+        """Where the stage is, and what was lit before it."""
+        seen = self._turning.read(self._refreshed)
+        self._lit.saw(seen.slots, seen.since)
+        fault = self._fault()  # first: it may raise, and what is past would be lost
+        frames, done = self._passed(), self._kept - self._first
+        margin = self.display.latency * self.display.patterns / float(self.display.slot_rate)
+        running = self._kept < self._limit
+        if fault is None:
+            self._sure = self._kept
+        return StatusPoll(running, seen.error, done, done, frames, seen.degrees, 1.0, margin, fault)
+
+    def _fault(self) -> str | None:
+        """Why the controller closed the light by itself."""
+        if (controller := self.machines.controller) is None:
+            return None
+        reasons = [words[2] for words in controller.poll() if words[:2] == ("light", "off")]
+        if self._polls % STATUS == 0 and not reasons:
+            status = controller.status()
+            reasons = [] if status.light else [status.fault]
+            if reasons:  # it had said so, and nobody heard
+                self._sure = self._confirmed
+            self._confirmed = self._kept
+        self._polls += 1
+        return f"the controller closed the light: {reasons[0]}" if reasons else None
+
+    def _passed(self) -> tuple[FrameRecord, ...]:
+        """Records of the poses that the stage is past."""
+        found = []
+        while self._kept < self._limit and (self._kept + 1) * self._repeats <= (self._lit.begins or 0):
+            found.append(self._shown(self._kept))
+            self._kept += 1
+        return tuple(found)
+
+    def _shown(self, pose: int) -> FrameRecord:
+        wanted = self._wanted(pose)
+        light = self._lit.take(wanted)
+        for slot in light.missing:
+            self._stopped |= self._missed.policy.drop(slot) is Action.STOP
+            self._missed.miss(slot % self._turn, self._version(slot))
+        dark = bool(wanted) and not light.times
+        on = self._on * (len(wanted) if dark else light.times)
+        frame, start = int(self.schedule.frame[pose]) if wanted else NONE, int(self.schedule.light[pose])
+        version = self._version(wanted[0]) if wanted else 0
+        return FrameRecord(pose, frame, pose, start, on, late=light.late, dark=dark, version=version)
+
+    def _version(self, slot: int) -> int:
+        """The version of the frames that a slot of the cable shows."""
+        if self.versions is None:
+            return 0
+        return self._again[slot] if slot in self._again else self.versions.at(slot // self._repeats)
+
+    def _wanted(self, pose: int) -> list[int]:
+        """Slots of the cable in which a pose is to be lit: in an added turn those that were missed."""
+        slots = range(pose * self._repeats, (pose + 1) * self._repeats)
+        planned = self._planned if self.versions is None else self.versions.end
+        return [slot for slot in slots if pose < planned or slot in self._again]
+
+    def feed(self) -> None:
+        """Show the frames of the next video frame; returns at its refresh. Raises `Underrun`, `DeviceLost`."""
+        if self._stopped:
+            raise Underrun(
+                f"{self._missed.policy.stopped}: the light is off; turn slower, or look at what holds up the host"
+            )
+        slots = self._lit.next()
+        frames = {slot: frame for slot in slots if (frame := self._at(slot)) is not None}
+        self._show([frames.get(slot, self._black) for slot in slots])
+        self._lit.sent(slots[0], list(frames))
+        self._sent = max(self._sent, min(slots[-1], self._limit * self._repeats - 1))
+
+    def _at(self, slot: int) -> np.ndarray | None:
+        """The frame of a slot; None where it is dark, not there yet, or was shown before the stage came back."""
+        pose = slot // self._repeats
+        if slot <= self._sent or pose >= self._limit or slot not in self._wanted(pose):
+            return None
+        version = 0 if self.versions is None else self.versions.frames * self._version(slot)
+        return self._frames.frame(int(self.schedule.frame[pose]) + version)
+
+    def swap(self, version: FrameVersion) -> bool:
+        """Show a version from its turn on: the frame of a slot is chosen when it is sent."""
+        assert self.versions is not None, "with versions"
+        begin = version.turn * self.versions.count
+        if begin < self._kept or begin * self._repeats <= self._sent:
+            return False
+        self.versions.commit(version)
+        return True
+
+    def _show(self, frames: list[np.ndarray]) -> None:
+        if self._blackout.dark:
+            frames = [self._black] * len(frames)
+        self.machines.projector.show(frames)
+        self._refreshed = self.clock.now()
+
+    @property
+    def pending_versions(self) -> set[int]:
+        """Versions of slots that were not shown."""
+        return self._missed.missed
+
+    def wait(self) -> None:
+        """At once: a video frame was waited for."""
+
+    # ---- after the light -------------------------------------------------------------------------------------
+    def finish(self) -> None:
+        """End after the frame on its way, in all its slots."""
+        self._limit = min(self._limit, self._sent // self._repeats + 1)
+
+    def doubtful(self) -> range:
+        """Slots that were sent and not past when the light was seen last."""
+        self._kept = max(self._kept, self._sent // self._repeats + 1)
+        return range(self._sure, max(self._sure, self._sent // self._repeats + 1))
+
+    def recover(self) -> None:
+        """Reach the controller again, which says nothing any more of how the light went off."""
+        if self.machines.controller is not None:
+            self.machines.controller.revive()
+            self.machines.controller.poll()
+
+    def halt(self) -> None:
+        """Black, and the stage to rest; each whatever the other did."""
+        if failed := run_all(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
+            raise failed[0]
+
+    def add_repeats(self) -> bool:
+        """Add a turn that shows again what was missed. Raises `Underrun` where the added turns did not show it."""
+        if not (due := self._missed.collect()):
+            return False
+        if self._added == self._turns:
+            raise Underrun(
+                f"{due.total()} slots of frames were missed; {self._turns} added turns did not show them: "
+                "turn slower, or look at what holds up the host"
+            )
+        self._added += 1
+        begin = len(self.schedule) * self._repeats
+        self._again = {begin + slot: self._missed.version(slot, 0) for slot in due}
+        self.schedule = self.schedule.turned_again({slot // self._repeats for slot in due})
+        self._missed.added()
+        return True
+
+    def frame(self, number: int, engine: int = 0) -> np.ndarray:
+        """A frame for people; there is one projector."""
+        version = 0 if self.versions is None else self.versions.frames * self.versions.at(self._kept)
+        frame = self._frames.frame(number + version)
+        return self._black if frame is None else frame

@@ -1,1 +1,0 @@
-"""Players of schedules on machines."""

@@ -1,0 +1,297 @@
+"""Plans on machines: rehearsed on emulated ones, checked in the dark, and printed."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.errors import BadInput, JobError, StorageError, WrongDevice
+from vamgpu.geometry import positive
+from vamgpu.hosts.frames.versions import FrameVersions
+from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
+from vamgpu.hosts.player.exposure import ScatterWatch, StopRule
+from vamgpu.hosts.player.machines import Machines, SourceFrames, StageMachines, VideoMachines, senses
+from vamgpu.hosts.player.motor import Origin
+from vamgpu.hosts.player.operator import attended, print_with_operator
+from vamgpu.hosts.player.player import Player
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.player.stage_mirrors import StageClockedPlayer
+from vamgpu.hosts.player.video import SpinningPlayer
+from vamgpu.hosts.process.live_camera import LiveCamera
+from vamgpu.hosts.process.live_link import LiveLink, LiveOrder, task_of
+from vamgpu.hosts.process.resume import Interrupted, left_by_a_host, limits, may_go_on, run_folder
+from vamgpu.hosts.process.versions import boundary, planned_versions, restored
+from vamgpu.hosts.records.plans import swaps
+from vamgpu.hosts.records.record import RunFolder, read_run
+from vamgpu.hosts.records.state import Board, PrintState
+from vamgpu.hosts.rigs.config import read_rig
+from vamgpu.hosts.rigs.connection import close, opened
+from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
+from vamgpu.hosts.rigs.rehearsal import Rehearsal, rehearsal
+from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.printing.scatter import STOP
+from vamgpu.storage.folder import Folder
+
+__all__ = [
+    "PrintPlan", "Rehearsal", "carry_out", "check", "close", "limits", "may_go_on", "opened", "plan", "player",
+    "read_rig", "rehearsal", "stopping",
+]  # fmt: skip
+log: logging.Logger = logging.getLogger(__name__)
+
+
+def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live: bool = False) -> Judged | None:
+    """Judge a plan on opened machines, in the dark.
+
+    Args:
+        planned: The plan, of `plan`.
+        machines: Its machines, of `opened` or `rehearsal`.
+        seconds: How long the transfer rates of real machines are measured [s].
+        live: Whether frames may be replaced while they are printed, so that the wire must carry new ones in time.
+
+    Returns:
+        What was found, with the depth and number of sequences for the player; None for a rig on a video cable, whose
+        frames need no upload.
+
+    Raises:
+        BadInput: The schedule cannot be shown by these machines.
+        WrongDevice: The machines are not those that the plan is for.
+        TimingInfeasible: A machine is too slow; the message says which, and the greatest speed that it allows.
+    """
+    seconds = positive("seconds", seconds)
+    if isinstance(machines, VideoMachines) or planned.display is not None:
+        if not isinstance(machines, VideoMachines) or planned.display is None:
+            raise WrongDevice(
+                "the plan and the machines differ: one is for a video cable; expected both for the same rig"
+            )
+        machines.check(planned.schedule, planned.display)
+        return None
+    if len(machines.mirrors) != len(planned.mirrors):
+        raise WrongDevice(
+            f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig that "
+            "it was planned for, or plan for this one"
+        )
+    for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
+        fits((dmd.height, dmd.width), timing)
+    if len(planned.focus) > 1 and machines.lens is None:
+        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig that it was planned for")
+    if not isinstance(machines, StageMachines):
+        answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
+    return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds,
+                  live=boundary(planned) if live else None)  # fmt: skip
+
+
+def player(
+    planned: PrintPlan, machines: Machines, found: Judged | None = None, origin: Origin | None = None,
+    versions: FrameVersions | None = None,
+) -> Player:  # fmt: skip
+    """The player that shows a plan on its machines.
+
+    Args:
+        planned: The plan.
+        machines: Its opened machines.
+        found: What `check` returned; None runs it.
+        origin: Where pose 0 is on the motor, for a print that is resumed; None sets it anew.
+        versions: Versions of the frames, of `vamgpu.hosts.process.versions.planned_versions`; None where frames stay.
+
+    Returns:
+        A `TriggeredPlayer` for mirrors that a controller triggers, a `StageClockedPlayer` where a stage does, a
+        `SpinningPlayer` for a video cable.
+
+    Raises:
+        BadInput, WrongDevice, TimingInfeasible: See `check`.
+    """
+    found = found or check(planned, machines, live=versions is not None)
+    if planned.display is not None and isinstance(machines, VideoMachines):
+        sources = planned.sources() if versions is None else versions.sources
+        shown = SourceFrames(sources[0], (planned.mirrors[0].rows, planned.mirrors[0].columns))
+        return SpinningPlayer(planned.schedule, planned.display, machines, shown, versions=versions)
+    assert found is not None and not isinstance(machines, VideoMachines)
+    sizes: dict[str, Any] = {"depth": found.depth, "sequences": found.sequences, "versions": versions}
+    if isinstance(machines, StageMachines):
+        return StageClockedPlayer(planned.schedule, machines, planned.sources(), **sizes)
+    return TriggeredPlayer(planned.schedule, machines, planned.sources(), turn=found.turn, origin=origin, **sizes)
+
+
+def carry_out(
+    planned: PrintPlan, machines: Machines, folder: str | Path, board: Board | None = None,
+    found: Judged | None = None, resume: bool = False, *, unattended: int = 0,
+    go_on: Callable[[Print], bool] | None = None, process: Mapping[str, str] | None = None,
+    live: LiveOrder | None = None,
+) -> tuple[PrintState, Print]:  # fmt: skip
+    """Print a plan and record it in a run folder.
+
+    Args:
+        planned: The plan. If it has a stop, a camera watches the resin and ends the print.
+        machines: Its opened machines.
+        folder: The run folder. It must not exist, unless ``resume`` is set.
+        board: Shows the print to an operator and offers buttons to pause, resume and cancel; None offers none.
+        found: What `check` returned; None runs it.
+        resume: Resume the print that a host left in the folder.
+        unattended: How often a print that is held goes on by itself.
+        go_on: Is asked whether a print that is held goes on; None asks at the board, and lets none go on without one.
+        process: What the system granted to this process, for the record.
+        live: What plans the frames of coming turns or segments, in a process of its own, and how much light it may add.
+
+    Returns:
+        The state at the end, and the print with its record.
+
+    Raises:
+        InterlockOpen: The enclosure is open, or the light had to go off.
+        BadInput: The print cannot be resumed, or frames of slices are to be replaced.
+        WrongDevice: The plan has a stop, and no camera was opened.
+        StorageError: The folder exists, or cannot be written.
+        VamError: What else ended or holds the print: it is dark and recorded; the folder's state says if it can go on.
+    """
+    _may_begin(planned, machines, resume)
+    left = left_by_a_host(planned, machines, folder) if resume else None
+    versions = _versions(planned, live, left)
+    playing = _playing(planned, machines, found, left, versions)
+    for one in planned.guarantees.lacking:
+        log.warning("%s %s", one.about, one)
+    with ExitStack() as held:
+        record = _record(held, planned, machines, folder, left, versions, process)
+        shown = board or Board()
+        watch = _scatter_watch(planned, machines, record, shown)
+        ends: Any = {} if watch is None else {name: getattr(watch, name) for name in ("enough", "short", "recover")}
+        if live is not None and versions is not None:
+            ends["live"] = _linked(held, live, planned, machines, record, versions, shown, images=watch is None)
+        job = Print(playing, record, limits=limits(planned.rig), board=shown, senses=partial(senses, machines), **ends)
+        if left is not None:
+            job.restore(read_run(folder).shown, left.pause)
+        first, asked = None if left is None else left.first, None if go_on is None else partial(go_on, job)
+        with nullcontext() if watch is None else _before_the_light(watch, job):
+            if board is not None:
+                return print_with_operator(job, board, first, unattended, asked), job
+            return attended(job, first, asked, unattended), job
+
+
+def _record(
+    held: ExitStack, planned: PrintPlan, machines: Machines, folder: str | Path, left: Interrupted | None,
+    versions: FrameVersions | None, process: Mapping[str, str] | None,
+) -> RunFolder:  # fmt: skip
+    """The run's folder, new or resumed, open until the print ends."""
+    now, version = machines.clock.now(), None if versions is None else versions.at
+    record = held.enter_context(run_folder(planned, folder, left, now, version))
+    if process is not None:
+        record.event("process", now, **process)
+    return record
+
+
+def _playing(
+    planned: PrintPlan, machines: Machines, found: Judged | None, left: Interrupted | None,
+    versions: FrameVersions | None,
+) -> Player:  # fmt: skip
+    """The player, which shows again what was missed before an earlier host left."""
+    playing = player(planned, machines, found, None if left is None else left.origin, versions)
+    if left is not None and isinstance(playing, TriggeredPlayer):
+        playing.restore(left.lost)
+    return playing
+
+
+def _versions(planned: PrintPlan, live: LiveOrder | None, left: Interrupted | None) -> FrameVersions | None:
+    """Versions of the frames, those of an earlier host included; None where frames stay."""
+    if live is None and (left is None or not swaps(left.run)):
+        return None
+    versions = planned_versions(planned, 0.0 if live is None else live.allowance)
+    if live is not None:
+        versions.stop = live.stop
+    if left is not None:
+        restored(versions, planned, left.run, left.first, left.lost)
+    return versions
+
+
+def _scatter_watch(planned: PrintPlan, machines: Machines, record: RunFolder, board: Board) -> ScatterWatch | None:
+    """The camera's watch of a plan with a stop."""
+    if planned.stop is None or machines.camera is None:
+        return None
+    speed = float(planned.schedule.speed)
+    lit = lambda: board.now.position / speed  # noqa: E731
+    return ScatterWatch(machines.camera, machines.clock, planned.stop, record, lit, board=board)
+
+
+def _linked(
+    held: ExitStack, live: LiveOrder, planned: PrintPlan, machines: Machines, record: RunFolder,
+    versions: FrameVersions, board: Board, *, images: bool,
+) -> LiveLink:  # fmt: skip
+    """The planning process, and the camera whose images it gets, held until the print ends."""
+    camera = None
+    if machines.camera is not None and images:
+        speed = float(planned.schedule.speed)
+        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lambda: board.now.light, speed))
+    task = task_of(planned, record.path)
+    return held.enter_context(LiveLink(live, task, planned, versions, machines.clock, board, camera))
+
+
+def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
+    """Add a stop to the plan of a vial: the print ends when the resin scatters enough, at the latest after its turns.
+
+    Args:
+        planned: The plan; its turns are the most that are printed.
+        threshold: Scatter density at which to stop [gray levels/voxel], in levels of the rig's camera and voxels of
+            the first job's part.
+
+    Returns:
+        The plan with its stop.
+
+    Raises:
+        BadInput: The plan is not a vial's, or the threshold is not above 0.
+        JobError: The rig has no camera.
+        StorageError: The job's folder does not hold its part.
+    """
+    positive("threshold of scatter [gray levels/voxel]", threshold)
+    if planned.kind != "vial":
+        raise BadInput("only vials stop by their scatter, as all of the part gels at once; print without a stop")
+    rig = planned.rig.setup
+    if rig.camera is None:
+        raise JobError(
+            f'the rig {rig.rig.name!r} has no [[feedback]] with driver = "camera", which watches how much the resin '
+            "scatters; add it to the rig's file, or print without a stop"
+        )
+    camera = rig.camera
+    stop = StopRule(float(threshold), _voxels(planned.jobs[0].path), camera.bits, camera.exposure, camera.discard)
+    return replace(planned, stop=stop)
+
+
+def _voxels(path: str) -> float:
+    """Voxels of a job's part: the sum of its fractions."""
+    folder = Folder.open(path)
+    if "target" not in folder.manifest.arrays:
+        raise StorageError(
+            f"{path!r} does not hold its part, whose voxels scatter is counted by; write it with `vam solve`, or print "
+            "without a stop"
+        )
+    return float(folder.array("target").sum(dtype=np.float64))
+
+
+@contextmanager
+def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
+    """A watch whose background was taken in the dark; a print that has none has failed."""
+    with watch:
+        try:
+            job.player.lamp.off()  # whatever a crashed host left
+            watch.begin()
+        except BaseException as error:
+            job.ended(error)
+            raise
+        yield
+
+
+def _may_begin(planned: PrintPlan, machines: Machines, resume: bool) -> None:
+    """Raise `WrongDevice` for a stop without a camera, `BadInput` for one that comes too late, `InterlockOpen`."""
+    if planned.stop is not None and machines.camera is None:
+        raise WrongDevice("the plan stops by what a camera sees, and none was opened; use opened(rig, camera=True)")
+    if planned.stop is not None and resume:
+        raise BadInput(
+            "resin that was lit scatters already, so a print that stops by its scatter cannot be resumed: begin "
+            "it anew with fresh resin"
+        )
+    if machines.controller is not None and not machines.controller.status().interlock_closed:
+        raise InterlockOpen("the interlock is open: close the enclosure, then print again")

@@ -1,0 +1,109 @@
+"""Images of the resin while it is printed, each with the angle that it was taken at; the print waits for none."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from vamgpu.hosts.drivers.camera import CameraDriver
+from vamgpu.hosts.schedules.clock import Clock
+from vamgpu.hosts.schedules.timing import SECOND
+
+log: logging.Logger = logging.getLogger(__name__)
+KEPT = 64  # images that wait for the printing thread; older ones make room
+PATIENCE = 2 * SECOND  # how old the last image may be [ns]
+IDLE = 1e-3  # pause of the thread between images [s], should a camera not wait by itself
+LEAVE = 1.0  # how long the thread may take to end [s]
+
+
+class LiveCamera:
+    """Takes images from the first light on; a context. speed: [deg/s].  exposure: [s].  patience: of an image [ns]."""
+
+    def __init__(
+        self, camera: CameraDriver, clock: Clock, lit: Callable[[], bool], speed: float, *, exposure: float = 0.01,
+        patience: int = PATIENCE,
+    ) -> None:  # fmt: skip
+        self._camera, self._clock, self._lit, self._speed = camera, clock, lit, speed
+        self._exposure, self._patience = exposure, patience + round(exposure * SECOND)
+        self._images: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._notices: deque[tuple[str, dict[str, Any]]] = deque()
+        self._before: np.ndarray | None = None
+        self._looked: tuple[int, float] = clock.now(), 0.0
+        self._last = clock.now()
+        self._repeated = self._gone = self._silent = False
+        self._leave = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="live camera", daemon=True) if clock.real else None
+
+    def __enter__(self) -> LiveCamera:
+        try:
+            self._camera.expose(1e6 * self._exposure)
+        except Exception as error:
+            self._lost(error)
+        self._last = self._clock.now()
+        if self._thread is not None and not self._gone:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leave.set()
+        if self._thread is not None and self._thread.is_alive():
+            self._thread.join(LEAVE)
+
+    def taken(self, position: float) -> list[dict[str, Any]]:
+        """Images since the last call: ``image``, ``angle`` [deg], ``at`` [ns]. position: of the vial now [deg]."""
+        self._looked = self._clock.now(), position
+        if self._thread is None and not self._gone:
+            self._grab()
+        age = self._clock.now() - self._last
+        if not self._gone and not self._silent and age > self._patience:
+            self._silent = True
+            self._tell("live camera silent", f"the camera gave no image for {age / SECOND:.2g} s")
+        found = []
+        while self._images:
+            found.append(self._images.popleft())
+        return found
+
+    def notices(self) -> list[tuple[str, dict[str, Any]]]:
+        """Events since this was asked."""
+        found = []
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
+
+    def _run(self) -> None:
+        while not self._leave.is_set() and not self._gone:
+            self._grab()
+            self._leave.wait(IDLE)
+
+    def _grab(self) -> None:
+        """Take an image; one that is the same to the last bit was sent before, as no two have the same noise."""
+        try:
+            image = self._camera.grab()
+        except Exception as error:
+            self._lost(error)
+            return
+        self._last, (looked, position) = self._clock.now(), self._looked
+        self._silent = False
+        if self._before is not None and np.array_equal(image, self._before):
+            if not self._repeated:
+                self._repeated = True
+                self._tell("live images repeated", "the camera repeats its last image; repeated ones are not used")
+            return
+        self._before, self._repeated = image, False
+        middle = self._last - round(self._exposure * SECOND / 2)
+        angle = position + self._speed * (middle - looked) / SECOND
+        if angle >= 0 and self._lit():  # else it is of no turn of this print
+            self._images.append({"image": image, "angle": angle, "at": middle})
+
+    def _lost(self, error: Exception) -> None:
+        self._gone = True
+        self._tell("live camera lost", f"the camera is gone: {error}; turns go on without its images")
+
+    def _tell(self, kind: str, why: str) -> None:
+        log.warning("%s", why)
+        self._notices.append((kind, {"why": why}))

@@ -1,0 +1,116 @@
+"""The order of a print, in values that cross a pipe to the process that holds the light, and how it is carried out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.process.execution import carry_out, check, stopping
+from vamgpu.hosts.process.live_link import LiveOrder
+from vamgpu.hosts.records.record import read_run
+from vamgpu.hosts.records.state import Board
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig
+from vamgpu.hosts.rigs.connection import close, opened
+from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.hosts.rigs.rehearsal import Rehearsal
+from vamgpu.printing.given_dose import ProvedDose
+
+
+@dataclass(frozen=True)
+class PrintOrder:
+    """Jobs, rig, run folder and options of a print; see `vamgpu.hosts.rig.plan` and `carry_out`."""
+
+    jobs: tuple[str, ...]  # their folders
+    rig: str  # text of its file
+    source: str  # of its file
+    folder: str  # of the run
+    settings: tuple[str, ...] = ()
+    speed: float | str | None = None
+    turns: int | None = None
+    exposure: ProvedDose | Literal[False] | None = None  # what is known of the proof of a vial
+    stop: float | None = None  # density of scatter
+    device: str | None = None
+    rehearsed: bool = False  # on emulated machines
+    resume: bool = False  # go on with the folder's print
+    unattended: int = 0
+    page: bool = False  # buttons let a print that is held go on
+    asks: bool = False  # who watches is asked whether it goes on
+    live: str | None = None  # function that plans turns to come, ``module:function``
+    allowance: float = 0.0  # light that it may add over the job's
+
+    @classmethod
+    def of(cls, jobs: tuple[Path, ...], rig: RigConfig, folder: Path, **rest: Any) -> Self:
+        """An order that any process understands, wherever it runs."""
+        places = tuple(str(job.absolute()) for job in jobs)
+        source = rig.source if rig.source == "emulated" else str(Path(rig.source).absolute())
+        return cls(places, rig.text, source, str(folder.absolute()), rig.settings, **rest)
+
+    @classmethod
+    def parse(cls, told: Any) -> Self:
+        """An order as `plain` wrote it. Raises `BadInput`."""
+        if not isinstance(told, dict) or set(told) != {field.name for field in fields(cls)}:
+            raise BadInput(f"an order of a print is {told!r}; expected the values of a PrintOrder by name")
+        values: dict[str, Any] = {**told, "jobs": tuple(told["jobs"]), "settings": tuple(told["settings"])}
+        if isinstance(values["exposure"], dict):
+            values["exposure"] = ProvedDose(**values["exposure"])
+        return cls(**values)
+
+    def plain(self) -> dict[str, Any]:
+        """The values by name, as JSON takes them."""
+        return asdict(self)
+
+    @property
+    def config(self) -> RigConfig:
+        """The rig, as its file was when the order was given."""
+        return parse_rig(self.rig, self.settings, source=self.source)
+
+    @property
+    def leased(self) -> bool:
+        """Whether a controller gates the light, and closes it for a process that is gone."""
+        return self.config.setup.light.gate == "controller"
+
+    def planned(self) -> PrintPlan:
+        """The plan. Raises what `plan` raises."""
+        made = plan(
+            self.jobs, self.config, speed=self.speed, turns=self.turns, rehearsed=self.rehearsed, device=self.device,
+            exposure=self.exposure,
+        )  # fmt: skip
+        return made if self.stop is None else stopping(made, self.stop)
+
+
+def printed(
+    order: PrintOrder, planned: PrintPlan, stand: Rehearsal | None, board: Board, *,
+    told: Callable[[str, str], None], go_on: Callable[[Print], bool] | None,
+    process: Mapping[str, str] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Print an order's plan; how it ended, as messages tell it. told: hears facts by name. Raises what ended it."""
+    live = None if order.live is None else LiveOrder(order.live, order.allowance)
+    camera = planned.stop is not None or (live is not None and planned.rig.setup.camera is not None)
+    machines = opened(planned.rig, camera, planned.focus) if stand is None else stand.machines
+    try:
+        found = check(planned, machines, live=live is not None)
+        if found is not None:
+            told("preflight", str(found))
+        state, _ = carry_out(
+            planned, machines, order.folder, board, found, order.resume, unattended=order.unattended, go_on=go_on,
+            process=process, live=live,
+        )  # fmt: skip
+    finally:
+        close(machines)
+    return {"state": state.value} | ({} if stand is None else _seen(planned, stand, order.folder))
+
+
+def _seen(planned: PrintPlan, stand: Rehearsal, folder: str) -> dict[str, Any]:
+    """The verdict of emulated resin, and the levels that it saw of a vial's frames."""
+    lit = (shown := read_run(folder).shown)[(shown["engine"] == 0) & (shown["dark"] == 0)]
+    if not len(shown):
+        return {}
+    seen = None if planned.stop is None else lit["frame"]
+    turns = None if seen is None else -(-len(seen) // planned.schedule.frames)
+    engines = range(len(planned.jobs)) if planned.kind == "vial" else ()
+    levels = [stand.levels(planned, engine, turns) for engine in engines]
+    return {"resin": str(stand.monitor.verdict(seen)), "levels": levels} | ({} if turns is None else {"turns": turns})

@@ -1,0 +1,240 @@
+"""Resuming the print of a host that died: the same jobs on the same rig, from its folder and its controller."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vamgpu.errors import BadInput
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.drivers.controller_protocol import Status
+from vamgpu.hosts.player.machines import Machines, MirrorMachines
+from vamgpu.hosts.player.motor import Origin
+from vamgpu.hosts.player.run import SafetyLimits, may_resume
+from vamgpu.hosts.records.account import views_asked
+from vamgpu.hosts.records.record import FrameRecord, RunFolder, RunRecord, digest, read_run
+from vamgpu.hosts.records.state import PrintState
+from vamgpu.hosts.rigs.config import RigConfig, RigFile, parse_rig
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.hosts.rigs.planning import PrintPlan
+from vamgpu.hosts.schedules.schedule import Schedule
+from vamgpu.hosts.schedules.timing import SECOND
+from vamgpu.storage.atomic import explained
+from vamgpu.storage.reading import MOST_TOML, read_text
+
+
+@dataclass(frozen=True, eq=False)
+class Interrupted:
+    """A print that a host left."""
+
+    run: RunRecord
+    first: int  # the next slot
+    unseen: int  # the slot from which on nobody saw all
+    origin: Origin
+    lost: tuple[tuple[int, ...], ...]  # poses that were black, of each projector
+    since: float  # last light, by the clock of its days [s]
+
+    @property
+    def pause(self) -> int:
+        """Time in the dark [ns]."""
+        return _since(self.since)
+
+    def take_up(
+        self, folder: RunFolder, schedule: Schedule, now: int, version: Callable[[int], int] = lambda slot: 0
+    ) -> None:
+        """Record, at a time of the rig's clock [ns], what was triggered after the host's last poll."""
+        # the frame on show then may have been cut short; mirrors that go dark with their program showed none after it
+        if self.first > self.unseen:
+            folder.event("unseen", now, first=self.unseen, stop=self.first)
+        have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
+        for slot in range(self.unseen, self.first):
+            frame, pose, light, on = (int(getattr(schedule, name)[slot]) for name in ("frame", "pose", "light", "on"))
+            for engine in range(schedule.engines):
+                if (slot, engine) in have:
+                    continue
+                folder.shown(FrameRecord(slot, frame, pose, light, on, engine=engine, version=version(slot)))
+
+
+@dataclass(frozen=True, eq=False)
+class AbandonedRun:
+    """State of the folder of a host that died."""
+
+    run: RunRecord
+    segment: dict[str, Any]  # the event that began the last run segment
+    sign: float  # last sign of light [s]
+    dark: bool  # whether the host had put the light out
+
+
+def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
+    """State of the folder of a host that died. Raises `BadInput` if its print cannot be resumed."""
+    path = run.path
+    if run.state is not PrintState.PRINTING and not run.state.waits:
+        raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left unfinished can be resumed")
+    segment = next((event for event in reversed(run.events) if event["event"] == "segment"), None)
+    if segment is None:
+        raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
+    if "preroll" not in segment:
+        raise BadInput(
+            f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
+            "anew with fresh resin"
+        )
+    _check_pause(path, float(run.events[-1]["wall"]), limits)
+    signs = [event for event in run.events if event["event"] in ("segment", "light", "poll")]
+    dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "poll")
+    return AbandonedRun(run, segment, float(signs[-1]["wall"]), dark)
+
+
+def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
+    """Raise `BadInput` for a pause since a time of these days [s] that was too long, or that nobody knows."""
+    if (pause := _since(since)) < 0:
+        raise BadInput(
+            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so nobody knows "
+            "how long it paused; begin anew with fresh resin"
+        )
+    may_resume(pause, limits)
+
+
+def interrupted(
+    path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
+) -> Interrupted:
+    """State of a print by its folder and by its controller, which kept its power. Raises `BadInput`."""
+    left = left_in(read_run(path), limits)
+    run, segment, now = left.run, left.segment, controller.status()
+    if now.zero != segment.get("zero"):
+        raise BadInput(
+            f"the controller does not know the print of {str(path)!r}: it lost its power, was reset when its port was "
+            "opened, or another print began, so nobody knows where the motor is; begin anew with fresh resin"
+        )
+    slots = run.shown["slot"]
+    recorded = int(slots.max()) + 1 if len(slots) else 0
+    shown = segment["first"] + _counted(now, segment)
+    if now.play not in (segment["play"], segment["before"]) or shown < recorded:
+        raise BadInput(
+            f"another program let the controller play after {str(path)!r} was left, so nobody knows what the resin "
+            "saw; begin anew with fresh resin"
+        )
+    dark = run.shown[run.shown["dark"] > 0]
+    if shown >= len(schedule):
+        missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
+        raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
+    lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
+    origin = Origin(segment["origin"], segment["zero"])
+    lit = recorded > segment["first"]  # what was shown after that counts as dark: a pause is rather told too long
+    since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
+    _check_pause(path, since, limits)
+    return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
+
+
+def _counted(now: Status, segment: dict[str, Any]) -> int:
+    """Frames of a run segment that the controller showed; a host that died in between had not let it play yet."""
+    return max(now.shown - segment["preroll"], 0) if now.play == segment["play"] else 0
+
+
+def _since(wall: float) -> int:
+    """Since a time of these days [ns]."""
+    return round((time.time() - wall) * SECOND)
+
+
+def limits(rig: RigConfig) -> SafetyLimits:
+    """The limits of the light in a rig file.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        Lease [ns], tolerance of motion [poses], budget of light over the plan's, and longest pause [ns].
+    """
+    said = rig.setup.safety
+    return SafetyLimits(round(said.lease * 1e9), said.tolerance, said.budget, round(said.resume * 1e9))
+
+
+def asked_for(planned: PrintPlan) -> dict[str, Any]:
+    """The plan as a run's folder keeps it."""
+    table, jobs = planned.schedule, [each.path for each in planned.jobs]
+    return {
+        "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
+        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
+        "guarantees": [one.record() for one in planned.guarantees],
+        "calibrations": dict(planned.calibration.used),
+        "views": views_asked(table),
+        "dose": None if planned.dose is None else planned.dose.plain(),
+    }  # fmt: skip
+
+
+def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
+    """Check, from the folders alone, that a print can be resumed. Ask before any machine is opened.
+
+    Args:
+        planned: The plan of the same jobs at the same speed.
+        folder: The run folder that a host left.
+
+    Raises:
+        BadInput: The folder holds another print, one that ended, one that paused for too long, or one on a video cable.
+        StorageError: The folder cannot be read.
+    """
+    if driver_of(planned.rig.setup.clock) == "stage":
+        raise BadInput(
+            "the stage triggered the mirrors until their frames were over, and nobody knows which the resin saw: this "
+            "print cannot be resumed; begin it anew with fresh resin"
+        )
+    if planned.display is not None:
+        raise BadInput(
+            "a video projector went on with its last frame while the vial turned, until the lease was over: this "
+            "print cannot be resumed; begin it anew with fresh resin"
+        )
+    before = read_run(folder)
+    asked, wanted = before.asked, asked_for(planned)
+    names = ("digests", "kind", "slots", "speed", "stop", "calibrations", "views")
+    if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
+        told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
+        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+    _same_rig(planned.rig, before)
+    left_in(before, limits(planned.rig))
+
+
+def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -> Interrupted:
+    """The interrupted print in a folder, if it is the same one. Raises `BadInput`, `StorageError`."""
+    may_go_on(planned, folder)
+    assert isinstance(machines, MirrorMachines)
+    return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
+
+
+def _same_rig(rig: RigConfig, run: RunRecord) -> None:
+    """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
+    file, given = run.path / "rig.toml", run.asked.get("settings", ())
+    try:
+        first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
+    except OSError as error:
+        raise explained("read", file, error) from error
+    began, now = (_light(read.setup) for read in (first, rig))
+    if different := [name for name in now if now[name] != began[name]]:
+        settings = "".join(f" --set {setting!r}" for setting in given)
+        raise BadInput(
+            f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
+            f"rest of the print would get another light; print with --rig {str(file)!r}{settings}"
+        )
+
+
+def _light(rig: RigFile) -> dict[str, Any]:
+    """The part of a rig's file that must not change before a print goes on."""
+    told = rig.model_dump(exclude={"rig", "safety", "feedback", "camera_stage"})
+    for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["light"]):
+        for name in ("port", "library"):
+            (section or {}).pop(name, None)
+    return told
+
+
+def run_folder(
+    planned: PrintPlan, folder: str | Path, left: Interrupted | None, now: int,
+    version: Callable[[int], int] | None = None,
+) -> RunFolder:  # fmt: skip
+    """A new run folder, or a resumed one up to what was shown. now: [ns].  version: of a slot, or `StorageError`."""
+    if left is None:
+        return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
+    record = RunFolder.again(folder)
+    left.take_up(record, planned.schedule, now, version or (lambda slot: 0))
+    return record

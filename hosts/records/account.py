@@ -1,0 +1,136 @@
+"""The light that each frame got in a run, known and unknown, beside the light that was planned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vamgpu.hosts.schedules.schedule import NONE, Schedule
+from vamgpu.printing.given_dose import GivenDose
+
+if TYPE_CHECKING:
+    from vamgpu.hosts.records.record import RunRecord
+
+WITHIN = 0.01  # The share of its light that a view of a complete print may lack
+
+
+def wanted_light(schedule: Schedule) -> np.ndarray:
+    """Light that a schedule gives each of its frames [ns], int64 (frames,)."""
+    lit = schedule.frame != NONE
+    frames = max(schedule.frames, int(schedule.frame.max(initial=-1)) + 1)
+    wanted = np.zeros(frames, np.int64)
+    np.add.at(wanted, schedule.frame[lit], schedule.on[lit])
+    return wanted
+
+
+@dataclass(frozen=True, eq=False)
+class LightAccount:
+    """Light of the frames of a run, in ns, arrays (engines, frames)."""
+
+    wanted: np.ndarray  # planned
+    sure: np.ndarray  # given for certain
+    unsure: np.ndarray  # given or not: the light went off at an unknown time
+    versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same of each version of the frames
+    dose: GivenDose | None = None  # of all planned light, over the proved one; None if unknown
+
+    @property
+    def views(self) -> int:
+        """Number of frames that have light in the plan."""
+        return int(np.count_nonzero(self.wanted))
+
+    @property
+    def short(self) -> np.ndarray:
+        """Views that may lack more than `WITHIN` of their light, in any version, bool (engines, frames)."""
+        lacking = self.sure < self.wanted * (1 - WITHIN)
+        return np.any([lacking, *(each.short for each in self.versions.values())], axis=0)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every view has its light, and that is the whole exposure where it is known."""
+        return not self.short.any() and (self.dose is None or self.dose.whole)
+
+    def share(self, unsure: float) -> np.ndarray:
+        """Light over what was wanted, (engines, frames); 1 where none was. unsure: counted share of unknown light."""
+        got = self.sure + unsure * self.unsure
+        return np.where(self.wanted > 0, got / np.maximum(self.wanted, 1), 1.0)
+
+    def facts(self) -> dict[str, Any]:
+        """The account as a run's folder keeps it."""
+        short = self.short
+        least, most = (self.share(unsure)[short] for unsure in (0.0, 1.0))
+        return {
+            "views": self.views, "short": int(short.sum()), "complete": self.complete,
+            "least_share": float(least.min(initial=1.0)), "most_share": float(most.min(initial=1.0)),
+        } | ({} if self.dose is None else {"dose": self.dose.share}) | (
+            {"versions": {str(number): each.facts() for number, each in self.versions.items()}} if self.versions else {}
+        )  # fmt: skip
+
+    def __str__(self) -> str:
+        told = self.facts()
+        if not told["short"]:
+            return f"all {self.views} frames have their light" + ("" if self.dose is None else f"; dose {self.dose}")
+        low, high = (100 * told[name] for name in ("least_share", "most_share"))
+        band = f"{low:.0f} %" if round(low) == round(high) else f"{low:.0f} to {high:.0f} %"
+        return f"{told['short']} of {self.views} frames are underexposed: the darkest has {band} of its light"
+
+
+def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True) -> LightAccount | None:
+    """The light of a run's frames; None for folders without it. versions: count replaced frames by version."""
+    kept: Mapping[str, Any] | None = run.asked.get("views")
+    if wanted is None and kept is None:
+        return None
+    if wanted is None:
+        assert kept is not None
+        wanted = np.broadcast_to(np.asarray(kept["on_ns"], np.int64), (kept["frames"],))
+    shown, dose = run.shown, GivenDose.read(run.asked.get("dose"))
+    lit = (shown["dark"] == 0) & (shown["frame"] >= 0)
+    engines = max(int((kept or {}).get("engines", 1)), int(shown["engine"].max(initial=0)) + 1)
+    unsure = np.zeros(len(shown), bool)
+    for event in run.events:
+        if event["event"] == "unseen":
+            unsure |= (shown["slot"] >= event["first"]) & (shown["slot"] < event["stop"])
+
+    def counted(wanted: np.ndarray, among: np.ndarray | bool = True) -> LightAccount:
+        got = []
+        for those in (lit & ~unsure & among, lit & unsure & among):
+            light = np.zeros((engines, len(wanted)), np.int64)
+            np.add.at(light, (shown["engine"][those], shown["frame"][those]), shown["on_time"][those])
+            got.append(light)
+        return LightAccount(np.broadcast_to(wanted, (engines, len(wanted))), *got, dose=dose)
+
+    shares = version_shares(run.events, len(wanted)) if versions else None
+    if shares is None:
+        return counted(wanted)
+    each = {
+        number: counted((wanted * share).astype(np.int64), shown["version"] == number)
+        for number, share in shares.items()
+    }
+    return replace(counted((wanted * sum(shares.values())).astype(np.int64)), versions=each)
+
+
+def version_shares(events: Sequence[Mapping[str, Any]], frames: int) -> dict[int, np.ndarray] | None:
+    """Share of each frame's planned light that a version has, (frames,); None where none was replaced."""
+    swaps = [event for event in events if event["event"] == "swap"]
+    if not swaps:
+        return None
+    last = swaps[-1]
+    numbers = np.zeros(int(last["turns"]), np.int64)
+    for swap in swaps:
+        numbers[swap["turn"] : swap.get("until")] = swap["version"]
+    shown = numbers[: last["stop"]].tolist()
+    if last.get("unit") != "segment":
+        return {number: np.full(frames, shown.count(number) / len(numbers)) for number in dict.fromkeys(shown)}
+    numbers[len(shown) :] = NONE
+    each = numbers[np.arange(frames) // int(last["count"])]
+    return {number: (each == number).astype(float) for number in dict.fromkeys(shown)}
+
+
+def views_asked(schedule: Schedule) -> dict[str, Any]:
+    """The planned light, as a run's folder keeps it."""
+    wanted = wanted_light(schedule)
+    alike = bool((wanted == wanted[:1]).all())
+    return {"engines": schedule.engines, "frames": len(wanted),
+            "on_ns": int(wanted[0]) if alike and len(wanted) else wanted.tolist()}  # fmt: skip

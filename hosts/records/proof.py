@@ -1,0 +1,121 @@
+"""Proof of a run: the light of its record, through the simulation of the job that it printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.device import Device
+from vamgpu.errors import BadInput, StorageError, VamError
+from vamgpu.hosts.records.account import LightAccount, account
+from vamgpu.hosts.records.plans import kept_frames
+from vamgpu.hosts.records.record import RunRecord, digest, read_run
+from vamgpu.jobs.run import Proven, prove
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.given_dose import prove_given
+from vamgpu.printing.proof import Proof
+
+
+@dataclass(frozen=True, eq=False)
+class ShownFrames:
+    """Frames as a run showed them."""
+
+    frames: Frames  # of the job
+    share: np.ndarray  # of its light that each frame got, (frames,)
+    versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()  # readers of replaced frames, and their shares
+
+    @property
+    def scale(self) -> float:
+        """Light of a full-on pixel."""
+        return self.frames.scale
+
+    @property
+    def motion(self) -> Any:
+        """The angles that the frames are for."""
+        return self.frames.motion
+
+    def irradiance(self, device: Device) -> DeviceArray:
+        """Light [angle, r, z] that the run gave, per turn of the plan."""
+        light = self.frames.irradiance(device).numpy() * self.share[:, None, None]
+        for frames, share in self.versions:  # one by one: there may be many
+            light += frames().irradiance(device).numpy() * share[:, None, None]
+        return device.upload(light.astype(np.float32))
+
+
+def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
+    """Job folders of the projectors. Raises `BadInput` for jobs that were not printed, `StorageError`."""
+    printed, moved = run.asked["digests"], {digest(Path(each)): Path(each) for each in given}
+    if others := [str(place) for known, place in moved.items() if known not in printed]:
+        raise BadInput(f"the job {others[0]!r} is another one than was printed; give the one that was (--job)")
+    found = []
+    for path, known in zip(run.asked["jobs"], printed, strict=True):
+        places = [moved[known]] if known in moved else [Path(path), run.path.parent / Path(path).name]
+        place = next((each for each in places if each.exists()), None)
+        if place is None:
+            raise StorageError(f"the job {path!r} of this run is not there any more; say where it is (--job)")
+        if digest(place) != known:
+            raise BadInput(f"the job {str(place)!r} was changed since it was printed; give the one that was (--job)")
+        found.append(place)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RunProof:
+    """The print of one projector of a run; least and most are one and the same where all of its light is known."""
+
+    run: RunRecord
+    light: LightAccount  # of all views
+    planned: Proven  # the proof of the job itself
+    least: Proof  # what was shown, with none of the light that nobody knows of
+    most: Proof  # with all of it
+
+
+def prove_run(
+    path: str | Path, device: str | None = None, job: str | Path | Sequence[str | Path] = ()
+) -> tuple[RunProof, ...]:
+    """Prove what a run of a vial printed, by the light in its record. Raises `BadInput`, `StorageError`."""
+    # One proof for each projector.  job: folders of jobs that were moved since, in any order; without, they are looked
+    # for where they were, and beside the run.
+    run = read_run(path)
+    try:
+        light = account(run)
+        jobs = _jobs(run, (job,) if isinstance(job, (str, Path)) else job)
+    except VamError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise StorageError(f"the record of {str(path)!r} is malformed: {error!r}; its folder was changed") from error
+    if light is None or run.asked.get("kind") != "vial":
+        raise BadInput(f"{str(path)!r} does not hold the light of a vial's views; only runs of vials can be proved")
+    if not light.sure.any():
+        raise BadInput(f"{str(path)!r} has shown nothing; there is no light to prove")
+    found = []
+    for engine, place in enumerate(jobs):
+        planned = prove(place, device)
+        proof = planned.proof
+        doubts = (0.0, 1.0) if any(one.unsure[engine].any() for one in (light, *light.versions.values())) else (0.0,)
+        shown = [prove_given(proof, _shown(run, light, proof.frames, engine, unsure), light.dose) for unsure in doubts]
+        found.append(RunProof(run, light, planned, shown[0], shown[-1]))
+    return tuple(found)
+
+
+def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure: float) -> ShownFrames:
+    """The frames that a projector showed: the job's, and those of the versions that replaced them."""
+    if not light.versions:
+        return ShownFrames(job, light.share(unsure)[engine])
+    planned = account(run, versions=False)
+    assert planned is not None
+    share = {number: _of(each, planned, engine, unsure) for number, each in light.versions.items()}
+    others = ((partial(kept_frames, run.path, number, engine, job.device), share[number]) for number in share if number)
+    return ShownFrames(job, share.get(0, np.zeros(job.shape[0])), tuple(others))
+
+
+def _of(version: LightAccount, planned: LightAccount, engine: int, unsure: float) -> np.ndarray:
+    """Light of a version's frames, over that of all turns of the plan."""
+    got = version.sure[engine] + unsure * version.unsure[engine]
+    return got / np.maximum(planned.wanted[engine], 1)

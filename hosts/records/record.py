@@ -1,0 +1,272 @@
+"""The folder of a run: what was asked, what happened, and every frame that was shown, kept as it happens.
+
+Each frame is one write of one record with a check sum, handed to the system before the next is shown: a host that is
+killed loses none of them.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.hosts.records.account import account
+from vamgpu.hosts.records.state import PrintState, StateChange
+from vamgpu.storage.atomic import explained
+from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
+
+FULL = (errno.ENOSPC, errno.EDQUOT)  # what a system says of a disk, or the share of it that one has, that is full
+RESERVE = ".reserve"  # room that is kept for the last state, should the disk be full by then
+MAGIC = b"VAMSHOWN\x02\x00\x00\x00"
+_TIMES = ("slot", "frame", "position", "start", "on_time", "late")
+FRAME_RECORD = np.dtype(
+    [*((name, "<i8") for name in _TIMES), ("engine", "<u2"), ("dark", "<u2"), ("version", "<u4"), ("check", "<u4")]
+)
+"""A record: slot and frame numbers, position as a pose that runs on over turns, start, on_time, lateness [ns] (below 0:
+in time by so much), which projector, 1 where black was shown instead, and the version of the frame."""
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A frame that was shown, or the black that stood for it."""
+
+    slot: int
+    frame: int
+    position: int
+    start: int
+    on_time: int
+    late: int = 0
+    engine: int = 0
+    dark: bool = False
+    version: int = 0
+
+    def packed(self) -> bytes:
+        """As a record, with its check sum."""
+        numbers = (self.slot, self.frame, self.position, self.start, self.on_time, self.late)
+        body = struct.pack("<6q2HI", *numbers, self.engine, int(self.dark), self.version)
+        return body + struct.pack("<I", zlib.crc32(body))
+
+
+class RunFolder:
+    """Writes the folder of a run. Any thread may write; a full disk raises `StorageError`, and the print must stop."""
+
+    def __init__(self, path: Path, resume: bool = False) -> None:
+        self.path = path
+        self._lock = threading.RLock()
+        self._write: Callable[[int, bytes], int] = os.write
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+        try:
+            self._events = os.open(path / "events.jsonl", flags, 0o644)
+            self._shown = os.open(path / "shown.bin", flags, 0o644)
+        except OSError as error:
+            raise explained("write in", path, error) from error
+        if resume:
+            self._cut()
+        else:
+            self._put(self._shown, MAGIC, "shown.bin")
+
+    @classmethod
+    def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
+        """A new folder. asked: as JSON takes it.  rig: its file's text. Raises `BadInput`, `StorageError`."""
+        try:
+            place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise BadInput(
+                f"the folder of a run cannot keep what was asked for: {error}; expected a path, values as JSON takes "
+                "them, and the text of the rig's file"
+            ) from error
+        try:
+            place.mkdir(parents=True)
+            (place / RESERVE).write_bytes(b"\xff" * 16384)
+            (place / "rig.toml").write_bytes(text)
+            (place / "run.json").write_text(told, encoding="utf-8")
+        except FileExistsError as error:
+            raise StorageError(f"{str(path)!r} exists; expected a new folder for the run: choose another") from error
+        except OSError as error:
+            raise explained("write", place, error) from error
+        folder = cls(place)
+        folder.state(StateChange(PrintState.STANDBY, PrintState.STANDBY, ""))
+        return folder
+
+    @classmethod
+    def again(cls, path: str | Path) -> Self:
+        """The folder of a run that is resumed; a last record that was torn is cut off."""
+        read_run(path)
+        return cls(Path(path), resume=True)
+
+    def event(self, kind: str, at: int, **facts: Any) -> None:
+        """Keep what happened. at: the rig's clock [ns]."""
+        line = {"at": int(at), "wall": round(time.time(), 3), "event": kind} | facts
+        self._put(self._events, (json.dumps(line, default=str) + "\n").encode(), "events.jsonl")
+
+    def shown(self, shown: FrameRecord) -> None:
+        """Keep a frame that was shown."""
+        self._put(self._shown, shown.packed(), "shown.bin")
+
+    def state(self, change: StateChange) -> None:
+        """Keep the state, whole or not at all."""
+        text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
+        draft = self.path / ".state.json"
+        for room in (True, False):
+            try:
+                draft.write_text(text + "\n", encoding="utf-8")
+                os.replace(draft, self.path / "state.json")
+                return
+            except OSError as error:
+                if error.errno not in FULL or not room:
+                    raise explained("write", self.path / "state.json", error) from error
+                (self.path / RESERVE).unlink(missing_ok=True)  # a full disk shall still learn how the print ended
+
+    def close(self) -> None:
+        """Write the timing and let go of the files; more than once does no harm."""
+        with self._lock:
+            if self._events < 0:
+                return
+            for file in (self._events, self._shown):
+                os.close(file)
+            self._events = self._shown = -1
+        try:
+            run = read_run(self.path)
+            text = json.dumps(timing(run.shown) | _views(run), indent=2)
+            (self.path / RESERVE).unlink(missing_ok=True)
+            (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise explained("write", self.path / "timing.json", error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            self.close()
+        except StorageError:
+            if error is None:
+                raise  # else the first error is the one to tell
+
+    def _put(self, file: int, data: bytes, name: str) -> None:
+        with self._lock:
+            try:
+                written = self._write(file, data)
+            except OSError as error:
+                raise explained("write", self.path / name, error) from error
+            if written != len(data):
+                os.ftruncate(file, os.fstat(file).st_size - written)
+                raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
+
+    def _cut(self) -> None:
+        """Cut off what a kill tore."""
+        whole = len(MAGIC) + len(read_run(self.path).shown) * FRAME_RECORD.itemsize
+        os.truncate(self.path / "shown.bin", whole)
+        lines = read_bytes(self.path / "events.jsonl", MOST_RECORD)
+        os.truncate(self.path / "events.jsonl", lines.rfind(b"\n") + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """A run as its folder tells it."""
+
+    path: Path
+    asked: dict[str, Any]
+    state: PrintState
+    message: str
+    shown: np.ndarray  # `FRAME_RECORD`, one a frame, in order
+    events: tuple[dict[str, Any], ...]
+    torn: int  # bytes of a last record that a kill or a full disk cut short
+
+
+def read_run(path: str | Path) -> RunRecord:
+    """Read the folder of a run, also of one that was killed. Raises `StorageError` for what is none."""
+    place = Path(path)
+    try:
+        asked = dict(parse_json(read_text(place / "run.json")))
+        told = parse_json(read_text(place / "state.json"))
+        data = read_bytes(place / "shown.bin", MOST_RECORD)
+        with open_file(place / "events.jsonl") as lines:
+            events = _told(lines)
+        state, message = PrintState(told["state"]), str(told["message"])
+    except FileNotFoundError as error:
+        if not place.is_dir():
+            raise explained("read", place, error) from error
+        lacks = Path(str(error.filename)).name
+        raise StorageError(f"{str(path)!r} is no folder of a run: it has no {lacks}; check the path") from error
+    except OSError as error:
+        raise explained("read", place, error) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
+    if not data.startswith(MAGIC):
+        raise StorageError(
+            f"{str(place / 'shown.bin')!r} is no record of frames, or one of version 0.2 or earlier; check the path, "
+            "or read it with the version that wrote it"
+        )
+    body, size = memoryview(data)[len(MAGIC) :], FRAME_RECORD.itemsize
+    count = next((n for n in range(len(body) // size) if not _whole(body, n, size)), len(body) // size)
+    shown = np.frombuffer(body, FRAME_RECORD, count)
+    torn = len(body) - count * size
+    return RunRecord(place, asked, state, message, shown, events, torn)
+
+
+def _told(lines: Iterable[bytes]) -> tuple[dict[str, Any], ...]:
+    """The events of lines; of polls in a row, which come many times a second, the last."""
+    found: list[dict[str, Any]] = []
+    for line in lines:
+        if not line.endswith(b"\n") or (event := _event(line)) is None:
+            continue
+        if found and found[-1].get("event") == event.get("event") == "poll":
+            found.pop()
+        found.append(event)
+    return tuple(found)
+
+
+def _event(line: bytes) -> dict[str, Any] | None:
+    """An event; None for a line that a full disk tore."""
+    try:
+        event = parse_json(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) else None
+
+
+def _whole(body: memoryview, number: int, size: int) -> bool:
+    record = body[number * size : (number + 1) * size]
+    return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")
+
+
+def _views(run: RunRecord) -> dict[str, Any]:
+    """The end of a run, and the light of its frames where the folder keeps the planned light."""
+    found = account(run)
+    return {"state": run.state.value} | ({} if found is None else {"light": found.facts()})
+
+
+def digest(job: Path) -> str:
+    """The check sum of what a job's folder says of its frames; of the names and sizes of slices."""
+    manifest = job / "manifest.json"
+    if manifest.is_file():
+        return sha256(read_bytes(manifest)).hexdigest()
+    files = sorted((file.name, file.stat().st_size) for file in job.iterdir()) if job.is_dir() else []
+    return sha256(repr(files or job.name).encode()).hexdigest()
+
+
+def timing(shown: np.ndarray) -> dict[str, Any]:
+    """Lateness of the frames: p50, p99 and greatest [ns], and a histogram in doubling bins from 1 µs."""
+    late = shown["late"].astype(np.float64)
+    edges = [0, *(1000 * 2**power for power in range(16))]
+    p50, p99, most = np.percentile(late, [50, 99, 100]) if len(late) else (0.0, 0.0, 0.0)
+    counts = np.histogram(np.clip(late, 0, edges[-1]), edges)[0]
+    return {
+        "frames": len(shown),
+        "dark": int(np.count_nonzero(shown["dark"])),
+        "late_ns": {"p50": float(p50), "p99": float(p99), "max": float(most)},
+        "histogram": {"edges_ns": edges, "counts": counts.tolist()},
+    }

@@ -1,0 +1,98 @@
+"""The real machines of a rig, opened and checked before any light; nothing stands in for one that is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from vamgpu.hosts.drivers.cleanup import close_all
+from vamgpu.hosts.drivers.controller import Controller
+from vamgpu.hosts.player.machines import Machines, MirrorMachines, StageMachines, VideoMachines
+from vamgpu.hosts.rigs.config import RigConfig, RigFile
+from vamgpu.hosts.rigs.guarantees import driver_of
+from vamgpu.hosts.schedules.clock import RealClock
+
+Machine = TypeVar("Machine")
+
+
+def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) -> Machines:
+    """Open the real machines of a rig. No emulator replaces a machine that is missing.
+
+    Args:
+        rig: The rig, of `read_rig`.
+        camera: Open the camera that watches the resin too.
+        focus: Of the plan [dpt]: a lens that the host tells is set to its one power, or to that of the axis.
+
+    Returns:
+        The machines; let go of them with `close`.
+
+    Raises:
+        DeviceNotFound: A machine is not there.
+        DeviceBusy: Another program uses it.
+        WrongDevice: Another machine answers than the rig file says.
+        DeviceRefused: A machine is not ready.
+    """
+    held: list[Any] = []
+
+    def hold(machine: Machine) -> Machine:
+        held.append(machine)
+        return machine
+
+    try:
+        machines = _opened(rig.setup, camera, hold)
+        lens = rig.setup.lens
+        if lens is not None and lens.controlled_by == "host":
+            assert not isinstance(machines, VideoMachines) and machines.lens is not None
+            machines.lens.set_power(focus[0] if focus else lens.axis)
+        return machines
+    except BaseException:
+        close_all([each.close for each in held])
+        raise
+
+
+def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
+    """Each part opens its own machine; ``hold`` keeps what is to be closed where a later one fails."""
+    measuring = {driver_of(each): each for each in setup.feedback if each.sees == "motion"}
+    motion, stepping = setup.motion, driver_of(setup.motion) == "controller"
+    controller = None
+    if setup.controller is not None:
+        port, microsteps = str(setup.controller.port), motion.microsteps if stepping else 1.0
+        controller = hold(Controller.open(port, microsteps, setup.controller.baud))
+    lamp = setup.light.open()
+    hold(lamp) if lamp is not None else None
+    if stepping:
+        assert controller is not None
+        if motion.ramp is not None:
+            controller.ramp(motion.ramp)
+        controller.feedback(**{name: each.sensor() for name, each in measuring.items()})
+        stage = None
+    else:
+        pin = {"pin": measuring["index"].pin} if "index" in measuring else {}
+        stage = hold(motion.open("deg" if setup.rig.machine == "vial" else "mm", **pin))
+    lens = None if setup.lens is None else hold(setup.lens.open())
+    shown = [hold(each.open()) for each in setup.display]
+    if setup.light.gate == "display" and setup.display[0].lamps:
+        lamp = shown[0].lamp
+    watching = hold(setup.camera.open()) if camera and setup.camera is not None else None
+    if setup.video:
+        assert stage is not None
+        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp)
+    if stage is not None:
+        return StageMachines(RealClock(), stage, shown, motion.microsteps, controller, lamp, lens, watching)
+    assert controller is not None
+    return MirrorMachines(RealClock(), controller, shown, motion.microsteps, lens, watching)
+
+
+def close(machines: Machines) -> None:
+    """Let go of all machines, the last opened first, whatever becomes of one.
+
+    Args:
+        machines: What `opened` or `rehearsal` returned.
+
+    Raises:
+        DeviceError: What failed first; the other machines are closed all the same.
+    """
+    names = ("controller", "lamp", "stage", "lens", "projector", "mirrors", "camera")
+    found: list[Any] = [getattr(machines, name, None) for name in names]
+    each = [machine for one in found for machine in (one if isinstance(one, (list, tuple)) else [one])]
+    close_all([machine.close for machine in each if hasattr(machine, "close")])
