@@ -196,7 +196,6 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
 
 
 read_curethrough: Callable[..., CurethroughJob] = CurethroughJob.read
-parse_curethrough: Callable[..., CurethroughJob] = CurethroughJob.parse
 
 
 def model_job(

@@ -219,4 +219,3 @@ def _remedy(key: tuple[str, ...]) -> str:
 
 
 read_job: Callable[..., Job] = Job.read
-parse_job: Callable[..., Job] = Job.parse

@@ -142,7 +142,6 @@ class WebJob(CheckedJob[WebFile]):
 
 
 read_web: Callable[..., WebJob] = WebJob.read
-parse_web: Callable[..., WebJob] = WebJob.parse
 
 
 def is_web(path: str | Path) -> bool:

@@ -199,22 +199,11 @@ class Projection(LinearOperator):
         """Share of the light of each row of pixels in each slice, (slices, rows)."""
         return self._rows.weights
 
-    def dose_of_slices(self, light: np.ndarray | DeviceArray) -> np.ndarray:
+    def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
         """Dose of some slices, of which each has its own light: none lights another.
 
         Args:
             light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.
-
-        Returns:
-            The dose, [x, y, slice], NumPy.
-        """
-        return self.lit_slices(light).numpy()
-
-    def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
-        """`dose_of_slices`, left on the device.
-
-        Args:
-            light: As for `dose_of_slices`, [angle, r, slice].
 
         Returns:
             The dose, [x, y, slice] on the device.

@@ -36,9 +36,6 @@ from vamgpu.schema.quantities import Thickness
 
 WIDTH = 2.0
 """Width of a cell beside the part [voxels]."""
-RIDGE = 1.18
-"""Greatest dose on voxels half as wide over that of cells two voxels wide and one high, of light that was found to hold
-cells at a limit (1.06 of other light); on whole voxels it is 1.10."""
 MOST_ANGLES = 1440
 """Even angles over a turn, at most, that measured ones lie between."""
 RAYS, STEPS = 6, 8
