@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import (
     BadInput,
     Cancelled,
@@ -57,7 +56,6 @@ COARSE_CORNERS = ("memory did not do for all corners on voxels as fine as light:
 """Note of a plan."""
 
 
-@renamed_arguments(pairs="evaluations")
 def optimize(
     operator: Projector,
     target: Any,

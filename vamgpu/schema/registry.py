@@ -11,7 +11,6 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from vamgpu.deprecated import warn_renamed
 from vamgpu.errors import BadInput
 
 NEAR = 0.7
@@ -173,17 +172,6 @@ FAMILIES: dict[str, Family] = {
         word="driver",
     ),
 }
-
-
-RENAMED = {"aimed": "misaligned"}
-"""Old kind → the kind it is called now, for one release."""
-
-
-def current(kind: str) -> str:
-    """A kind under the name it has now; warns for an old one."""
-    if kind in RENAMED:
-        warn_renamed(f"kind {kind!r}", repr(RENAMED[kind]), category=FutureWarning)
-    return RENAMED.get(kind, kind)
 
 
 def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
