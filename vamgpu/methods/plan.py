@@ -144,6 +144,7 @@ class Plan:
             BadInput: Nothing but Python can describe the operator.
             StorageError: The path is taken, or cannot be written.
         """
+        # a circle: folders make plans
         from vamgpu.methods.saved import save_plan
 
         return save_plan(self, path, state=state, overwrite=overwrite)

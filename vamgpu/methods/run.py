@@ -38,8 +38,9 @@ from vamgpu.methods.surface import PIXEL_DEEP, SINOGRAMS, SurfaceRamp, across, a
 from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_tolerances, doses_of
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.reductions import extent
-from vamgpu.operators.ring_projection import RingProjection, covers, direct
+from vamgpu.operators.ring_projection import RingProjection, covers
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.optics.sampling import sampling_notes

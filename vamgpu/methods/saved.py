@@ -17,6 +17,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory, StorageError
 from vamgpu.geometry import Grid
 from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
 from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.linear import LinearOperator
@@ -353,8 +354,6 @@ def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entr
 
 def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
     """The plan that `Plan.save`, or ``vam solve``, wrote to a folder."""
-    from vamgpu.methods.plan import Plan, Step
-
     folder, place = Folder.open(path), open_device(device)
     operator = operator_from(folder, place, solved=True)
     details = folder.manifest.details.get("plan") or {}

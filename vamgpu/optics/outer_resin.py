@@ -23,10 +23,11 @@ from vamgpu.kernels.footprint import TAIL
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.compose import combine
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_projection import RingProjection, direct
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 from vamgpu.operators.spectral import SpectralProjection

@@ -17,9 +17,10 @@ from vamgpu.methods.surface import fine_grid
 from vamgpu.metrics import mean_brightness, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_projection import RingProjection, direct
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.space import require
 from vamgpu.optics.outer_resin import OuterResin, outer_resin
 from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
