@@ -14,7 +14,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.methods.part import check_cylinder, on_device
 from vamgpu.methods.surface import fine_grid
-from vamgpu.metrics import mean_brightness, score, score_slices
+from vamgpu.metrics import Scores, mean_brightness, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.defocus import direct
@@ -29,6 +29,7 @@ from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.independent import IndependentExposure
 from vamgpu.printing.proof import Proof
+from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
 
@@ -104,15 +105,13 @@ def simulate(
     light = _light(A, frames)
     own, limits = A.T(light), getattr(target, "limits", None)
     check_dose(light, Parts(own, fraction))
-    held = judged_parts(own, fraction, limits)
-    claimed = score(held.dose, held.target, threshold=threshold)
+    claimed = _scores(own, fraction, limits, threshold)
     if coarse and (finer := _as_fine_as_light(A, target)) is not None:
         volume = A.grid.voxel_volume
         A, target = finer
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # the exposure is that of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
-        held = judged_parts(own, fraction, limits)
-        claimed = score(held.dose, held.target, threshold=threshold)
+        claimed = _scores(own, fraction, limits, threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
     traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
@@ -143,6 +142,12 @@ def simulate(
         mean_brightness=mean_brightness(shone, frames.scale),
         exposure=None if irradiance is None else expose(A, plain, sent, frames.scale, **given),  # type: ignore[arg-type]
     )
+
+
+def _scores(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None) -> Scores:
+    """The scores of a dose, of what is judged of it."""
+    held = judged_parts(dose, fraction, limits)
+    return score(held.dose, held.target, threshold=threshold)
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:
