@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.light_warp import cells_of, sampled, span_of
-from vamgpu.kernels.tile_warp import TURNS, gathered, meet, number, samples_before, share, tile_of, write_four
+from vamgpu.kernels.tile_warp import TURNS, Tile, gathered, meet, number, samples_before, share, tile_of, write_four
 from vamgpu.kernels.wide_warp import Flat
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -101,6 +101,20 @@ def voxel(x: int, n: int):
     return float(x) - 0.5 * float(n - 1)
 
 
+@wp.func
+def find_window(at: Tile, turn: int, skip: int, widest: int, n_r: int):
+    """The columns of a pose that light the four voxels of a tile, from so many skipped on."""
+    first = int(1000000)
+    final = int(-1)
+    for i in range(4):
+        first = wp.min(first, number(at.slots + 8 * turn + 2 * i, False, 0))
+        final = wp.max(final, number(at.slots + 8 * turn + 2 * i + 1, False, 0))
+    first = wp.max(first, 0) + skip
+    number(at.windows + 2 * turn, True, first)
+    width = wp.clamp(wp.min(final, n_r - 1) - first + 1, 0, wp.min(widest, at.samples))
+    number(at.windows + 2 * turn + 1, True, width)
+
+
 @wp.kernel(launch_bounds=(256, 2))
 def back_footprint(
     sinogram: Flat, directions: wp.array2d[float], light: wp.array3d[float], bent: int, ratio: float,
@@ -137,15 +151,7 @@ def back_footprint(
                 number(at.slots + 2 * work + 1, True, wp.where(is_lit, int(wp.floor(ray[0] + ray[4])), -1000000))
             meet(at.members)
             for turn in range(at.member, turns, at.members):
-                first = int(1000000)
-                final = int(-1)
-                for i in range(4):
-                    first = wp.min(first, number(at.slots + 8 * turn + 2 * i, False, 0))
-                    final = wp.max(final, number(at.slots + 8 * turn + 2 * i + 1, False, 0))
-                first = wp.max(first, 0) + skip
-                number(at.windows + 2 * turn, True, first)
-                width = wp.clamp(wp.min(final, n_r - 1) - first + 1, 0, wp.min(widest, at.samples))
-                number(at.windows + 2 * turn + 1, True, width)
+                find_window(at, turn, skip, widest, n_r)
             meet(at.members)
             for work in range(at.member, 4 * turns, at.members):
                 i = work % 4

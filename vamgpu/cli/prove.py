@@ -51,14 +51,10 @@ def prove(
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.storage.atomic import named, page_path
+    from vamgpu.storage.atomic import page_path
     from vamgpu.storage.memory import size
 
-    if job.suffix.lower() == ".toml":
-        folder = job.with_suffix(".vam")
-        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
-                       f"writes: vam prove {folder}")  # fmt: skip
-    job = named(job)
+    job = _written(job)
     device = device if memory is None else within(device, memory)
     is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
     # a run has a page beside that of its job
@@ -93,6 +89,17 @@ def prove(
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
     return _checked(not check or proven.proof.all_correct, check)
+
+
+def _written(job: Path) -> Path:
+    """The folder of a job or a run. Raises `BadInput` for a job file."""
+    from vamgpu.storage.atomic import named
+
+    if job.suffix.lower() == ".toml":
+        folder = job.with_suffix(".vam")
+        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
+                       f"writes: vam prove {folder}")  # fmt: skip
+    return named(job)
 
 
 def _check_options(

@@ -124,24 +124,14 @@ def simulate(
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
     return Proof(
-        operator=A,
-        frames=frames,
-        name=getattr(target, "name", None) or "target",
-        target=fraction,
-        dose=dose,
-        scores=scores,
-        slices=score_slices(held.dose, held.target, scores),
-        claimed=claimed,
-        outer=outer,
-        independent=isinstance(judge, IndependentExposure),
-        width=judge.pitch,
-        agrees=judge.agrees,
-        solid=getattr(target, "solid", None),
-        limits=limits,
+        operator=A, frames=frames, name=getattr(target, "name", None) or "target", target=fraction, dose=dose,
+        scores=scores, slices=score_slices(held.dose, held.target, scores), claimed=claimed, outer=outer,
+        independent=isinstance(judge, IndependentExposure), width=judge.pitch, agrees=judge.agrees,
+        solid=getattr(target, "solid", None), limits=limits,
         light_efficiency=plain.total_in / sent if sent > 0 else 0.0,
         mean_brightness=mean_brightness(shone, frames.scale),
         exposure=None if irradiance is None else expose(A, plain, sent, frames.scale, **given),  # type: ignore[arg-type]
-    )
+    )  # fmt: skip
 
 
 def _scores(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None) -> Scores:
