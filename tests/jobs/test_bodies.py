@@ -13,8 +13,8 @@ from vamgpu.errors import JobError, StorageError
 from vamgpu.jobs.build import scene_of, target_of
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.saved import limits_described, limits_from
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.methods.plan_folder import limits_described, limits_from
+from vamgpu.operators.traced_projection import TracedProjection
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.shapes import csg
 from vamgpu.targets.solid import Solid

@@ -15,7 +15,7 @@ from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.estimate import PASSES, Expected, expected
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import solve
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.surface import as_fine_as_light
 
 

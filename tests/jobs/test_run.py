@@ -16,7 +16,7 @@ from vamgpu.jobs.build import projection_of, target_of
 from vamgpu.jobs.demo import JOB, Demo, demo
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import is_interrupted, prove, solve
-from vamgpu.methods.saved import describe, projection_from
+from vamgpu.methods.plan_folder import describe, projection_from
 from vamgpu.printing.folder import load_frames
 from vamgpu.storage.folder import Folder
 

@@ -18,8 +18,8 @@ from vamgpu.errors import BadInput, Cancelled, MeshWarning, StorageError, VamErr
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import is_interrupted, prove, solve
-from vamgpu.losses.sampled import VoxelLoss
-from vamgpu.methods.saved import load_plan
+from vamgpu.losses.voxel_loss import VoxelLoss
+from vamgpu.methods.plan_folder import load_plan
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import repack
@@ -124,7 +124,7 @@ def test_a_proof_comes_back_without_a_simulation(tmp_path: Path, monkeypatch: py
     frames = vam.pack(vam.optimize(A, target, iterations=2))
     proof = vam.simulate(A, frames, target, irradiance="65 mW/cm2", critical_dose="50 mJ/cm3")
     proof.save(tmp_path / "a.vam")
-    monkeypatch.setattr("vamgpu.printing.independent.IndependentExposure.averaged", None)
+    monkeypatch.setattr("vamgpu.printing.independent_exposure.IndependentExposure.averaged", None)
     back: Any = vam.load(tmp_path / "a.vam", "cpu")
     assert back.scores == proof.scores and back.claimed == proof.claimed and back.outer == proof.outer
     assert back.exposure == proof.exposure and same(back.dose, proof.dose)

@@ -16,7 +16,7 @@ from vamgpu.live.prior import NAMES, NOMINAL
 from vamgpu.losses.response import GeneralizedLogistic
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 
 TRUE = np.array([0.85, 1.15, 0.05, 0.0, 0.05, 0.0, 0.0])

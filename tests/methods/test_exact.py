@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.exact import Slice, reconstruct
+from vamgpu.methods.dual.reconstruction import Slice, reconstruct
 
 
 def phantom() -> np.ndarray:

@@ -11,7 +11,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.graded import GradedVial
+from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.interface import refract, transmittance
 from vamgpu.optics.march import march

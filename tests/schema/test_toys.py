@@ -18,7 +18,7 @@ from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.keys import keys_of, reference, schema_of
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.saved import describe, projection_from
+from vamgpu.methods.plan_folder import describe, projection_from
 from vamgpu.schema import register, write
 from vamgpu.schema import registry as names
 from vamgpu.schema.read import read

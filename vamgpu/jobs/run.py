@@ -37,10 +37,10 @@ from vamgpu.jobs.colors import recolored, recorded, subtracted, superposed
 from vamgpu.jobs.estimate import expected
 from vamgpu.jobs.read import Job
 from vamgpu.methods import bound, optimize
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.plan import Plan, Step
-from vamgpu.methods.saved import (
+from vamgpu.methods.plan_folder import (
     IMPORTED,
     INTERRUPTED,
     PlanRecord,

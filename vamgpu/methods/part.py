@@ -18,7 +18,7 @@ from vamgpu.operators.compose import Composed, capped, combine
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.protocol import ATTRIBUTES
 from vamgpu.operators.reductions import EVERYWHERE, dot, extent, total
-from vamgpu.operators.scaled import Scaled
+from vamgpu.operators.scaling import Scaled
 from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
 from vamgpu.web import WebGrid

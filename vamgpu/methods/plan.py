@@ -145,7 +145,7 @@ class Plan:
             StorageError: The path is taken, or cannot be written.
         """
         # a circle: folders make plans
-        from vamgpu.methods.saved import save_plan
+        from vamgpu.methods.plan_folder import save_plan
 
         return save_plan(self, path, state=state, overwrite=overwrite)
 

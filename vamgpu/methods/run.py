@@ -24,7 +24,7 @@ from vamgpu.errors import (
 )
 from vamgpu.geometry import Grid, Turntable, counts, positive
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.choose import check_bodies, chosen
+from vamgpu.methods.choice import check_bodies, chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.method import Method
 from vamgpu.methods.part import fractions_of, limited, radius_of

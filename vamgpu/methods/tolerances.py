@@ -16,11 +16,11 @@ from vamgpu.calibration.runout import Runout
 from vamgpu.errors import BadInput, ToleranceError
 from vamgpu.methods.part import LOST, fractions_of, limited, reach_of
 from vamgpu.operators.compose import Composed, Sum
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
 from vamgpu.operators.ring_projection import RingProjection, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
+from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Misaligned
 from vamgpu.quantity import positive

@@ -18,11 +18,11 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.operators.dwell import Dwell
+from vamgpu.operators.frame_motion import mean, places, straight_parts
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.ray_table import OpenAir, column_in_resin, tabulate
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.turning import mean, places, straight_parts
 
 FOOTPRINTS = ("exact", "joseph")
 

@@ -28,7 +28,7 @@ from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.spectral import SpectralProjection, passes
-from vamgpu.operators.traced import BLOCK, WHOLE, SparseEntries
+from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6

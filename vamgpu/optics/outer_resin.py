@@ -31,7 +31,7 @@ from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 from vamgpu.operators.spectral import SpectralProjection
-from vamgpu.operators.traced import BLOCK, SparseEntries
+from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
 from vamgpu.schema.quantities import Thickness
 

@@ -11,7 +11,7 @@ from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
 from vamgpu.printing.bodies import judged_parts
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.simulate import ShownLight
 
 

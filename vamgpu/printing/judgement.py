@@ -24,7 +24,7 @@ from vamgpu.metrics.tolerance import (
     tolerance_window,
 )
 from vamgpu.operators.projection import Projection
-from vamgpu.printing.independent import FineSlab, IndependentExposure
+from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
 from vamgpu.targets.target import Target
 

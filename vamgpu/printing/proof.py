@@ -18,17 +18,17 @@ from vamgpu.errors import BadInput
 from vamgpu.methods.part import idle_light, lit_pixels
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
-from vamgpu.metrics.joined import joined
 from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
+from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.parts import EVERYWHERE, IN
-from vamgpu.metrics.unjudged import Unjudged, unjudged
+from vamgpu.metrics.thin_regions import Unjudged, unjudged
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.beyond_cylinder import Outer
 from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
 from vamgpu.printing.exposure import ExposureTimes
-from vamgpu.printing.independent import FineSlab, IndependentExposure
+from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
 from vamgpu.printing.judgement import Judgement, judged
 from vamgpu.printing.verdict import Verdict, verdict_of
 

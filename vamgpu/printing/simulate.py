@@ -27,7 +27,7 @@ from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_b
 from vamgpu.printing.black_level import check_dose
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.proof import Proof
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target

@@ -17,8 +17,8 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel, counts, positive
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.traced import TracedProjection
-from vamgpu.optics.graded import GradedVial
+from vamgpu.operators.traced_projection import TracedProjection
+from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.occluder import Occluded
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
 from vamgpu.schema.quantities import Length, measured
