@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.reconstruction import Slice, reconstruct
+from vamgpu.methods.dual.reconstruction import Slice, reconstruct, sufficient
 
 
 def phantom() -> np.ndarray:
@@ -65,6 +65,10 @@ def test_the_first_point_is_lit_evenly() -> None:
     x, y = at.points()
     assert (x[0], y[0]) == (-3.5, -3.5)
     assert path[0, 0] == pytest.approx(np.sqrt(at.radius**2 - 3.5**2) + 3.5)
+
+
+def test_what_surely_suffices() -> None:
+    assert sufficient(100) == (20001, pytest.approx(3.14e-4, rel=1e-3))
 
 
 @pytest.mark.parametrize("design", [np.zeros((4, 5)), np.full((4, 4), np.nan), np.zeros(4)])

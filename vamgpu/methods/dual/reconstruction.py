@@ -155,3 +155,11 @@ def _spread(at: Slice, light: Floats, angle: npt.NDArray[np.intp], bins: npt.NDA
     """Put a dose on bins nobody has passed, equal shares as received."""
     extinction = (at.negative if dose < 0 else at.extinction) / at.radius
     light[angle, bins] = dose / (len(angle) * at.step) * np.exp(extinction * path)
+
+
+def sufficient(pixels: int, spacing: float = 1.0) -> tuple[int, float]:
+    """Angles, and width of a bin [pixels], that surely leave every point a free angle. Raises `BadInput`."""
+    # More than 2N angles, N = pixels², as two trajectories cross twice; bins narrower than spacing·sin Δθ.
+    (across,) = counts("pixels", (pixels,), 1)
+    angles = 2 * across**2 + 1
+    return angles, positive("spacing [pixels]", spacing) * float(np.sin(2.0 * pi / angles))
