@@ -172,8 +172,7 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def light_of(sinogram: DeviceArray) -> Streamed:
-    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column]: row 0 the largest z. Floats, as wide as
-    the device counts in: nothing is rounded."""
+    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column], row 0 the largest z, without rounding."""
     angles, columns, rows = sinogram.shape
 
     def part(first: int, last: int) -> np.ndarray:
@@ -235,10 +234,7 @@ def target_of(plan: Any) -> Target | None:
 
 
 def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
-    """The target that a job folder keeps, on a device or the host, and its mesh; None where it keeps none.
-
-    Raises `StorageError`.
-    """
+    """The target that a job folder keeps, and its mesh; None where it keeps none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
     try:

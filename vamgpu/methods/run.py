@@ -386,8 +386,7 @@ class _Run:
         return light, window
 
     def _judged(self, rays: Any, light: DeviceArray, iteration: int) -> tuple[DeviceArray, float, int] | None:
-        """Light, window and iteration by rays, the run's last light where that has the wider one; None for want of
-        memory."""
+        """Light, window and iteration by rays, the wider of the best and the last; None for want of memory."""
         state = self.state
         try:
             found = [(light, state.window(rays.T(light))[0], iteration)]
@@ -414,8 +413,7 @@ class _Run:
 
 
 def _posed_on_voxels(operator: Any, target: Any) -> Any:
-    """A projection on rings as one of the target's voxels: cells have unlike volumes, and no light tells apart those
-    near the axis, which are narrower than a pixel. Any other operator itself."""
+    """A projection on rings as one of the target's voxels, since no light tells cells near the axis apart."""
     if not isinstance(operator, SpectralProjection):
         return operator
     grid = target.grid if isinstance(target, Target) else operator.grid.box

@@ -300,10 +300,7 @@ class Tolerances:
 
 
 def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, target: DeviceArray) -> CornerDoses:
-    """The doses at the corners of tolerances, whatever their operators are mixed by.
-
-    target: of one scenario.
-    """
+    """The doses of a light at the corners of tolerances, by the target of one scenario."""
     corners = tolerances.corners()
     optics = list(dict.fromkeys(corner.optics for corner in corners))
     dose, reach, found = target.device.empty(target.shape), reach_of(scenarios.each), {}
