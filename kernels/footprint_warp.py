@@ -91,6 +91,16 @@ def footprint(
 
 
 @wp.func
+def footprint_at(
+    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
+    ratio: float, strength: float, fill: float, sigma: float,
+):  # fmt: skip
+    """The footprint of a voxel at a pose."""
+    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
+    return footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
+
+
+@wp.func
 def faded(distance: float, reach: float, fade: float):
     """The part of a share that counts: all but near the end of its reach."""
     return wp.clamp((reach - wp.abs(distance)) * fade, 0.0, 1.0)
@@ -142,10 +152,7 @@ def back_footprint(
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)
-                ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
-                    bent, ratio, strength, fill, sigma,
-                )  # fmt: skip
+                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
                 is_lit = x * x + y * y <= radius * radius
                 number(at.slots + 2 * work, True, wp.where(is_lit, int(wp.ceil(ray[0] - ray[4])), 1000000))
                 number(at.slots + 2 * work + 1, True, wp.where(is_lit, int(wp.floor(ray[0] + ray[4])), -1000000))
@@ -162,10 +169,7 @@ def back_footprint(
                 pose = first_pose + turn
                 x = voxel(row + i // 2, n_x)
                 y = voxel(column + i % 2, n_y)
-                ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
-                    bent, ratio, strength, fill, sigma,
-                )  # fmt: skip
+                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
                 gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
                 distance = ray[0] - float(first)
                 above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
