@@ -48,15 +48,9 @@ def column_density(species: Volume, open: Open, pose: Pose, path: PathOut) -> No
 
 @kernel(over="visible", cpu=Tiling(major=4, minor=0), gpu=Tiling(major=1, minor=1, group=(64, 4)))
 def expose(
-    path: Path,
-    visible_light: Sinogram,
-    ultraviolet_light: Sinogram,
-    angle: Integer,
-    pose: Pose,
-    extinction: Extinction,
-    visible: VolumeOut,
-    ultraviolet: VolumeOut,
-) -> None:
+    path: Path, visible_light: Sinogram, ultraviolet_light: Sinogram, angle: Integer, pose: Pose,
+    extinction: Extinction, visible: VolumeOut, ultraviolet: VolumeOut,
+) -> None:  # fmt: skip
     """Irradiance of both colors in every voxel at one pose: light · exp(−μ·length − ε·path), dark outside the resin.
 
     Light is interpolated between columns of pixels, path between rays and along them.

@@ -69,8 +69,7 @@ def cross_triangle(
     t: wp.array1d[int], x_low: int, y_low: int, x_high: int, y_high: int, bits: int, top: int,
     counts: wp.array2d[int], lists: wp.array1d[int],
 ):  # fmt: skip
-    """Counts the crossings of a triangle (top < 0), or adds them to the lists, which begin at counts: ray, height
-    within the grid, whether the ray leaves."""
+    """Count the crossings of a triangle (top < 0), or list ray, height within the grid and whether it leaves."""
     unit = 1 << bits
     a = edge(t[3], t[4], t[6], t[7])
     b = edge(t[6], t[7], t[0], t[1])

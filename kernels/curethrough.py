@@ -78,18 +78,9 @@ def expose_slices(
 
 @kernel(over="peaks")
 def judge_slices(
-    levels: Slices,
-    words: Words,
-    block: Integer,
-    light: Light,
-    decay: Real,
-    scale: Real,
-    layered: Integer,
-    critical: Real,
-    state: Pair,
-    heights: Pair,
-    peaks: Peaks,
-) -> None:
+    levels: Slices, words: Words, block: Integer, light: Light, decay: Real, scale: Real, layered: Integer,
+    critical: Real, state: Pair, heights: Pair, peaks: Peaks,
+) -> None:  # fmt: skip
     """heights += cured height of the void, and uncured height of the part, in slices, between borders too.
 
     scale: slices over which light fades e-fold, over minus one.  layered: dose at the border belongs to the slice whole

@@ -32,14 +32,9 @@ def filter_rows(sinogram: Sinogram, taps: Taps, stride: Integer, floor: Real, fi
 
 @kernel(over="light", cpu=CPU, gpu=GPU)
 def filtered_step(
-    gradient: Sinogram,
-    taps: Taps,
-    stride: Integer,
-    step: Real,
-    momentum: Real,
-    light: SinogramInOut,
+    gradient: Sinogram, taps: Taps, stride: Integer, step: Real, momentum: Real, light: SinogramInOut,
     ahead: SinogramInOut,
-) -> None:
+) -> None:  # fmt: skip
     """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient), 0 where it is held.
 
     Light is held where ahead ≤ 0 and the gradient asks for no more (`apply_penalty` leaves 0 there).

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from vamgpu.kernels.light_warp import cells_of, sampled, span_of
-from vamgpu.kernels.tile_warp import TURNS, gathered, meet, number, samples_before, share, tile_of, write_four
+from vamgpu.kernels.tile_warp import TURNS, Tile, gathered, meet, number, samples_before, share, tile_of, write_four
 from vamgpu.kernels.wide_warp import Flat
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -91,6 +91,16 @@ def footprint(
 
 
 @wp.func
+def footprint_at(
+    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
+    ratio: float, strength: float, fill: float, sigma: float,
+):  # fmt: skip
+    """The footprint of a voxel at a pose."""
+    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
+    return footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
+
+
+@wp.func
 def faded(distance: float, reach: float, fade: float):
     """The part of a share that counts: all but near the end of its reach."""
     return wp.clamp((reach - wp.abs(distance)) * fade, 0.0, 1.0)
@@ -99,6 +109,20 @@ def faded(distance: float, reach: float, fade: float):
 @wp.func
 def voxel(x: int, n: int):
     return float(x) - 0.5 * float(n - 1)
+
+
+@wp.func
+def find_window(at: Tile, turn: int, skip: int, widest: int, n_r: int):
+    """The columns of a pose that light the four voxels of a tile, from so many skipped on."""
+    first = int(1000000)
+    final = int(-1)
+    for i in range(4):
+        first = wp.min(first, number(at.slots + 8 * turn + 2 * i, False, 0))
+        final = wp.max(final, number(at.slots + 8 * turn + 2 * i + 1, False, 0))
+    first = wp.max(first, 0) + skip
+    number(at.windows + 2 * turn, True, first)
+    width = wp.clamp(wp.min(final, n_r - 1) - first + 1, 0, wp.min(widest, at.samples))
+    number(at.windows + 2 * turn + 1, True, width)
 
 
 @wp.kernel(launch_bounds=(256, 2))
@@ -128,24 +152,13 @@ def back_footprint(
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)
-                ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
-                    bent, ratio, strength, fill, sigma,
-                )  # fmt: skip
+                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
                 is_lit = x * x + y * y <= radius * radius
                 number(at.slots + 2 * work, True, wp.where(is_lit, int(wp.ceil(ray[0] - ray[4])), 1000000))
                 number(at.slots + 2 * work + 1, True, wp.where(is_lit, int(wp.floor(ray[0] + ray[4])), -1000000))
             meet(at.members)
             for turn in range(at.member, turns, at.members):
-                first = int(1000000)
-                final = int(-1)
-                for i in range(4):
-                    first = wp.min(first, number(at.slots + 8 * turn + 2 * i, False, 0))
-                    final = wp.max(final, number(at.slots + 8 * turn + 2 * i + 1, False, 0))
-                first = wp.max(first, 0) + skip
-                number(at.windows + 2 * turn, True, first)
-                width = wp.clamp(wp.min(final, n_r - 1) - first + 1, 0, wp.min(widest, at.samples))
-                number(at.windows + 2 * turn + 1, True, width)
+                find_window(at, turn, skip, widest, n_r)
             meet(at.members)
             for work in range(at.member, 4 * turns, at.members):
                 i = work % 4
@@ -156,10 +169,7 @@ def back_footprint(
                 pose = first_pose + turn
                 x = voxel(row + i // 2, n_x)
                 y = voxel(column + i % 2, n_y)
-                ray = footprint(
-                    light, n_r, directions[pose, 0], directions[pose, 1], directions[pose, 2], x, y,
-                    bent, ratio, strength, fill, sigma,
-                )  # fmt: skip
+                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
                 gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
                 distance = ray[0] - float(first)
                 above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)

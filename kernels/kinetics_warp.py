@@ -37,6 +37,14 @@ class Matrix:
     slope: float
 
 
+@wp.struct
+class State:
+    y: wp.vec3
+    rest: wp.vec3  # what rounding lost of the last step
+    trial: float
+    taken: float
+
+
 @wp.func
 def share_of(y: wp.vec3, terms: Terms):
     return wp.clamp(y[0] / wp.max(y[0] + y[1], FLOOR * terms.scale), 0.0, 1.0)
@@ -106,6 +114,59 @@ def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
     return wp.vec3(wp.max(end[0], 0.0), b - below, wp.max(end[2] - moved + 0.5 * below, 0.0))
 
 
+@wp.func
+def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, y: wp.vec3):
+    """The terms of a resin under light, where the state is y."""
+    terms = Terms()
+    terms.scale = rates[resin, 4]
+    terms.a = rates[resin, 0] * visible
+    terms.b = rates[resin, 1] * visible
+    terms.p = made
+    terms.k2 = rates[resin, 3]
+    terms.slope = 0.0
+    terms.steady = 0
+    if rates[resin, 5] != 0.0:
+        terms.slope = made / rates[resin, 5]
+    else:
+        terms.steady = 1
+        if y[2] <= 0.0 and made >= terms.k2 * y[1] * y[1]:
+            terms.p = 0.0
+            terms.k2 = 0.0
+    return terms
+
+
+@wp.func
+def tried(state: State, terms: Terms, left: float, tolerance: float):
+    """The state after a step, or as it was where the step was too long: the next is as long as the error lets it be."""
+    y = state.y
+    change = change_of(y, terms)
+    h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))
+    step = stepped(y, change, terms, h)
+    wanted = wp.vec3(step[0], step[1], step[2]) - state.rest
+    end = y + wanted
+    error = step[3] / (tolerance * terms.scale)
+    low = -tolerance * terms.scale
+    grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
+    short = error <= 1.0 and end[0] >= low and end[1] >= low and end[2] >= low
+    if not short:
+        return State(y, state.rest, h * wp.min(grown, 0.5), 0.0)
+    longer = h * grown
+    if h < state.trial:
+        longer = wp.max(longer, state.trial)
+    rest = (end - y) - wanted
+    if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
+        rest = wp.vec3(0.0, 0.0, 0.0)
+    return State(settled(y, end, terms), rest, longer, h)
+
+
+@wp.func
+def record(path: wp.array3d[float], item: int, row: int, y: wp.vec3, dose: float):
+    path[item, row, 0] = y[0]
+    path[item, row, 1] = y[1]
+    path[item, row, 2] = y[2]
+    path[item, row, 3] = dose
+
+
 @wp.kernel
 def inhibit(
     before: wp.array2d[float], rates: wp.array2d[float], light: wp.array3d[float],
@@ -116,26 +177,18 @@ def inhibit(
     item = wp.tid()
     resin = int(wp.int64(item) * wp.int64(n_resin) // wp.int64(n_item))
     source = item % n_source
-    terms = Terms()
-    terms.scale = rates[resin, 4]
-    terms.steady = 0
-    if rates[resin, 5] == 0.0:
-        terms.steady = 1
+    scale = rates[resin, 4]
     y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
-    rest = wp.vec3(0.0, 0.0, 0.0)
     dose = float(before[item, 3])
     dose_rest = float(0.0)
     clock = float(0.0)
     clock_rest = float(0.0)
-    trial = float(LONG)
     event = float(NEVER)
-    if y[0] + y[1] <= DEPLETED * terms.scale:
+    if y[0] + y[1] <= DEPLETED * scale:
         y = wp.vec3(0.0, 0.0, y[2])
         event = float(0.0)
-    path[item, 0, 0] = y[0]
-    path[item, 0, 1] = y[1]
-    path[item, 0, 2] = y[2]
-    path[item, 0, 3] = dose
+    state = State(y, wp.vec3(0.0, 0.0, 0.0), LONG, 0.0)
+    record(path, item, 0, y, dose)
     row = int(1)
     due = int(every)
     k = int(0)
@@ -144,42 +197,15 @@ def inhibit(
         length = lengths[now]
         visible = light[source, now, 0]
         made = rates[resin, 2] * light[source, now, 1]
-        terms.a = rates[resin, 0] * visible
-        terms.b = rates[resin, 1] * visible
         left = float(length)
         n = int(0)
         while left > 0.0 and event == NEVER and n < MOST:
-            terms.p = made
-            terms.k2 = rates[resin, 3]
-            terms.slope = 0.0
-            if terms.steady == 0:
-                terms.slope = made / rates[resin, 5]
-            elif y[2] <= 0.0 and made >= terms.k2 * y[1] * y[1]:
-                terms.p = 0.0
-                terms.k2 = 0.0
-            change = change_of(y, terms)
-            h = wp.min(wp.min(trial, left), reach_of(y, change, terms))
-            step = stepped(y, change, terms, h)
-            wanted = wp.vec3(step[0], step[1], step[2]) - rest
-            end = y + wanted
-            error = step[3] / (tolerance * terms.scale)
-            low = -tolerance * terms.scale
-            grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
-            if error <= 1.0 and end[0] >= low and end[1] >= low and end[2] >= low:
-                longer = h * grown
-                if h < trial:
-                    longer = wp.max(longer, trial)
-                trial = longer
-                rest = (end - y) - wanted
-                if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
-                    rest = wp.vec3(0.0, 0.0, 0.0)
-                y = settled(y, end, terms)
-                left = left - h
-                if y[0] + y[1] <= DEPLETED * terms.scale:
-                    y = wp.vec3(0.0, 0.0, y[2])
-                    event = clock + (length - left)
-            else:
-                trial = h * wp.min(grown, 0.5)
+            terms = terms_of(rates, resin, visible, made, state.y)
+            state = tried(state, terms, left, tolerance)
+            left = left - state.taken
+            if state.y[0] + state.y[1] <= DEPLETED * scale:
+                state.y = wp.vec3(0.0, 0.0, state.y[2])
+                event = clock + (length - left)
             n += 1
         if left > 0.0 and event == NEVER:
             event = float(UNSETTLED)
@@ -196,20 +222,14 @@ def inhibit(
         clock = later
         k += 1
         if k == due and row < n_row:
-            path[item, row, 0] = y[0]
-            path[item, row, 1] = y[1]
-            path[item, row, 2] = y[2]
-            path[item, row, 3] = dose
+            record(path, item, row, state.y, dose)
             row += 1
             due += every
     while row < n_row:
-        path[item, row, 0] = y[0]
-        path[item, row, 1] = y[1]
-        path[item, row, 2] = y[2]
-        path[item, row, 3] = dose
+        record(path, item, row, state.y, dose)
         row += 1
-    after[item, 0] = y[0]
-    after[item, 1] = y[1]
-    after[item, 2] = y[2]
+    after[item, 0] = state.y[0]
+    after[item, 1] = state.y[1]
+    after[item, 2] = state.y[2]
     after[item, 3] = dose
     times[item] = event

@@ -44,24 +44,10 @@ def ahead(words: np.ndarray, block: int, platform: int) -> tuple[np.ndarray, np.
 
 @kernel(over="missed")
 def correct_slices(
-    words: Words,
-    block: Integer,
-    light: Light,
-    edges: Light,
-    first: First,
-    bins: Real,
-    decay: Real,
-    inner: Inner,
-    back: Back,
-    platform: Integer,
-    reached: Real,
-    opened: Real,
-    spread: Real,
-    state: State,
-    flaws: Flaws,
-    levels: SlicesOut,
-    missed: Counts,
-) -> None:
+    words: Words, block: Integer, light: Light, edges: Light, first: First, bins: Real, decay: Real, inner: Inner,
+    back: Back, platform: Integer, reached: Real, opened: Real, spread: Real, state: State, flaws: Flaws,
+    levels: SlicesOut, missed: Counts,
+) -> None:  # fmt: skip
     """levels = those that bring Ω to its target at every border as far as light can, each from the Ω of later slices.
 
     inner: target of Ω inside a feature, by slices since its back side and slices until its front.  back: target in the

@@ -50,6 +50,28 @@ def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: i
     return n + run_ahead(words, block, platform, y, x, solid)
 
 
+@wp.func
+def level_of(
+    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, wanted: float,
+    shift: float, run: int,
+):  # fmt: skip
+    """The level whose light is nearest to that wanted, shifted; in a void that others precede, one that suffices."""
+    low = light[0]
+    full = light[255]
+    level = int(0)
+    if wanted >= full:
+        level = int(255)
+    elif wanted > low:
+        aim = wanted + shift
+        place = int((wp.clamp(aim, low, full) - low) * bins)
+        level = int(first[wp.clamp(place, 0, first.shape[0] - 1)])
+        while level < 255 and aim > edges[level]:
+            level += 1
+        if run > 0 and level < 255 and light[level] < wanted:
+            level += 1
+    return level
+
+
 @wp.kernel
 def correct_slices(
     words: wp.array3d[wp.uint32], block: int, light: wp.array[float], edges: wp.array[float],
@@ -61,8 +83,6 @@ def correct_slices(
 ) -> None:  # fmt: skip
     y, strip = wp.tid()
     width = (n_x + n_strip - 1) // n_strip
-    low = light[0]
-    full = light[255]
     lost = int(0)
     for x in range(strip * width, wp.min((strip + 1) * width, n_x)):
         word = words[block % n_word, y, x]
@@ -94,17 +114,7 @@ def correct_slices(
             else:
                 target = back[wp.min(run, n_void - 1)]
             wanted = target - dose + decay * dose
-            level = int(0)
-            if wanted >= full:
-                level = int(255)
-            elif wanted > low:
-                aim = wanted + shift
-                place = int((wp.clamp(aim, low, full) - low) * bins)
-                level = int(first[wp.clamp(place, 0, n_bin - 1)])
-                while level < 255 and aim > edges[level]:
-                    level += 1
-                if solid == 0 and run > 0 and level < 255 and light[level] < wanted:
-                    level += 1
+            level = level_of(light, edges, first, bins, wanted, shift, wp.where(solid == 0, run, 0))
             levels[n, y, x] = wp.uint8(level)
             before = dose
             both = added(dose, rest, light[level] - decay * dose)

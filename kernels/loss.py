@@ -29,25 +29,10 @@ def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float)
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def band_loss(
-    dose: ArrayInOut,
-    target: Array,
-    weight: Array,
-    weighted: Integer,
-    response: Response,
-    start: Real,
-    density: Real,
-    low: Real,
-    high: Real,
-    slack_low: Real,
-    slack_high: Real,
-    gain_low: Real,
-    gain_high: Real,
-    power: Real,
-    ridge: Real,
-    binary: Integer,
-    reach: Real,
-    parts: Parts,
-) -> None:
+    dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, response: Response, start: Real, density: Real,
+    low: Real, high: Real, slack_low: Real, slack_high: Real, gain_low: Real, gain_high: Real, power: Real, ridge: Real,
+    binary: Integer, reach: Real, parts: Parts,
+) -> None:  # fmt: skip
     """Σ parts = Σ w·e^p with e = max(0, |M − c| − ε), and + ridge·M²; dose becomes the derivative of that by dose.
 
     M = response(dose), sampled from ``start`` on with ``density`` samples per unit and straight beyond its ends.
@@ -71,18 +56,9 @@ def band_loss(
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def sampled_loss(
-    dose: ArrayInOut,
-    target: Array,
-    weight: Array,
-    weighted: Integer,
-    outer: Response,
-    inner: Response,
-    start: Real,
-    density: Real,
-    binary: Integer,
-    reach: Real,
-    parts: Parts,
-) -> None:
+    dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outer: Response, inner: Response, start: Real,
+    density: Real, binary: Integer, reach: Real, parts: Parts,
+) -> None:  # fmt: skip
     """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose becomes the derivative of that by dose.
 
     Both are sampled as a response is. f is the target, or with ``binary`` whether it is at least one half; w = weight
@@ -99,16 +75,9 @@ def sampled_loss(
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def ramp_loss(
-    dose: ArrayInOut,
-    target: Array,
-    weight: Array,
-    weighted: Integer,
-    outside: Real,
-    inside: Real,
-    most: Real,
-    reach: Real,
-    parts: Parts,
-) -> None:
+    dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outside: Real, inside: Real, most: Real,
+    reach: Real, parts: Parts,
+) -> None:  # fmt: skip
     """Σ parts = Σ w·e²/2; dose becomes the derivative of that by dose.
 
     target: 0 a width outside the surface, 1 a width inside it, a line between. The threshold is t = outside + (inside −

@@ -71,15 +71,9 @@ def _struck(
 
 @kernel(over="sinogram", cpu=Tiling(major=1, minor=0))
 def forward_oblique(
-    volume: Slices,
-    poses: Poses,
-    light: Rays,
-    edges: Edges,
-    width: Real,
-    radius: Real,
-    lanes: Integer,
+    volume: Slices, poses: Poses, light: Rays, edges: Edges, width: Real, radius: Real, lanes: Integer,
     sinogram: SinogramOut,
-) -> None:
+) -> None:  # fmt: skip
     """The transpose of `back_oblique`. edges bound where a column's light falls; lanes: of the volume's layout."""
     sinogram[...] = 0.0
     for angle, pose in enumerate(poses):
@@ -90,14 +84,8 @@ def forward_oblique(
 
 @kernel(over="volume", cpu=Tiling(major=1, minor=0))
 def back_oblique(
-    sinogram: Images,
-    poses: Poses,
-    light: Rays,
-    width: Real,
-    radius: Real,
-    lanes: Integer,
-    volume: VolumeOut,
-) -> None:
+    sinogram: Images, poses: Poses, light: Rays, width: Real, radius: Real, lanes: Integer, volume: VolumeOut,
+) -> None:  # fmt: skip
     """volume[x, y, z] = Σ over poses of the strength of the light there × the pixels around the ray that brings it.
 
     A voxel is ``width`` ≥ 1 columns wide and `even` rows high and takes of each what they overlap. Voxels beyond

@@ -61,18 +61,9 @@ def upright(frames: np.ndarray, flip_r: int, flip_z: int) -> np.ndarray:
 
 @kernel(over="sinogram", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=0, minor=1))
 def count_light(
-    sinogram: Sinogram,
-    flat: Flat,
-    shift_r: Integer,
-    shift_z: Integer,
-    part_r: Real,
-    part_z: Real,
-    flip_r: Integer,
-    flip_z: Integer,
-    drop: Integer,
-    prefix: Integer,
-    counts: Counts,
-) -> None:
+    sinogram: Sinogram, flat: Flat, shift_r: Integer, shift_z: Integer, part_r: Real, part_z: Real, flip_r: Integer,
+    flip_z: Integer, drop: Integer, prefix: Integer, counts: Counts,
+) -> None:  # fmt: skip
     """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix and then b.
 
     drop: bits right of b's ten. Positive floats sort like their bits, so three rounds find a quantile to its last bit;
@@ -87,20 +78,9 @@ def count_light(
 
 @kernel(over="sinogram", reach="all", cpu=Tiling(major=0, minor=16), gpu=Tiling(major=0, minor=1))
 def quantize(
-    sinogram: Sinogram,
-    flat: Flat,
-    curve: Curve,
-    bounds: Bounds,
-    gain: Real,
-    shift_r: Integer,
-    shift_z: Integer,
-    part_r: Real,
-    part_z: Real,
-    flip_r: Integer,
-    flip_z: Integer,
-    carry: Real,
-    images: ImagesOut,
-) -> None:
+    sinogram: Sinogram, flat: Flat, curve: Curve, bounds: Bounds, gain: Real, shift_r: Integer, shift_z: Integer,
+    part_r: Real, part_z: Real, flip_r: Integer, flip_z: Integer, carry: Real, images: ImagesOut,
+) -> None:  # fmt: skip
     """images = the level whose light ``curve[level]`` is nearest to gain · light / flat.
 
     bounds: what light must exceed to leave each level for the next, midway between the two; `NEVER` after the last.
@@ -127,19 +107,9 @@ def fold_bits(images: Images, folded: BytesOut) -> None:
 
 @kernel(over="light", reach="all", cpu=Tiling(major=1, minor=0))
 def unpack(
-    images: Bytes,
-    flat: Flat,
-    curve: Curve,
-    bits: Integer,
-    scale: Real,
-    shift_r: Integer,
-    shift_z: Integer,
-    part_r: Real,
-    part_z: Real,
-    flip_r: Integer,
-    flip_z: Integer,
-    light: SinogramOut,
-) -> None:
+    images: Bytes, flat: Flat, curve: Curve, bits: Integer, scale: Real, shift_r: Integer, shift_z: Integer,
+    part_r: Real, part_z: Real, flip_r: Integer, flip_z: Integer, light: SinogramOut,
+) -> None:  # fmt: skip
     """light = scale · flat · curve[level], put back where the frame's flips and shift make it land.
 
     bits: 8 where a byte is a level, 1 where it holds eight columns.

@@ -74,10 +74,7 @@ def spans(
     poses: np.ndarray, pose: np.ndarray, scale: float, single: float, radius: float, profile: tuple[int, ...],
     shape: tuple[int, ...],
 ) -> Iterator[tuple[int, tuple[np.ndarray, ...], np.ndarray, np.ndarray]]:  # fmt: skip
-    """For every arc and branch: its angle, the voxels [x, y] lit, the bins [voxel, bin] of their light, and weights.
-
-    Arguments as for `expose_voxels`; profile: angles and bins; shape: voxels along x and y.
-    """
+    """Angle, lit voxels [x, y], bins [voxel, bin] and weights of every arc and branch; shape: along x and y."""
     x, y = np.meshgrid(*(np.arange(n) - middle(n) for n in shape), indexing="ij")
     far = x**2 + y**2
     reached = [np.nonzero((far <= radius**2) & ((branch == 0) | (far > single**2))) for branch in range(len(pose))]

@@ -17,6 +17,8 @@ from typing import Annotated, get_type_hints
 
 import numpy as np
 
+from vamgpu.errors import ShapeMismatch
+
 
 class Moved:
     """Whether a kernel reads or writes the bytes of an array."""
@@ -148,8 +150,6 @@ class Kernel:
 
     def sizes(self, shapes: dict[str, tuple[int, ...]]) -> dict[str, int]:
         """Axis sizes implied by argument shapes; raises `ShapeMismatch` where two arguments disagree."""
-        from vamgpu.errors import ShapeMismatch
-
         sizes: dict[str, int] = {}
         owner: dict[str, str] = {}
         for name, shape in shapes.items():

@@ -52,11 +52,7 @@ def rounded(n: int, multiple: int):
 
 @wp.func
 def tile_of(slabs: int, lanes: int, majors: int, minors: int, n_major: int, n_minor: int, here: wp.vec4i):
-    """Where a thread works, so that a block is a box of tiles and the members of a tile follow each other.
-
-    slabs, lanes: of the field that is written.  majors, minors: tiles of a block and lane, as declared and launched.
-    n_major, n_minor: tiles there are.
-    """
+    """Where a thread works: a block is a box of tiles, and the members of a tile follow each other."""
     size = wp.vec3i(1, 1, 1)  # tiles of a block along (slab, major, minor)
     if is_shared() == 1:
         size = wp.vec3i(wp.min(4, (slabs + 3) // 4), majors, wp.max(minors // lanes, 1))

@@ -16,15 +16,9 @@ EntriesOut = Annotated[np.ndarray, Table("float32", ("angle", "ray", "capacity",
 
 @kernel(over="counts")
 def trace_entries(
-    medium: Medium,
-    starts: Starts,
-    directions: Directions,
-    step: Real,
-    most: Integer,
-    kind: Integer,
-    counts: CountsOut,
+    medium: Medium, starts: Starts, directions: Directions, step: Real, most: Integer, kind: Integer, counts: CountsOut,
     entries: EntriesOut,
-) -> None:
+) -> None:  # fmt: skip
     """Rays that stay level in a medium without z, as sparse rows: pairs of a cell x·n_y + y and its weight.
 
     A cell is written when its ray has passed it, so that it comes once. counts: pairs of each ray, those beyond the
@@ -68,15 +62,9 @@ def trace_entries(
 
 @kernel(over="steps")
 def survey_rays(
-    medium: Medium,
-    starts: Starts,
-    directions: Directions,
-    top: Real,
-    step: Real,
-    most: Integer,
-    kind: Integer,
+    medium: Medium, starts: Starts, directions: Directions, top: Real, step: Real, most: Integer, kind: Integer,
     steps: StepsOut,
-) -> None:
+) -> None:  # fmt: skip
     """Steps the longest ray of each pixel takes, or −1 where one has not left after ``most``. top: end of z."""
     total = directions.shape[0] * starts.shape[0]
     count = np.zeros(total, int)

@@ -17,16 +17,9 @@ RowsOut = Annotated[np.ndarray, Field(("angle", "r", "row"), writes=True)]
 
 @kernel(over="steps")
 def forward_traced(
-    volume: Volume,
-    medium: Medium,
-    starts: Starts,
-    directions: Directions,
-    steps: Steps,
-    step: Real,
-    kind: Integer,
-    lanes: Integer,
-    sinogram: RowsOut,
-) -> None:
+    volume: Volume, medium: Medium, starts: Starts, directions: Directions, steps: Steps, step: Real, kind: Integer,
+    lanes: Integer, sinogram: RowsOut,
+) -> None:  # fmt: skip
     """sinogram[a, r, row] = Σ over the steps of a pixel's rays of weight × volume, trilinear.
 
     steps: of the longest ray of each pixel, see `survey_rays`.  lanes: of the sinogram's layout.
@@ -42,16 +35,9 @@ def forward_traced(
 
 @kernel(over="steps")
 def back_traced(
-    sinogram: Rows,
-    medium: Medium,
-    starts: Starts,
-    directions: Directions,
-    steps: Steps,
-    step: Real,
-    kind: Integer,
-    lanes: Integer,
-    volume: VolumeInOut,
-) -> None:
+    sinogram: Rows, medium: Medium, starts: Starts, directions: Directions, steps: Steps, step: Real, kind: Integer,
+    lanes: Integer, volume: VolumeInOut,
+) -> None:  # fmt: skip
     """The transpose, added to ``volume``: every ray adds its light to the voxels that `forward_traced` reads."""
     bundle = directions.shape[0] * starts.shape[0] // sinogram.size
     light = np.repeat(sinogram.ravel(), bundle)

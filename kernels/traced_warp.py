@@ -38,8 +38,16 @@ def add(field: Flat, slab: int, index: int, value: float):
 
 
 @wp.func
-def share_of(medium: Samples, x: int, y: int, z: int, n_x: int, n_y: int, n_z: int, middle: wp.vec3, kind: int):
+def beside(middle: wp.vec3, corner: int):
+    """One of the eight voxels beside a point."""
+    x, y, z = int(wp.floor(middle[0])), int(wp.floor(middle[1])), int(wp.floor(middle[2]))
+    return wp.vec3i(x + corner // 4, y + (corner // 2) % 2, z + corner % 2)
+
+
+@wp.func
+def share_of(medium: Samples, at: wp.vec3i, n_x: int, n_y: int, n_z: int, middle: wp.vec3, kind: int):
     """Weight of a voxel beside a point; none beyond the grid and in inserts."""
+    x, y, z = at[0], at[1], at[2]
     if x < 0 or y < 0 or z < 0 or x >= n_x or y >= n_y or z >= n_z:
         return 0.0
     if (kind & BLOCKS) != 0:
@@ -73,17 +81,12 @@ def forward_traced(
         while taken < steps[angle, pixel] and ray.on == 1:
             ray = advance(medium, ray, top, step, kind)
             taken += 1
-            x0 = int(wp.floor(ray.middle[0]))
-            y0 = int(wp.floor(ray.middle[1]))
-            z0 = int(wp.floor(ray.middle[2]))
             met = float(0.0)
             for corner in range(8):
-                x = x0 + corner // 4
-                y = y0 + (corner // 2) % 2
-                z = z0 + corner % 2
-                share = share_of(medium, x, y, z, n_x, n_y, n_z, ray.middle, kind)
+                at = beside(ray.middle, corner)
+                share = share_of(medium, at, n_x, n_y, n_z, ray.middle, kind)
                 if share > 0.0:
-                    met += share * one(volume, z // wide, (x * n_y + y) * wide + z % wide)
+                    met += share * one(volume, at[2] // wide, (at[0] * n_y + at[1]) * wide + at[2] % wide)
             total += ray.weight * met
     r = pixel // n_row
     row = pixel % n_row
@@ -110,16 +113,11 @@ def back_traced(
         while taken < steps[angle, pixel] and ray.on == 1:
             ray = advance(medium, ray, top, step, kind)
             taken += 1
-            x0 = int(wp.floor(ray.middle[0]))
-            y0 = int(wp.floor(ray.middle[1]))
-            z0 = int(wp.floor(ray.middle[2]))
             for corner in range(8):
-                x = x0 + corner // 4
-                y = y0 + (corner // 2) % 2
-                z = z0 + corner % 2
-                share = share_of(medium, x, y, z, n_x, n_y, n_z, ray.middle, kind)
+                at = beside(ray.middle, corner)
+                share = share_of(medium, at, n_x, n_y, n_z, ray.middle, kind)
                 if share * ray.weight > 0.0:
-                    add(volume, z // wide, (x * n_y + y) * wide + z % wide, share * ray.weight * light)
+                    add(volume, at[2] // wide, (at[0] * n_y + at[1]) * wide + at[2] % wide, share * ray.weight * light)
 
 
 @wp.kernel

@@ -29,29 +29,11 @@ NOTHING = 1e-20
     gpu=Tiling(major=8, minor=1, group=(128, 1)),
 )
 def transport(
-    a: Volume,
-    b: Volume,
-    c: Volume,
-    visible: Volume,
-    ultraviolet: Volume,
-    open: Open,
-    spread: Spread,
-    walls: Walls,
-    rates: Rates,
-    order: Integer,
-    reacting: Integer,
-    optical: Real,
-    mechanical: Real,
-    time: Real,
-    steps: Integer,
-    scratch: Scratch,
-    a_out: VolumeOut,
-    b_out: VolumeOut,
-    c_out: VolumeOut,
-    dose: VolumeInOut,
-    optical_time: VolumeOut,
+    a: Volume, b: Volume, c: Volume, visible: Volume, ultraviolet: Volume, open: Open, spread: Spread, walls: Walls,
+    rates: Rates, order: Integer, reacting: Integer, optical: Real, mechanical: Real, time: Real, steps: Integer,
+    scratch: Scratch, a_out: VolumeOut, b_out: VolumeOut, c_out: VolumeOut, dose: VolumeInOut, optical_time: VolumeOut,
     mechanical_time: VolumeOut,
-) -> None:
+) -> None:  # fmt: skip
     """Advance A, B, C by ``steps`` of Δt under constant light; each spreads, then reacts where ``reacting``.
 
     Faces of the box are x low, x high, y low, y high, z low, z high; no flux passes between resin and wall. Radicals

@@ -90,6 +90,24 @@ def passages(open: wp.array2d[wp.uint8], x: int, y: int, n_x: int, n_y: int):
     return passes
 
 
+@wp.func
+def light_spared(
+    dose: Flat, optical_time: Flat, mechanical_time: Flat, slab: int, at: int, more: wp.vec4, optical: float,
+    mechanical: float, time: float, length: float,
+):  # fmt: skip
+    """Add what is left of the light to the dose, and note when it crosses a threshold."""
+    before = read(dose, slab, at)
+    after = before + more
+    write(dose, slab, at, after)
+    seen = read(optical_time, slab, at)
+    hard = read(mechanical_time, slab, at)
+    for k in range(4):
+        seen[k] = crossing(seen[k], before[k], after[k], optical, time, length)
+        hard[k] = crossing(hard[k], before[k], after[k], mechanical, time, length)
+    write(optical_time, slab, at, seen)
+    write(mechanical_time, slab, at, hard)
+
+
 @wp.kernel
 def transport(
     a: Flat, b: Flat, c: Flat, visible: Flat, ultraviolet: Flat, open: wp.array2d[wp.uint8],
@@ -134,16 +152,8 @@ def transport(
                     vb[k] = settled(kept_b + 2.0 * (split - paired))
                     vc[k] = vc[k] - split + paired
                 if spare != 0:
-                    before = read(dose, slab, at)
-                    after = before + more
-                    write(dose, slab, at, after)
-                    seen = read(optical_time, slab, at)
-                    hard = read(mechanical_time, slab, at)
-                    for k in range(4):
-                        seen[k] = crossing(seen[k], before[k], after[k], optical, time, rates[5])
-                        hard[k] = crossing(hard[k], before[k], after[k], mechanical, time, rates[5])
-                    write(optical_time, slab, at, seen)
-                    write(mechanical_time, slab, at, hard)
+                    light_spared(dose, optical_time, mechanical_time, slab, at, more, optical, mechanical, time,
+                                       rates[5])  # fmt: skip
             write(a_out, slab, at, va)
             write(b_out, slab, at, vb)
             write(c_out, slab, at, vc)

@@ -23,6 +23,56 @@ def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
     return value
 
 
+@wp.func
+def slid(
+    source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
+    s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
+):  # fmt: skip
+    """The sums and a band's part: four weights at a time, and every sample read once for all of them."""
+    here = int(at)
+    for c in range(chunk, chunk + (count + 3) // 4):
+        w0 = weights[c, 0]
+        w1 = weights[c, 1]
+        w2 = weights[c, 2]
+        w3 = weights[c, 3]
+        x0 = read(source, slab, here)
+        x1 = read(source, slab, here + column)
+        x2 = read(source, slab, here + 2 * column)
+        x3 = read(source, slab, here + 3 * column)
+        s0 += w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3
+        x4 = read(source, slab, here + 4 * column)
+        s1 += w0 * x1 + w1 * x2 + w2 * x3 + w3 * x4
+        x5 = read(source, slab, here + 5 * column)
+        s2 += w0 * x2 + w1 * x3 + w2 * x4 + w3 * x5
+        x6 = read(source, slab, here + 6 * column)
+        s3 += w0 * x3 + w1 * x4 + w2 * x5 + w3 * x6
+        x7 = read(source, slab, here + 7 * column)
+        s4 += w0 * x4 + w1 * x5 + w2 * x6 + w3 * x7
+        x8 = read(source, slab, here + 8 * column)
+        s5 += w0 * x5 + w1 * x6 + w2 * x7 + w3 * x8
+        x9 = read(source, slab, here + 9 * column)
+        s6 += w0 * x6 + w1 * x7 + w2 * x8 + w3 * x9
+        x10 = read(source, slab, here + 10 * column)
+        s7 += w0 * x7 + w1 * x8 + w2 * x9 + w3 * x10
+        here += 4 * column
+    return s0, s1, s2, s3, s4, s5, s6, s7
+
+
+@wp.func
+def write_first(
+    target: Flat, slab: int, at: int, stride: int, count: int, a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4
+):  # fmt: skip
+    """As many of four sums as there are samples left, a stride apart."""
+    if count > 0:
+        target[slab, at] = a
+    if count > 1:
+        target[slab, at + stride] = b
+    if count > 2:
+        target[slab, at + 2 * stride] = c
+    if count > 3:
+        target[slab, at + 3 * stride] = d
+
+
 @wp.kernel
 def shift_window(
     source: Flat, rows: wp.array1d[wp.int32], bands: wp.array2d[wp.int32],
@@ -57,32 +107,9 @@ def shift_window(
             if first + count + 7 * step <= 0 or first >= n_source_major:
                 continue
             if step == 1 and first >= 0 and first + 8 + count + 3 <= n_source_major:
-                here = at + first * column  # four weights at a time, and every sample read once for all of them
-                for c in range(chunk, chunk + (count + 3) // 4):
-                    w0 = weights[c, 0]
-                    w1 = weights[c, 1]
-                    w2 = weights[c, 2]
-                    w3 = weights[c, 3]
-                    x0 = read(source, slab, here)
-                    x1 = read(source, slab, here + column)
-                    x2 = read(source, slab, here + 2 * column)
-                    x3 = read(source, slab, here + 3 * column)
-                    s0 += w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3
-                    x4 = read(source, slab, here + 4 * column)
-                    s1 += w0 * x1 + w1 * x2 + w2 * x3 + w3 * x4
-                    x5 = read(source, slab, here + 5 * column)
-                    s2 += w0 * x2 + w1 * x3 + w2 * x4 + w3 * x5
-                    x6 = read(source, slab, here + 6 * column)
-                    s3 += w0 * x3 + w1 * x4 + w2 * x5 + w3 * x6
-                    x7 = read(source, slab, here + 7 * column)
-                    s4 += w0 * x4 + w1 * x5 + w2 * x6 + w3 * x7
-                    x8 = read(source, slab, here + 8 * column)
-                    s5 += w0 * x5 + w1 * x6 + w2 * x7 + w3 * x8
-                    x9 = read(source, slab, here + 9 * column)
-                    s6 += w0 * x6 + w1 * x7 + w2 * x8 + w3 * x9
-                    x10 = read(source, slab, here + 10 * column)
-                    s7 += w0 * x7 + w1 * x8 + w2 * x9 + w3 * x10
-                    here += 4 * column
+                s0, s1, s2, s3, s4, s5, s6, s7 = slid(
+                    source, weights, slab, at + first * column, column, chunk, count, s0, s1, s2, s3, s4, s5, s6, s7
+                )  # fmt: skip
             else:
                 for k in range(count):
                     w = weights[chunk + k // 4, k % 4]
@@ -98,22 +125,8 @@ def shift_window(
         stride = phases * n_target_minor * lanes
         out = ((m * phases + phase) * n_target_minor + n) * lanes + lane
         left = (n_target_major - phase + phases - 1) // phases - m
-        if left > 0:
-            target[slab, out] = s0
-        if left > 1:
-            target[slab, out + stride] = s1
-        if left > 2:
-            target[slab, out + 2 * stride] = s2
-        if left > 3:
-            target[slab, out + 3 * stride] = s3
-        if left > 4:
-            target[slab, out + 4 * stride] = s4
-        if left > 5:
-            target[slab, out + 5 * stride] = s5
-        if left > 6:
-            target[slab, out + 6 * stride] = s6
-        if left > 7:
-            target[slab, out + 7 * stride] = s7
+        write_first(target, slab, out, stride, left, s0, s1, s2, s3)
+        write_first(target, slab, out + 4 * stride, stride, left - 4, s4, s5, s6, s7)
 
 
 @wp.kernel

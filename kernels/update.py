@@ -60,16 +60,9 @@ def correct_by_ratio(
 
 @kernel(over="model", cpu=CPU, gpu=GPU)
 def correct_by_difference(
-    dose: Array,
-    scale: Real,
-    target: Array,
-    low: Real,
-    high: Real,
-    gain_outside: Real,
-    gain_inside: Real,
-    reach: Real,
+    dose: Array, scale: Real, target: Array, low: Real, high: Real, gain_outside: Real, gain_inside: Real, reach: Real,
     model: ArrayInOut,
-) -> None:
+) -> None:  # fmt: skip
     """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``.
 
     Inside is a target of at least one half; dose is times scale, the differences times their gain.

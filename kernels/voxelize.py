@@ -54,14 +54,8 @@ def sample_points(bits: int) -> np.ndarray:
 
 @kernel(over="first", cpu=CPU, gpu=GPU)
 def count_crossings(
-    triangles: Triangles,
-    members: Members,
-    first: Bounds,
-    last: Bounds,
-    tile: Integer,
-    bits: Integer,
-    counts: Counts,
-) -> None:
+    triangles: Triangles, members: Members, first: Bounds, last: Bounds, tile: Integer, bits: Integer, counts: Counts,
+) -> None:  # fmt: skip
     """counts[x, y] = crossings of the column's rays with the triangles, which are those of `voxelize`."""
     counts[...] = 0
     for point in sample_points(int(bits)):
@@ -71,18 +65,9 @@ def count_crossings(
 
 @kernel(over="first", cpu=CPU, gpu=GPU)
 def voxelize(
-    triangles: Triangles,
-    members: Members,
-    first: Bounds,
-    last: Bounds,
-    start: Start,
-    tile: Integer,
-    bits: Integer,
-    row: Integer,
-    lists: Lists,
-    volume: VolumeOut,
-    filled: Filled,
-) -> None:
+    triangles: Triangles, members: Members, first: Bounds, last: Bounds, start: Start, tile: Integer, bits: Integer,
+    row: Integer, lists: Lists, volume: VolumeOut, filled: Filled,
+) -> None:  # fmt: skip
     """volume[x, y, z] = fraction of the voxel inside the surface, 0..1; filled = its sum over tile × tile columns.
 
     triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 where the surface

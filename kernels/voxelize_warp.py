@@ -50,10 +50,7 @@ def sort(code: wp.array1d[int], begin: int, n: int):
 def walk(
     code: wp.array1d[int], begin: int, n: int, x: int, y: int, bits: int, volume: Vectors, n_z: int,
 ):  # fmt: skip
-    """Every ray of a column from below: inside from where its winding number rises above 0 to where it falls back.
-
-    Returns the lowest and the highest voxel with a change.
-    """
+    """The lowest and highest voxel that change where every ray of a column enters and leaves by its winding number."""
     low = int(n_z)
     high = int(0)
     weight = 1.0 / float(SAMPLES << bits)

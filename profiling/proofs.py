@@ -16,7 +16,7 @@ from common import HERE, MESH, chosen_devices, machine, timed, write_record
 
 import vamgpu
 from vamgpu.backend.device import Device
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.targets.shapes import build
 
 VIAL = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)

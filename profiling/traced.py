@@ -22,7 +22,7 @@ from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.operators.traced_projection import TracedProjection
 
 WIDTH, BATH = 12.8, 1.485  # mm; refractive index
 

@@ -76,7 +76,9 @@ NAMES = {
 
 FILES = {
     "kept", "opening", "outer", "dark", "shown", "found", "told", "given", "expected", "claimed", "carried", "measured",
-    "watched", "watching", "following", "sourced", "delivering", "spelling",
+    "watched", "watching", "following", "sourced", "delivering", "spelling", "best", "choose", "saved", "exact",
+    "least", "joined", "unjudged", "rising", "graded", "square", "sliced", "pickled", "zipped", "moves", "scaled",
+    "sampled", "stationary",
 }  # fmt: skip
 """Modules named for a part of speech instead of for what they hold."""
 

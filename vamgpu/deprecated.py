@@ -8,23 +8,17 @@ from functools import wraps
 from importlib import import_module
 from typing import Any, TypeVar, cast
 
-from vamgpu.errors import BadInput
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def renamed(module: str, names: Mapping[str, str], otherwise: Callable[[str], Any] | None = None) -> Callable[..., Any]:
-    """Make the ``__getattr__`` of a module that still answers to old names; ``otherwise`` looks up any other."""
-    # ``__getattr__ = renamed(__name__, {"Carried": "CoRotatingMedium", "Work": "vamgpu.hosts.jobs.PrintJob"})``
+def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make the ``__getattr__`` of a module that still answers to old names, ``{"Carried": "CoRotatingMedium"}``."""
 
     def look_up(name: str) -> Any:
-        if name in names:
-            home, _, new = names[name].rpartition(".")
-            warn_renamed(f"{module}.{name}", f"{home or module}.{new}", stacklevel=3)
-            return getattr(import_module(home or module), new)
-        if otherwise is not None:
-            return otherwise(name)
-        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        warn_renamed(f"{module}.{name}", f"{module}.{names[name]}", stacklevel=3)
+        return getattr(import_module(module), names[name])
 
     return look_up
 
@@ -44,29 +38,6 @@ class Renamed:
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
         warn_renamed(self.old, self.new, stacklevel=3)
         return getattr(owner if instance is None else instance, self.new)
-
-
-def renamed_arguments(**names: str) -> Callable[[F], F]:
-    """Decorate a function or a class to take keyword arguments by old names: ``@renamed_arguments(old="new")``."""
-
-    def decorated(function: F) -> F:
-        if isinstance(function, type):
-            function.__init__ = decorated(cast(Any, function.__init__))
-            return cast(F, function)
-
-        @wraps(function)
-        def called(*args: Any, **given: Any) -> Any:
-            for old in names.keys() & given.keys():
-                new, what = names[old], f"the argument {old} of {function.__qualname__}"
-                if new in given:
-                    raise BadInput(f"got {new} and {what}, its old name; expected {new} alone")
-                warn_renamed(what, new)
-                given[new] = given.pop(old)
-            return function(*args, **given)
-
-        return cast(F, called)
-
-    return decorated
 
 
 def named_arguments(*names: str) -> Callable[[F], F]:

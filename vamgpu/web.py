@@ -7,7 +7,7 @@ the window of light begins ``k · step`` further along the web; everything else 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -127,29 +127,6 @@ def way_taps(width: float, share: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     return columns[kept], shares[kept]
 
 
-@dataclass(frozen=True)
-class WebRays:
-    """Light of one pose ray by ray: things in the film shade what is behind them."""
-
-    # shape: (columns r, layers rho, window columns l).  ray: of every piece, in the order of the rays, and the pieces
-    # of one in the order in which it runs.  r, rho, l: the column that sent it, the voxel it crosses.  length: of the
-    # way in it [mm].  weight, middle: as of `Propagation`.  absorption: of the film [1/mm].
-
-    shape: tuple[int, int, int]
-    ray: np.ndarray
-    r: np.ndarray
-    rho: np.ndarray
-    l: np.ndarray  # noqa: E741 - the web's axis
-    length: np.ndarray
-    weight: np.ndarray
-    absorption: float = 0.0
-    middle: float = 0.0
-
-    def summed(self) -> Propagation:
-        """The sparse light P[r, rho, l] of all rays in a film with nothing in it."""
-        return Propagation.gathered(self.shape, self.r, self.rho, self.l, self.weight, self.middle)
-
-
 @runtime_checkable
 class Wrap(Protocol):
     """The machine that carries the film, as a web projector sees it."""
@@ -166,9 +143,5 @@ class Wrap(Protocol):
 
 def light_of_pose(wrap: Wrap, grid: WebGrid, beam: Beam, device: object) -> Propagation:
     """The sparse light P[r, rho, l] of one pose, computed on a device where the machine says so."""
-    return wrap.propagation(grid, beam, **where_marched(wrap, device))
-
-
-def where_marched(wrap: object, device: object) -> dict[str, Any]:
-    """``device=`` for a machine that says it ``marched`` its light on a device; nothing for others."""
-    return {"device": device} if getattr(wrap, "marched", False) else {}
+    where = {"device": device} if getattr(wrap, "marched", False) else {}
+    return wrap.propagation(grid, beam, **where)

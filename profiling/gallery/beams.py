@@ -11,13 +11,13 @@ from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.operators.defocus import Defocus, Defocused
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.occluder import Occluded
-from vamgpu.optics.rising import Cone, Inclined
+from vamgpu.optics.rising_beams import Cone, Inclined
 from vamgpu.reports import style
 
 if TYPE_CHECKING:

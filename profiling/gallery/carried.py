@@ -16,7 +16,7 @@ from vamgpu.methods.papers import THRESHOLDS
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.operators.traced_projection import TracedProjection
 from vamgpu.reports import style
 
 if TYPE_CHECKING:

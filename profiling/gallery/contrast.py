@@ -10,7 +10,7 @@ from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.metrics.contrast import contrast as share_inside
-from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
+from vamgpu.metrics.limited_angle_dose import limited_dose, random_plane, responded
 from vamgpu.metrics.pointspread import coverage, covered_share, point_dose, spread, wedge
 from vamgpu.reports import style
 

@@ -11,7 +11,7 @@ from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
 from vamgpu.methods.papers import ROLL_TO_ROLL
-from vamgpu.metrics.nearest import Nearest
+from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.surface_distance import SurfaceDistance, iso_solid, print_to_print, surface_distance
 from vamgpu.reports import style
 

@@ -9,7 +9,7 @@ import numpy as np
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
-from vamgpu.methods.dual.exact import ExactPlan, reconstruct
+from vamgpu.methods.dual.reconstruction import ExactPlan, reconstruct
 from vamgpu.reports import style
 
 if TYPE_CHECKING:

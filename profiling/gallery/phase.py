@@ -11,8 +11,8 @@ from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.efficiency import RotatingLight
 from vamgpu.chemistry.kinetics import advance
+from vamgpu.chemistry.phase_plane import drift, nullcline, stationary
 from vamgpu.chemistry.species import PAPER, LightCycle, Rates, SpeciesState
-from vamgpu.chemistry.stationary import drift, nullcline, stationary
 from vamgpu.reports import style
 
 if TYPE_CHECKING:

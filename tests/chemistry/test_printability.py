@@ -13,7 +13,6 @@ from vamgpu.chemistry.printability import (
     PowerVerdict,
     Thresholds,
     TurnDoses,
-    judge,
     most_turns,
     power_window,
     static_inhibition,
@@ -33,6 +32,14 @@ CASES = [
     TurnDoses(-0.1, 1.0, 0.2),
     TurnDoses(1.0, 1.0, 0.0),
 ]
+
+
+def judge(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float) -> PowerVerdict:
+    before, after = (
+        TurnDoses(n * power * doses.in_least, n * power * doses.in_most, n * power * doses.out_most)
+        for n in (turns - 1, turns)
+    )
+    return PowerVerdict.of(before, after, thresholds)
 
 
 def by_hand(doses: TurnDoses, turns: int, power: float) -> bool:
@@ -70,7 +77,7 @@ def test_static_inhibition_needs_turns_that_add_up_to_the_gap() -> None:
     assert static_turns(doses, RESIN) == 4 and static_turns(TurnDoses(0.4, 0.6, 0.5), RESIN) == inf
     for turns in range(1, 9):
         shift = static_inhibition(doses, RESIN, turns)
-        legal = [d for d in np.linspace(-0.99, 4.0, 2000) if judge(doses, RESIN.delayed(d), turns).holds]
+        legal = [d for d in np.linspace(-0.99, 4.0, 2000) if judge(doses, RESIN.delayed(d), turns, 1.0).holds]
         assert shift.legal == bool(legal)
         assert shift.legal == (turns * doses.gap > RESIN.gap)
         if legal:

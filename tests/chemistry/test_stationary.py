@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vamgpu.chemistry.kinetics import advance
+from vamgpu.chemistry.phase_plane import drift, nullcline, stationary
 from vamgpu.chemistry.species import LightCycle, Rates, SpeciesState
-from vamgpu.chemistry.stationary import drift, nullcline, stationary
 from vamgpu.errors import BadInput
 
 RATES = Rates(0.1, 0.06, 0.2, 0.05, supply=40.0, order=0)

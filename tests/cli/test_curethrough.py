@@ -13,7 +13,7 @@ from vamgpu.cli import main
 from vamgpu.curethrough.images import encode
 from vamgpu.curethrough.output import RECORD
 from vamgpu.curethrough.stack import open_stack
-from vamgpu.jobs.curethrough import EXAMPLE, parse_curethrough
+from vamgpu.jobs.curethrough import EXAMPLE, CurethroughJob
 
 
 def part() -> np.ndarray:
@@ -63,7 +63,7 @@ def test_model_writes_doses_and_a_report(job: Path, capsys: pytest.CaptureFixtur
     assert "print wrong" in (job.parent / "part-model.html").read_text()
     from vamgpu.curethrough.dose import column_doses
 
-    machine = parse_curethrough(EXAMPLE).machine
+    machine = CurethroughJob.parse(EXAMPLE).machine
     wanted = np.minimum(np.rint(51 * column_doses(machine, part())[:-1]), 255)
     with open_stack(doses) as stack:
         assert np.abs(stack[0:70].astype(int) - wanted).max() <= 1
@@ -147,7 +147,7 @@ def test_fit_finds_the_curves_that_measurements_were_made_with(
     assert float(fitted["printer"]["absorption_height"].split()[0]) == pytest.approx(2000, rel=0.02)
     assert float(fitted["printer"]["critical_dose"].split()[0]) == pytest.approx(576, rel=0.03)
     text = EXAMPLE.replace('dark = "1 mW/cm2"', 'gray = "fit.toml"')
-    machine = parse_curethrough(text, folder=tmp_path).machine
+    machine = CurethroughJob.parse(text, folder=tmp_path).machine
     np.testing.assert_allclose(np.array(machine.light)[levels] * 100, light, rtol=1e-3)
     assert main(command) == 1
     assert "exists" in capsys.readouterr().err

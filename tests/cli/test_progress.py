@@ -46,7 +46,7 @@ def test_no_stage_is_shown_where_nobody_looks() -> None:
 
 def test_a_proof_tells_its_stages_and_the_share_of_its_slabs(tmp_path: Path, monkeypatch: Any) -> None:
     small = (1, None, None)  # slabs
-    monkeypatch.setattr("vamgpu.printing.independent.IndependentExposure.__init__.__defaults__", small)
+    monkeypatch.setattr("vamgpu.printing.independent_exposure.IndependentExposure.__init__.__defaults__", small)
     part = np.zeros((12, 12, 10))
     part[4:8, 4:8, 2:8] = 1.0
     target = vam.Target.from_array(part, pitch=0.25, name="block")

@@ -17,12 +17,12 @@ from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
 from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.defocus import Defocus, Defocused
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
+from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.occluder import Occluded
-from vamgpu.optics.rising import Cone, Inclined
+from vamgpu.optics.rising_beams import Cone, Inclined
 
 POSES = 3
 GLASS = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, absorption=0.5)

@@ -11,7 +11,8 @@ import pytest
 import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OutOfMemory
-from vamgpu.operators.ring_projection import direct, prefers_rings, unsupported_reason
+from vamgpu.operators.defocus import direct
+from vamgpu.operators.ring_projection import prefers_rings, unsupported_reason
 from vamgpu.operators.ring_splines import NEXT, OWN
 
 VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)

@@ -17,7 +17,7 @@ from vamgpu.geometry import centers
 from vamgpu.methods import optimize
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.medium import CoRotatingMedium
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.operators.traced_projection import TracedProjection
 
 BATH = 1.5
 

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from vamgpu.curethrough.images import encode
+from vamgpu.curethrough.mesh_stack import MeshStack
 from vamgpu.curethrough.names import following, natural, ordered
-from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ZipStack, layer_height, open_stack
 from vamgpu.errors import SliceError, SliceWarning, TargetTooLarge
 from vamgpu.targets import shapes

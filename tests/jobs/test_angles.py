@@ -12,7 +12,7 @@ from vamgpu.errors import JobError
 from vamgpu.geometry import Turntable
 from vamgpu.jobs.build import motion_of, projection_of, read_angles, target_of
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
 from vamgpu.storage.turntable import described, turntable_from
 from vamgpu.units import deg
@@ -21,7 +21,7 @@ SMALL = ["target.pitch=900 um", "beam.pitch=1200 um", "solve.iterations=2", "sol
 
 
 def job_of(*settings: str, folder: Path = Path()):  # noqa: ANN201
-    return parse_job(JOB, settings, folder=folder)
+    return Job.parse(JOB, settings, folder=folder)
 
 
 def test_a_range_and_a_file_become_turntables(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_job_may_leave_out_what_its_pixels_ask_for() -> None:
     bare = JOB.replace("[turntable]\nangles = 360\n", "")
     device = vam.open_device("numpy")
     for settings, most in (((), 240), (("turntable.most=100",), 100), (("turntable.range=180 deg",), 120)):
-        job = parse_job(bare, ["beam.pitch=1200 um", *settings])
+        job = Job.parse(bare, ["beam.pitch=1200 um", *settings])
         target = target_of(job, device)
         A = projection_of(job.file, target, device)
         width = vam.resin_pixel(A.beam, A.vessel)[0]

@@ -11,10 +11,10 @@ import pytest
 import vamgpu as vam
 from vamgpu.errors import JobError, StorageError
 from vamgpu.jobs.build import scene_of, target_of
-from vamgpu.jobs.read import Job, parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.saved import limits_described, limits_from
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.methods.plan_folder import limits_described, limits_from
+from vamgpu.operators.traced_projection import TracedProjection
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.shapes import csg
 from vamgpu.targets.solid import Solid
@@ -112,7 +112,7 @@ WRONG = {
 def test_wrong_bodies_are_named(case: str) -> None:
     text, said = WRONG[case]
     with pytest.raises(JobError) as caught:
-        parse_job(PART + text)
+        Job.parse(PART + text)
     assert said in str(caught.value)
 
 
@@ -121,18 +121,18 @@ def test_the_line_is_that_of_the_body_that_is_meant(wrong: str) -> None:
     text = PART + '[[body]]\nshape = "boat"\nweight = 2.0\n[[body]]\nshape = "nut"\n' + wrong + "\n"
     line = text[: text.rindex("[[body]]" if "gray" in wrong else wrong)].count("\n") + 1
     with pytest.raises(JobError, match=rf"line {line}: body\.1"):
-        parse_job(text)
+        Job.parse(text)
 
 
 def test_keys_of_one_part_and_of_bodies_are_not_mixed() -> None:
     for setting, said in (("target.mesh=a.stl", "got mesh beside [[body]]"), ("target.height=3 mm", "got height")):
         with pytest.raises(JobError) as caught:
-            parse_job(PART + '[[body]]\nshape = "boat"\n', [setting])
+            Job.parse(PART + '[[body]]\nshape = "boat"\n', [setting])
         assert said in str(caught.value)
     with pytest.raises(JobError, match="got void without a"):
-        parse_job(PART, ['target.shape="boat"', "target.factor=1.0", "target.void=0.5"])
+        Job.parse(PART, ['target.shape="boat"', "target.factor=1.0", "target.void=0.5"])
     with pytest.raises(JobError, match=r"body\.0\.shape: got 'bote'"):
-        target_of(parse_job(PART + '[[body]]\nshape = "bote"\n'), vam.open_device("numpy"))
+        target_of(Job.parse(PART + '[[body]]\nshape = "bote"\n'), vam.open_device("numpy"))
 
 
 def test_garbled_bodies_of_a_manifest_are_refused(job: Path) -> None:

@@ -22,7 +22,7 @@ from vamgpu.jobs import cluster, run
 from vamgpu.jobs.demo import JOB, WEB_JOB
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import solve
-from vamgpu.jobs.web import parse_web, solve_web
+from vamgpu.jobs.web import WebJob, solve_web
 from vamgpu.storage.folder import Folder
 from vamgpu.webs.store import WebFolder
 
@@ -60,7 +60,7 @@ def killing(monkeypatch: pytest.MonkeyPatch, kills: int, pause: tuple[float, flo
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_segments_of_a_web_are_those_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    job, told = parse_web(WEB_JOB, WEB), list[float]()
+    job, told = WebJob.parse(WEB_JOB, WEB), list[float]()
     began = time.perf_counter()
     alone = solve_web(job, tmp_path / "alone")
     print("alone", time.perf_counter() - began, len(alone.segments))
@@ -76,7 +76,7 @@ def test_segments_of_a_web_are_those_of_one_process(tmp_path: Path, monkeypatch:
 
 @pytest.mark.slow
 def test_a_web_goes_on_with_what_a_cluster_left(tmp_path: Path) -> None:
-    job = parse_web(WEB_JOB, WEB)
+    job = WebJob.parse(WEB_JOB, WEB)
     alone = solve_web(job, tmp_path / "alone")
 
     def stop(_: str, share: float) -> None:

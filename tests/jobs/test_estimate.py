@@ -13,9 +13,9 @@ import vamgpu.jobs.estimate
 from vamgpu.backend.device import Device
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.estimate import PASSES, Expected, expected
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import solve
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.surface import as_fine_as_light
 
 
@@ -53,7 +53,7 @@ def test_it_is_told_before_the_light_is_found(tmp_path: Path, more: list[str], s
             told.append(text)
 
     small = ["target.pitch=900 um", "beam.pitch=1200 um", "turntable.angles=20", "solve.iterations=2", *more]
-    solve(parse_job(JOB, small), tmp_path / "a.vam", progress=Watching())
+    solve(Job.parse(JOB, small), tmp_path / "a.vam", progress=Watching())
     assert told.index("rays") + 1 == told.index("light") - 1
     assert said in told[told.index("light") - 1]
     assert ("at 3 corners" in told[told.index("light") - 1]) == bool(more)

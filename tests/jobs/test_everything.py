@@ -17,9 +17,9 @@ from vamgpu.chemistry.materials.resin import Resin
 from vamgpu.errors import BadInput, JobError
 from vamgpu.jobs.build import projection_of, target_of, with_diffusion
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.jobs.web import parse_web, roller_of
+from vamgpu.jobs.web import WebJob, roller_of
 from vamgpu.methods import METHODS, GeneralizedLogistic, SurfaceRamp
 from vamgpu.methods.dual import LeastSquares
 from vamgpu.operators.compose import Composed
@@ -40,7 +40,7 @@ FORMULA = FormulaField((1.0, 1.0, 0.0), (2.25, -1e-4))
 
 
 def built(text: str, folder: Path = Path(), name: str | None = "numpy") -> Any:
-    job = parse_job(HEAD + text, SMALL, folder=folder)
+    job = Job.parse(HEAD + text, SMALL, folder=folder)
     device = open_device(name)
     return with_diffusion(job.file, projection_of(job.file, target_of(job, device), device, folder), folder)
 
@@ -129,7 +129,7 @@ METHODS_ASKED = {
 
 @pytest.mark.parametrize("text", METHODS_ASKED)
 def test_every_method_with_its_parameters(text: str) -> None:
-    assert parse_job(f"{HEAD}[method]\n{text}").file.method == METHODS_ASKED[text]
+    assert Job.parse(f"{HEAD}[method]\n{text}").file.method == METHODS_ASKED[text]
 
 
 @pytest.mark.parametrize(("keys", "kinds", "own"), [
@@ -139,10 +139,10 @@ def test_every_method_with_its_parameters(text: str) -> None:
 ])  # fmt: skip
 def test_a_key_of_another_method_is_refused_with_its_name(keys: str, kinds: str, own: str) -> None:
     with pytest.raises(JobError, match=rf"method\.\w+: unknown key; it is one of {kinds}, and {own}; name the kind"):
-        parse_job(f"{HEAD}[method]\n{keys}\n")
+        Job.parse(f"{HEAD}[method]\n{keys}\n")
     with pytest.raises(JobError, match="method.sigma_of_nothing: unknown key; expected one of outside, inside"):
-        parse_job(f"{HEAD}[method]\nsigma_of_nothing = 1\n")
-    assert parse_job(f"{HEAD}[method]\nhistory = 3\n").file.method == vam.SurfaceRamp(history=3)
+        Job.parse(f"{HEAD}[method]\nsigma_of_nothing = 1\n")
+    assert Job.parse(f"{HEAD}[method]\nhistory = 3\n").file.method == vam.SurfaceRamp(history=3)
 
 
 def test_methods_of_files_are_those_of_python() -> None:
@@ -161,7 +161,7 @@ RUNS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_they_are_solved_written_and_proven(name: str, tmp_path: Path) -> None:
-    job = parse_job(HEAD + RUNS[name], SMALL)
+    job = Job.parse(HEAD + RUNS[name], SMALL)
     solve(job, tmp_path / "x.vam")
     proven = prove(tmp_path / "x.vam")
     assert repr(proven.proof.operator) == repr(built(RUNS[name], name=None)) and proven.proof.scores.in_voxels > 100
@@ -202,19 +202,19 @@ def test_a_material_brings_index_absorption_dose_and_diffusion(tmp_path: Path) -
     assert A.outer.vessel.resin_index == 1.5 and A.outer.vessel.absorption == pytest.approx(0.15)
     diffusivity = Resin.load(tmp_path / "resin.toml").diffusivity("oxygen")
     assert A.inner.diffusion == Diffusion(diffusivity, 30.0)
-    asked = parse_job(HEAD + text + GLASS + '[print]\nirradiance = "65 mW/cm2"\n', folder=tmp_path).file
+    asked = Job.parse(HEAD + text + GLASS + '[print]\nirradiance = "65 mW/cm2"\n', folder=tmp_path).file
     assert asked.print is not None and asked.print.critical_dose == pytest.approx(0.05)
-    said = parse_job(HEAD + text + GLASS + "resin_index = 1.4\n", folder=tmp_path).file
+    said = Job.parse(HEAD + text + GLASS + "resin_index = 1.4\n", folder=tmp_path).file
     assert said.vial.resin_index == 1.4  # type: ignore[union-attr]  # what a file says itself comes first
     inner = GLASS.replace("[vial]", '[vessel.vessel]\nkind = "vial"')
     text += f'[vessel]\nkind = "fan"\nthrow = "300 mm"\n{inner}'
-    fan: Any = parse_job(HEAD + text, folder=tmp_path).file.vessel
+    fan: Any = Job.parse(HEAD + text, folder=tmp_path).file.vessel
     assert fan.vessel.resin_index == 1.5 and fan.throw == 300.0 < inf
 
 
 def test_a_bundled_resin_is_found_and_what_it_lacks_is_told() -> None:
     text = '[resin]\nmaterial = "dudma-pegda"\nwavelength = "405 nm"\n'
-    wanted = parse_job(HEAD + text + GLASS + 'absorption = "0.05 1/mm"\n').file
+    wanted = Job.parse(HEAD + text + GLASS + 'absorption = "0.05 1/mm"\n').file
     assert wanted.vial.resin_index == Resin.load("dudma-pegda").refraction(405 * nm)  # type: ignore[union-attr]
     for wrong, said in (
         (text + GLASS, r"vial\.absorption: no source gives the absorption .* or write absorption = … into \[vial\]"),
@@ -230,7 +230,7 @@ def test_a_bundled_resin_is_found_and_what_it_lacks_is_told() -> None:
         ("[resin]\nprecompensate = true\n", r"resin\.precompensate: expected diffusion or an inhibitor"),
     ):
         with pytest.raises(JobError, match=said):
-            parse_job(HEAD + wrong)
+            Job.parse(HEAD + wrong)
 
 
 @pytest.mark.slow
@@ -245,7 +245,7 @@ def test_light_found_for_the_dose_after_diffusion_prints_better(tmp_path: Path) 
         'solve.method="lbfgs"',
     ]
     for name, text in (("ignored", ""), ("inside", diffusion)):
-        solve(parse_job(f"{HEAD}{text}", settings), tmp_path / f"{name}.vam")
+        solve(Job.parse(f"{HEAD}{text}", settings), tmp_path / f"{name}.vam")
     inside = prove(tmp_path / "inside.vam").proof
     ignored = vam.simulate(
         inside.operator, load_frames(tmp_path / "ignored.vam", inside.operator.device), inside.target
@@ -257,7 +257,7 @@ def test_light_found_for_the_dose_after_diffusion_prints_better(tmp_path: Path) 
 
 def test_precompensation_starts_the_recipe_and_the_proof_has_diffusion(tmp_path: Path) -> None:
     text = '[resin]\nprecompensate = true\n[resin.diffusion]\ndiffusivity = "1e-2 mm2/s"\nseconds = "20 s"\n'
-    solve(parse_job(f'{HEAD}{text}[method]\nkind = "recipe"\n', SMALL), tmp_path / "x.vam")
+    solve(Job.parse(f'{HEAD}{text}[method]\nkind = "recipe"\n', SMALL), tmp_path / "x.vam")
     proven = prove(tmp_path / "x.vam")
     assert isinstance(proven.proof.operator, Composed) and "diffusion=Diffusion(diffusivity=0.01" in proven.plan.method
     A: Any = proven.proof.operator.outer
@@ -266,14 +266,14 @@ def test_precompensation_starts_the_recipe_and_the_proof_has_diffusion(tmp_path:
     plan = vam.optimize(A, target, method=method, iterations=2)
     assert [step["loss"] for step in proven.plan.history] == pytest.approx([step.loss for step in plan.history])
     with pytest.raises(JobError, match=r'resin\.precompensate: expected \[method\] kind = "recipe"'):
-        parse_job(HEAD + text)
+        Job.parse(HEAD + text)
 
 
 @pytest.mark.slow
 def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> None:
     vial = f'[vial]\n{ROUND.partition(chr(10))[2]}absorption = "0.05 1/mm"\n'
     text = f'{HEAD}{vial}[colors]\nabsorption = "0.1 1/mm"\n[colors.rule]\niterations = 20\n'
-    job = parse_job(text, SMALL)
+    job = Job.parse(text, SMALL)
     assert job.file.colors is not None and job.file.colors.rule == LeastSquares(iterations=20)
     solve(job, tmp_path / "x.vam")
     proven = prove(tmp_path / "x.vam")
@@ -282,10 +282,10 @@ def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> Non
     light = proven.proof.frames.irradiance(uv.operator.device), uv.frames.irradiance(uv.operator.device)
     dose = proven.proof.operator.T(light[0]).numpy() - uv.operator.T(light[1]).numpy()
     assert np.allclose(proven.proof.dose.numpy(), dose, atol=1e-5 * dose.max())
-    solve(parse_job(f'{HEAD}{vial}[solve]\nmethod = "lbfgs"\n', SMALL), tmp_path / "one.vam")
+    solve(Job.parse(f'{HEAD}{vial}[solve]\nmethod = "lbfgs"\n', SMALL), tmp_path / "one.vam")
     assert proven.proof.scores.iou > prove(tmp_path / "one.vam").proof.scores.iou
     with pytest.raises(BadInput, match=r"\[colors\] got no vessel"):
-        solve(parse_job(HEAD + '[colors]\nabsorption = "0.1 1/mm"\n', SMALL), tmp_path / "none.vam")
+        solve(Job.parse(HEAD + '[colors]\nabsorption = "0.1 1/mm"\n', SMALL), tmp_path / "none.vam")
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_two_colors_are_found_written_and_proven_together(tmp_path: Path) -> Non
 )
 def test_what_does_not_go_together_is_named(text: str, said: str) -> None:
     with pytest.raises(JobError, match=said):
-        parse_job(HEAD + text)
+        Job.parse(HEAD + text)
 
 
 ONE_BIT = '[frames]\nbits = 1\ndither = "fit"\n'
@@ -325,7 +325,7 @@ def test_frames_that_cannot_be_made_are_refused_before_light_is_sought(
     for work in ("vamgpu.jobs.run.optimize", "vamgpu.jobs.run.superposed"):
         monkeypatch.setattr(work, lambda *_, **__: pytest.fail("light was sought"))
     with pytest.raises(BadInput, match=said):
-        solve(parse_job(HEAD + text, SMALL), tmp_path / "x.vam")
+        solve(Job.parse(HEAD + text, SMALL), tmp_path / "x.vam")
 
 
 def test_a_web_has_every_option_of_its_roller_and_film() -> None:
@@ -335,9 +335,9 @@ def test_a_web_has_every_option_of_its_roller_and_film() -> None:
     options += 'planes = ["-9 mm", "-0.5 cm"]\n'
     text = WEB.replace("[film]\n", '[film]\nsubstrate = ["0.1 mm", 1.6]\n')
     text = text.replace("[roller]\n", f"[roller]\n{options}")
-    roller = roller_of(parse_web(text).file)
+    roller = roller_of(WebJob.parse(text).file)
     assert (roller.reflectivity, roller.compensation, roller.neutral, roller.rays, roller.fan) == (0.1, 2.0, 0.4, 16, 5)
     assert roller.planes == pytest.approx((-9.0, -5.0))
     assert roller.divergence == pytest.approx(1 * deg) and roller.film.substrate == (pytest.approx(0.1), 1.6)
     with pytest.raises(JobError, match=r"roller\.substrate: unknown key"):
-        parse_web(WEB.replace("[roller]\n", "[roller]\nsubstrate = 3\n"))
+        WebJob.parse(WEB.replace("[roller]\n", "[roller]\nsubstrate = 3\n"))

@@ -10,7 +10,7 @@ import pytest
 from vamgpu.cli import main
 from vamgpu.errors import JobError
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 
 SETTINGS = {
     "target.shape": "gear_base", "target.height": "4 mm", "target.pitch": "400 um", "beam.pitch": "600 um",
@@ -40,7 +40,7 @@ def test_a_limit_and_shorter_exposures_reach_the_report(tmp_path: Path, capsys: 
 def test_a_limit_needs_a_lamp_and_one_color() -> None:
     alone = JOB[: JOB.index("[print]")]
     with pytest.raises(JobError, match=r"solve\.exposure_limit: got a time without \[print\]"):
-        parse_job(alone, ["solve.exposure_limit=60 s"])
+        Job.parse(alone, ["solve.exposure_limit=60 s"])
     with pytest.raises(JobError, match="exposure_limit: got a time and"):
-        parse_job(JOB, ["solve.exposure_limit=60 s", "colors.absorption=0.1 1/mm"])
-    assert parse_job(JOB, ["solve.exposure_limit=1 min"]).file.solve.exposure_limit == 60.0
+        Job.parse(JOB, ["solve.exposure_limit=60 s", "colors.absorption=0.1 1/mm"])
+    assert Job.parse(JOB, ["solve.exposure_limit=1 min"]).file.solve.exposure_limit == 60.0

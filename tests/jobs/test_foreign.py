@@ -29,7 +29,7 @@ from vamgpu.jobs.run import prove
 from vamgpu.printing.export import export
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.folder import Folder
-from vamgpu.storage.pickled import read_pickle
+from vamgpu.storage.pickles import read_pickle
 from vamgpu.targets import shapes
 
 PITCH = 0.5

@@ -12,18 +12,18 @@ import pytest
 from vamgpu import SquareBath
 from vamgpu.errors import BadInput, JobError
 from vamgpu.jobs.build import pitch_of
-from vamgpu.jobs.curethrough import parse_curethrough
+from vamgpu.jobs.curethrough import CurethroughJob
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.keys import EXAMPLES, FILES, commented, explained, keys_of
 from vamgpu.jobs.lines import key_lines, line_of
-from vamgpu.jobs.read import parse_job, read_job, toml_value
-from vamgpu.jobs.web import parse_web
+from vamgpu.jobs.read import Job, read_job, toml_value
+from vamgpu.jobs.web import WebJob
 from vamgpu.schema.explain import keys
 from vamgpu.schema.read import model_in
 
 
 def test_the_demo_reads_in_mm_and_mj() -> None:
-    wanted = parse_job(JOB).file
+    wanted = Job.parse(JOB).file
     assert wanted.target.pitch is None and pitch_of(wanted) == pytest.approx(0.08, rel=1e-3)
     assert wanted.vial is not None and wanted.vial.radius == 12.4
     assert wanted.print is not None and wanted.print.irradiance == pytest.approx(0.65)
@@ -79,7 +79,7 @@ def line_with(text: str, words: str) -> int:
 def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> None:
     text = JOB.replace(old, new, 1)
     with pytest.raises(JobError) as caught:
-        parse_job(text, source="boat.toml")
+        Job.parse(text, source="boat.toml")
     assert f"boat.toml, line {line_with(text, new)}: {said}" in str(caught.value)
 
 
@@ -100,19 +100,19 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
 def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) -> None:
     text = JOB.replace("[beam]", "[beam]\n" + line)
     with pytest.raises(JobError) as caught:
-        parse_job(text, source="boat.toml")
+        Job.parse(text, source="boat.toml")
     assert f"boat.toml, line {line_with(text, line)}: beam." in str(caught.value) and said in str(caught.value)
 
 
 def test_a_renamed_key_is_complained_of_on_its_own_line() -> None:
     text = JOB.replace("[solve]", "[solve]\n# in all\npairs = 0")
     with pytest.warns(FutureWarning, match="evaluations"), pytest.raises(JobError) as told:
-        parse_job(text)
+        Job.parse(text)
     assert f"line {line_with(text, 'pairs = 0')}: solve.evaluations: got 0" in str(told.value)
 
 
 def test_the_old_name_of_a_job_s_file_warns() -> None:
-    job = parse_job(JOB)
+    job = Job.parse(JOB)
     with pytest.warns(DeprecationWarning, match="Job.wanted is called file"):
         assert job.wanted is job.file
 
@@ -120,16 +120,16 @@ def test_the_old_name_of_a_job_s_file_warns() -> None:
 def test_every_wrong_value_is_named_at_once() -> None:
     text = JOB.replace('"11.5 mm"', "11.5").replace("bits = 8", "bits = 3")
     with pytest.raises(JobError, match=r"(?s)target\.height.*frames\.bits"):
-        parse_job(text)
+        Job.parse(text)
 
 
 def test_a_missing_key_and_a_double_choice_say_what_to_write() -> None:
     with pytest.raises(JobError, match=r"beam\.pitch is missing; add pitch = … to \[beam\]"):
-        parse_job(JOB.replace('[beam]\npitch = "120 um"\n', "[beam]\n", 1))
+        Job.parse(JOB.replace('[beam]\npitch = "120 um"\n', "[beam]\n", 1))
     with pytest.raises(JobError, match=r"exactly one of mesh"):
-        parse_job(JOB.replace('shape = "boat"', 'shape = "boat"\nmesh = "a.stl"'))
+        Job.parse(JOB.replace('shape = "boat"', 'shape = "boat"\nmesh = "a.stl"'))
     with pytest.raises(JobError, match=r"both \[vial\] and \[vat\]"):
-        parse_job(JOB + '\n[vat]\nwidth = "20 mm"\n')
+        Job.parse(JOB + '\n[vat]\nwidth = "20 mm"\n')
 
 
 @pytest.mark.parametrize(
@@ -151,17 +151,17 @@ def test_settings_are_toml_values_else_text(text: str, value: object) -> None:
 
 
 def test_settings_replace_what_the_file_says() -> None:
-    job = parse_job(JOB, ["frames.flip_r=false", "frames.flip_z=true", "target.height=9 mm", "solve.iterations = 3"])
+    job = Job.parse(JOB, ["frames.flip_r=false", "frames.flip_z=true", "target.height=9 mm", "solve.iterations = 3"])
     assert job.file.frames.flip_r is False and job.file.frames.flip_z is True
     assert (job.file.target.height, job.file.solve.iterations) == (9.0, 3)
     with pytest.raises(JobError, match=r"--set: solve\.iterations: got False"):
-        parse_job(JOB, ["solve.iterations=false"])
+        Job.parse(JOB, ["solve.iterations=false"])
     with pytest.raises(JobError, match=r"--set: solve\.itrations: unknown key; did you mean 'iterations'"):
-        parse_job(JOB, ["solve.itrations=3"])
+        Job.parse(JOB, ["solve.itrations=3"])
     with pytest.raises(JobError, match="expected key=value"):
-        parse_job(JOB, ["iterations"])
+        Job.parse(JOB, ["iterations"])
     with pytest.raises(JobError, match="no table"):
-        parse_job(JOB, ["frames.bits.x=1"])
+        Job.parse(JOB, ["frames.bits.x=1"])
 
 
 def test_files_that_are_not_there_are_named_with_their_lines(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_what_is_no_job_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"missing\.toml.*check the path"):
         read_job(tmp_path / "missing.toml")
     with pytest.raises(JobError, match=r"not valid TOML.*line 1"):
-        parse_job("target = ]")
+        Job.parse("target = ]")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(JobError, match="cannot read"):
         read_job(tmp_path / "bytes.toml")
@@ -195,15 +195,15 @@ def shown(page: str) -> list[str]:
 
 def test_the_pages_show_jobs_that_read() -> None:
     (first,), (vial, bath, rings), (slices,) = map(shown, ("README.md", "docs/jobs.md", "docs/curethrough.md"))
-    assert first == vial and parse_job(vial, source="README.md").file.vial is not None
+    assert first == vial and Job.parse(vial, source="README.md").file.vial is not None
     bathed = re.sub(r"\[vial\]\n.*?(?=\[beam\])", bath, vial, flags=re.DOTALL)
-    assert isinstance(parse_job(bathed, source="jobs.md").file.vessel, SquareBath)
-    assert parse_job(vial + rings, source="jobs.md").file.solve.operator == "rings"
-    assert parse_curethrough(slices, source="curethrough.md").given["slices"] == {"path": "slices"}
+    assert isinstance(Job.parse(bathed, source="jobs.md").file.vessel, SquareBath)
+    assert Job.parse(vial + rings, source="jobs.md").file.solve.operator == "rings"
+    assert CurethroughJob.parse(slices, source="curethrough.md").given["slices"] == {"path": "slices"}
 
 
 @pytest.mark.parametrize(
-    ("what", "read"), [("vial", parse_job), ("web", parse_web), ("slices", parse_curethrough), ("machine", None)]
+    ("what", "read"), [("vial", Job.parse), ("web", WebJob.parse), ("slices", CurethroughJob.parse), ("machine", None)]
 )
 def test_a_file_to_begin_with_is_sound_and_names_every_key(what: str, read: Any) -> None:
     text = commented(what)

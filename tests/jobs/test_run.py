@@ -14,9 +14,9 @@ from vamgpu.errors import BadInput, Cancelled, JobError, OpticsWarning, StorageE
 from vamgpu.geometry import Beam
 from vamgpu.jobs.build import projection_of, target_of
 from vamgpu.jobs.demo import JOB, Demo, demo
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import is_interrupted, prove, solve
-from vamgpu.methods.saved import describe, projection_from
+from vamgpu.methods.plan_folder import describe, projection_from
 from vamgpu.printing.folder import load_frames
 from vamgpu.storage.folder import Folder
 
@@ -26,7 +26,7 @@ SMALL = ["target.pitch=500 um", "beam.pitch=700 um", "turntable.angles=24", "sol
 @pytest.mark.parametrize("name", ["cpu", pytest.param("numpy", marks=pytest.mark.slow)])
 def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
     progress: list[str] = []
-    job = parse_job(JOB, [*SMALL, f"solve.device={name}"])
+    job = Job.parse(JOB, [*SMALL, f"solve.device={name}"])
     folder = solve(job, tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
     assert list(dict.fromkeys(progress)) == ["voxels", "light", "frames", "folder"]
     assert folder.manifest.inputs["job"]["vial"]["radius"] == "12.4 mm"
@@ -43,7 +43,7 @@ def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
 
 def test_a_proof_is_the_same_from_another_device(tmp_path: Path) -> None:
     coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=8", "solve.iterations=2"]
-    solve(parse_job(JOB, [*coarse, "solve.device=cpu"]), tmp_path / "boat.vam")
+    solve(Job.parse(JOB, [*coarse, "solve.device=cpu"]), tmp_path / "boat.vam")
     here, there = prove(tmp_path / "boat.vam", "numpy").proof, prove(tmp_path / "boat.vam").proof
     assert np.abs(here.dose.numpy() - there.dose.numpy()).max() <= 1e-5 * here.scores.peak
 
@@ -68,7 +68,7 @@ def test_a_demo_leaves_a_job_frames_and_a_report(done: Demo) -> None:
 def test_a_geometry_reads_back_from_its_description() -> None:
     for vessel in ("", '\n[vat]\nwidth = "30 mm"\nabsorption = "0.1 1/mm"\n'):
         text = JOB if not vessel else JOB.replace("[vial]", "[nothing]").split("[nothing]")[0] + vessel
-        job = parse_job(text, SMALL[:3])
+        job = Job.parse(text, SMALL[:3])
         device = open_device("numpy")
         A = projection_of(job.file, target_of(job, device), device)
         B = projection_from(describe(A), device)
@@ -89,7 +89,7 @@ def test_a_beam_s_optics_go_into_the_job_folder_and_come_back(tmp_path: Path) ->
     )
     device = open_device("numpy")
     for settings, beam, footprint in cases:
-        job = parse_job(JOB, [*SMALL[:3], "beam.pitch=0.6 mm", "beam.pixels=[4, 4]", *settings], folder=tmp_path)
+        job = Job.parse(JOB, [*SMALL[:3], "beam.pitch=0.6 mm", "beam.pixels=[4, 4]", *settings], folder=tmp_path)
         A = projection_of(job.file, target_of(job, device), device, job.folder)
         assert A.beam.fill == beam.fill and A.footprint == footprint
         assert A.beam.spread == (None if beam.spread is None else pytest.approx(beam.spread, rel=1e-12))
@@ -149,7 +149,7 @@ def test_an_interrupted_job_leaves_the_plan_it_had_or_nothing(
 )
 def test_what_cannot_be_done_is_refused(setting: str, error: type[BadInput], said: str, tmp_path: Path) -> None:
     with pytest.raises(error, match=said):
-        solve(parse_job(JOB, [*SMALL, setting]), tmp_path / "boat.vam")
+        solve(Job.parse(JOB, [*SMALL, setting]), tmp_path / "boat.vam")
     assert not list(tmp_path.iterdir())
 
 
@@ -157,14 +157,14 @@ def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path: Path) -> Non
     (tmp_path / "boat.vam").mkdir()
     progress: list[str] = []
     with pytest.raises(StorageError, match="overwrit"):
-        solve(parse_job(JOB, SMALL), tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
+        solve(Job.parse(JOB, SMALL), tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
     for place, overwrite, said in (
         ("boat.vam", True, "exists and is no job folder"),
         ("slip/of/the/keys.vam", False, "of/the' does not exist; make it"),
         ("slip/keys.vam", True, "slip' does not exist; make it"),
     ):
         with pytest.raises(StorageError, match=said):
-            solve(parse_job(JOB, SMALL), tmp_path / place, overwrite=overwrite,
+            solve(Job.parse(JOB, SMALL), tmp_path / place, overwrite=overwrite,
                   progress=lambda stage, share: progress.append(stage))  # fmt: skip
     assert not progress and [each.name for each in tmp_path.iterdir()] == ["boat.vam"]
 
@@ -173,7 +173,7 @@ def test_bits_of_a_job_are_chosen_by_their_dose(tmp_path: Path) -> None:
     """Of one color; of two nobody knows the dose of both, and errors are carried on."""
     colors = 'colors.absorption="0.1 1/mm"'
     for name, settings, dither in (("one", (), "fit"), ("two", (colors,), "error-diffusion")):
-        solve(parse_job(JOB, [*SMALL, "frames.bits=1", *settings]), tmp_path / f"{name}.vam")
+        solve(Job.parse(JOB, [*SMALL, "frames.bits=1", *settings]), tmp_path / f"{name}.vam")
         frames = load_frames(tmp_path / f"{name}.vam", "numpy")
         assert (frames.bits, frames.settings.dither) == (1, dither)
 
@@ -185,7 +185,7 @@ def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
 
 def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> None:
     coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=cpu"]
-    solve(parse_job(JOB, [*coarse, "solve.method=lbfgs", "solve.iterations=20"]), tmp_path / "boat.vam")
+    solve(Job.parse(JOB, [*coarse, "solve.method=lbfgs", "solve.iterations=20"]), tmp_path / "boat.vam")
     assert prove(tmp_path / "boat.vam", "cpu").proof.bound is None
     proven = prove(tmp_path / "boat.vam", "cpu", evaluations=120)
     bound = proven.proof.bound
@@ -209,7 +209,7 @@ def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> N
 def test_a_proof_at_corners_tells_how_wide_a_window_is_at_all_of_them(tmp_path: Path) -> None:
     coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=cpu"]
     off = ["tolerances.axis=225 um", "solve.iterations=20"]
-    solve(parse_job(JOB, [*coarse, *off]), tmp_path / "boat.vam")
+    solve(Job.parse(JOB, [*coarse, *off]), tmp_path / "boat.vam")
     proven = prove(tmp_path / "boat.vam", "cpu", evaluations=70, tolerances=True, slices=(2, 4)).proof
     assert proven.bound is not None and proven.bound.prices.shape[2] == 2 * 3
     assert proven.corners is not None and proven.corners.window < proven.bound.value

@@ -16,10 +16,10 @@ import trimesh
 import vamgpu as vam
 from vamgpu.errors import BadInput, Cancelled, MeshWarning, StorageError, VamError
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import is_interrupted, prove, solve
-from vamgpu.losses.sampled import VoxelLoss
-from vamgpu.methods.saved import load_plan
+from vamgpu.losses.voxel_loss import VoxelLoss
+from vamgpu.methods.plan_folder import load_plan
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import repack
@@ -124,7 +124,7 @@ def test_a_proof_comes_back_without_a_simulation(tmp_path: Path, monkeypatch: py
     frames = vam.pack(vam.optimize(A, target, iterations=2))
     proof = vam.simulate(A, frames, target, irradiance="65 mW/cm2", critical_dose="50 mJ/cm3")
     proof.save(tmp_path / "a.vam")
-    monkeypatch.setattr("vamgpu.printing.independent.IndependentExposure.averaged", None)
+    monkeypatch.setattr("vamgpu.printing.independent_exposure.IndependentExposure.averaged", None)
     back: Any = vam.load(tmp_path / "a.vam", "cpu")
     assert back.scores == proof.scores and back.claimed == proof.claimed and back.outer == proof.outer
     assert back.exposure == proof.exposure and same(back.dose, proof.dose)
@@ -145,7 +145,7 @@ def stopped(job: Any, place: Path, after: float) -> None:
 
 
 def test_an_interrupted_job_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    place, job = tmp_path / "boat.vam", parse_job(JOB, SMALL)
+    place, job = tmp_path / "boat.vam", Job.parse(JOB, SMALL)
     stopped(job, place, 0.5)
     assert is_interrupted(place) and prove(place, "cpu").proof.scores.window < 1
     seen: list[float] = []
@@ -157,7 +157,7 @@ def test_an_interrupted_job_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 
 def test_an_interrupt_never_costs_a_finished_job(tmp_path: Path) -> None:
-    place, job = tmp_path / "boat.vam", parse_job(JOB, SMALL)
+    place, job = tmp_path / "boat.vam", Job.parse(JOB, SMALL)
     solve(job, place)
     before = Folder.open(place).array("frames")
 
@@ -183,7 +183,7 @@ def test_a_mended_mesh_is_told_at_the_proof_too(tmp_path: Path) -> None:
     box.faces = box.faces[:-1]
     box.export(tmp_path / "hole.stl")
     settings = [*SMALL, f"target.mesh={json.dumps(str(tmp_path / 'hole.stl'))}"]
-    job = parse_job(JOB.replace('shape = "boat"\n', ""), settings)
+    job = Job.parse(JOB.replace('shape = "boat"\n', ""), settings)
     with pytest.warns(MeshWarning, match="1 hole closed"):
         solve(job, tmp_path / "a.vam")
     with pytest.warns(MeshWarning, match="repaired before it was solved for: 1 hole closed"):
@@ -200,7 +200,7 @@ def test_old_light_meets_new_conditions(
 ) -> None:
     """A run goes on where all is the same; else its light is the first guess of another one."""
     pixels = ["beam.pixels=[20, 10]", "target.margin=6"]
-    stopped(parse_job(JOB, [*SMALL, *pixels]), tmp_path / "old.vam", 0.5)
+    stopped(Job.parse(JOB, [*SMALL, *pixels]), tmp_path / "old.vam", 0.5)
     plan: Any = vam.load(tmp_path / "old.vam", "cpu")
     seen: dict[str, Any] = {}
 
@@ -210,11 +210,11 @@ def test_old_light_meets_new_conditions(
 
     monkeypatch.setattr("vamgpu.jobs.run.optimize", optimize)
     with pytest.raises(Cancelled, match="seen"):
-        solve(parse_job(JOB, [*SMALL, *pixels, setting]), tmp_path / "new.vam", start=tmp_path / "old.vam")
+        solve(Job.parse(JOB, [*SMALL, *pixels, setting]), tmp_path / "new.vam", start=tmp_path / "old.vam")
     assert {"resume", "start"} & set(seen) == {how}
     assert same(seen["start"] if how == "start" else seen["resume"].sinogram, plan.sinogram)
     with pytest.raises(StorageError, match="no finished job"):
-        solve(parse_job(JOB, SMALL), tmp_path / "new.vam", start=tmp_path / "none.vam")
+        solve(Job.parse(JOB, SMALL), tmp_path / "new.vam", start=tmp_path / "none.vam")
 
 
 def test_a_proof_that_an_older_release_wrote_keeps_its_numbers(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from vamgpu.live.prior import NAMES, NOMINAL
 from vamgpu.losses.response import GeneralizedLogistic
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 
 TRUE = np.array([0.85, 1.15, 0.05, 0.0, 0.05, 0.0, 0.0])
@@ -100,7 +100,7 @@ def test_slices_have_the_dose_of_the_whole_and_some_tell_enough(monkeypatch: pyt
     taken = Projection(Grid((28, 28, 12), 0.1), Beam((60, 16), 0.12), Turntable(60), estimator.operator.vessel)
     rows = light @ taken.row_weights[[2, 7]].T.astype(np.float32)
     whole = np.asarray(taken.T(light))
-    np.testing.assert_allclose(taken.dose_of_slices(rows), whole[..., [2, 7]], atol=1e-5 * whole.max())
+    np.testing.assert_allclose(taken.lit_slices(rows).numpy(), whole[..., [2, 7]], atol=1e-5 * whole.max())
     monkeypatch.setattr(estimate, "SLICES", 6)
     assert np.unique(estimator._slices(light)).size == 6
     few = estimator.estimate(light, seen(0), NOISE, Prior.of())

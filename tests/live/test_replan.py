@@ -17,7 +17,7 @@ from vamgpu.methods.run import optimize
 from vamgpu.metrics import score
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 
 TURNS, SHOWN, NOISE = 6, 3, 0.02

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from vamgpu.backend import open_device
-from vamgpu.live.smooth import Smoothing
+from vamgpu.live.smoothing import Smoothing
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.exact import Slice, reconstruct, sufficient
+from vamgpu.methods.dual.reconstruction import Slice, reconstruct, sufficient
 
 
 def phantom() -> np.ndarray:

@@ -178,7 +178,7 @@ def test_a_loss_of_all_voxels_together_is_lowered_too(device: Device) -> None:
     plan = optimize(operator(device), part(), Even(0.5) + 1e-9 * OWN, 25)
     inside = part() >= 0.5
     assert plan.dose().numpy()[inside].mean() == pytest.approx(0.5, abs=0.02)
-    assert not Even().separable and OWN.separable and (OWN + Band.thresholds(0.5, 0.9)).separable
+    assert Even().coupling and not OWN.coupling and not (OWN + Band.thresholds(0.5, 0.9)).coupling
     assert "voxels" in (OWN**2.0).coupling and "Even" in (OWN + Even()).coupling
 
 

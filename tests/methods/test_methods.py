@@ -25,7 +25,7 @@ from vamgpu.methods import (
     SurfaceRamp,
     optimize,
 )
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.operators.projection import Projection
 from vamgpu.schema.read import read
 from vamgpu.targets.target import Target

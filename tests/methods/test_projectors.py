@@ -17,14 +17,14 @@ from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.defocus import Defocus, Defocused
 from vamgpu.operators.medium import CoRotatingMedium
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
-from vamgpu.operators.traced import TracedProjection
+from vamgpu.operators.shifts import Tiles, Wobbled
+from vamgpu.operators.traced_projection import TracedProjection
 from vamgpu.operators.web import WebProjection
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Misaligned
 from vamgpu.optics.film import Film
-from vamgpu.optics.rising import Cone
+from vamgpu.optics.rising_beams import Cone
 from vamgpu.optics.roller import Roller
 from vamgpu.web import WebGrid
 

@@ -7,7 +7,7 @@ import pytest
 
 from vamgpu.errors import BadInput
 from vamgpu.metrics.contrast import contrast
-from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
+from vamgpu.metrics.limited_angle_dose import limited_dose, random_plane, responded
 from vamgpu.metrics.pointspread import covered_share, wedge
 
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)

@@ -11,7 +11,7 @@ from scipy.special import ive
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.metrics.contrast import contrast
-from vamgpu.metrics.pointspread import coverage, covered_share, limited, point_dose, spread, steepest, wedge
+from vamgpu.metrics.pointspread import coverage, covered_share, point_dose, spread, steepest, wedge
 from vamgpu.metrics.segments import segment_windows
 
 RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
@@ -56,15 +56,6 @@ def test_the_wedge_keeps_what_some_direction_is_at_right_angles_to() -> None:
     grid = np.fft.fftfreq(401)
     disk = np.hypot(grid[:, None], grid[None, :]) < 0.5
     assert wedge((401, 401), 1.0, 0.75)[disk].mean() == pytest.approx(covered_share(0.75), abs=0.01)
-
-
-def test_lines_along_the_film_pass_and_lines_across_do_not() -> None:
-    phase = 2.0 * np.pi * np.arange(32) / 8
-    along, across = np.sin(phase)[:, None] * np.ones(32), np.ones((32, 1)) * np.sin(phase)
-    assert limited(along, 0.1, 0.67) == pytest.approx(along, abs=1e-12)
-    assert np.abs(limited(across, 0.1, 0.67)).max() < 1e-12
-    film = np.stack([along, across], axis=2)
-    assert limited(film, 0.1, 0.67)[..., 0] == pytest.approx(along, abs=1e-12)
 
 
 def test_contrast_by_hand() -> None:
@@ -113,7 +104,6 @@ def test_a_segment_without_part_has_no_window() -> None:
     [
         (lambda: steepest(1.2), BadInput, "1.2"), (lambda: spread(0.0, 0.9), BadInput, "0.0"),
         (lambda: wedge((0, 4), 0.1, 0.9), BadInput, "(0, 4)"),
-        (lambda: limited(np.ones(4), 0.1, 0.9), BadInput, "(4,)"),
         (lambda: contrast(np.ones(3), np.ones(4)), ShapeMismatch, "(4,)"),
         (lambda: contrast(np.zeros(3), np.ones(3)), BadInput, "sums to 0"),
         (lambda: contrast(-np.ones(3), np.ones(3)), BadInput, "-1"),

@@ -11,7 +11,7 @@ from vamgpu.errors import BadInput, EmptyMesh, NotWatertight
 from vamgpu.geometry import Grid
 from vamgpu.metrics.alignment import Alignment, align
 from vamgpu.metrics.gaussian import fit_gaussian
-from vamgpu.metrics.nearest import Nearest, barycentric
+from vamgpu.metrics.nearest_points import Nearest, barycentric
 from vamgpu.metrics.surface_distance import drawn, iso_solid, print_to_print, surface_distance
 from vamgpu.targets.implicit import voxelize
 from vamgpu.targets.shapes import build

@@ -9,7 +9,7 @@ import pytest
 
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 from vamgpu.geometry import Grid
-from vamgpu.metrics.nearest import Nearest
+from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.surface_judgement import SurfaceJudgement, judge_surface
 from vamgpu.targets.implicit import voxelize as sampled
 from vamgpu.targets.lattices import CubicLattice

@@ -11,9 +11,9 @@ import trimesh
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Grid
 from vamgpu.metrics.mesh_mask import mesh_mask
-from vamgpu.metrics.nearest import Nearest
+from vamgpu.metrics.nearest_points import Nearest
+from vamgpu.metrics.thin_regions import unjudged
 from vamgpu.metrics.triangle_search import TriangleSearch, barycentric
-from vamgpu.metrics.unjudged import unjudged
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.shapes import build
 from vamgpu.targets.solid import Solid

@@ -13,13 +13,13 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.operators.blur import gaussian, width_of
 from vamgpu.operators.defocus import Defocus, Defocused
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.oblique import Oblique
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Fan, Misaligned
 from vamgpu.optics.occluder import Occluded
-from vamgpu.optics.rising import Cone, Inclined
+from vamgpu.optics.rising_beams import Cone, Inclined
 
 FAST = None
 """The fastest device there is."""

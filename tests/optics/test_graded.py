@@ -11,8 +11,8 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, RayError
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.graded import GradedVial
-from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region, homogeneous
+from vamgpu.optics.graded_vial import GradedVial
+from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, Region
 from vamgpu.optics.interface import refract, transmittance
 from vamgpu.optics.march import march
 from vamgpu.optics.vial import Vial
@@ -34,7 +34,7 @@ ROUND = GradedVial(6.0, 0.5, RING, 1.473, 1.333, 0.08)
 
 
 def even(vial: Vial) -> GradedVial:
-    medium = homogeneous(vial.resin_index, Region.cylinder(1.0))
+    medium = FormulaField((1.0, 1.0, 1.0), (vial.resin_index**2,), region=Region.cylinder(1.0))
     return GradedVial(vial.radius, vial.wall, medium, vial.wall_index, vial.bath_index, vial.absorption)
 
 

@@ -51,14 +51,6 @@ def test_shift_is_measured_from_the_lowest_power() -> None:
     assert lens.shift(powers).max() == 0.0
 
 
-def test_derivative_by_focal_length_has_the_corrected_sign() -> None:
-    lens = replace(AIR, index=1.45)
-    f, h = 150.0, 1e-3
-    slope = (lens.focus(1000 / (f + h)) - lens.focus(1000 / (f - h))) / (2 * h)
-    assert lens.shift_per_focal_length(f) == pytest.approx(float(slope), rel=1e-8)
-    assert lens.shift_per_focal_length(f) > 0
-
-
 def test_powers_of_depths_reach_before_the_axis() -> None:
     lens = replace(AIR, index=1.33)
     depth = np.array([-1.5, -4.5, -7.5])

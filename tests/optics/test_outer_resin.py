@@ -16,7 +16,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN
 from vamgpu.optics.outer_resin import AllResin, OuterResin, OuterRings, outer_resin
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "physics"))
 from raytracer import trace  # noqa: E402  # pyright: ignore[reportMissingImports]

@@ -8,7 +8,7 @@ import pytest
 import vamgpu as vam
 from vamgpu.errors import BadInput
 from vamgpu.optics.beams import Fan, Misaligned
-from vamgpu.optics.graded import GradedVial
+from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.index_field import FunctionField, Region
 from vamgpu.optics.occluder import Occluded
 from vamgpu.optics.traced_pose import trace_pose

@@ -16,9 +16,9 @@ from vamgpu.errors import BadInput, OpticsWarning
 from vamgpu.operators.oblique import Oblique
 from vamgpu.optics.beams import Fan
 from vamgpu.optics.occluder import Occluded
-from vamgpu.optics.rising import Inclined
-from vamgpu.printing import independent
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.optics.rising_beams import Inclined
+from vamgpu.printing import independent_exposure as independent
+from vamgpu.printing.independent_exposure import IndependentExposure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "physics"))
 from raytracer import trace  # noqa: E402  # pyright: ignore[reportMissingImports]

@@ -15,7 +15,7 @@ from vamgpu.hosts.schedules.schedule import plane_times
 from vamgpu.hosts.schedules.video import vial
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.planes import PlaneTime, prove_planes
 from vamgpu.printing.proof import Proof
 

@@ -15,7 +15,7 @@ import vamgpu as vam
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch, TargetTooLarge
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.losses import Band, Loss
 from vamgpu.methods import METHODS
 from vamgpu.metrics import score
@@ -420,5 +420,5 @@ def test_the_page_on_tasks_runs_as_it_is_written(capsys: pytest.CaptureFixture[s
 
 def test_the_job_on_the_page_on_tasks_is_one() -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", TASKS.read_text("utf-8"), re.S)
-    job = parse_job(text + '\n[beam]\npitch = "0.1 mm"\n')
+    job = Job.parse(text + '\n[beam]\npitch = "0.1 mm"\n')
     assert [body.role for body in job.file.body] == ["print", "insert", "keep out"]

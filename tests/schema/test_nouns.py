@@ -14,7 +14,7 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.diffusion import Diffusion, Spread
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.methods.saved import describe, entries_of, projection_from
+from vamgpu.methods.plan_folder import describe, entries_of, projection_from
 from vamgpu.operators.compose import Composed, Sum
 from vamgpu.optics.index_field import FunctionField, GridField, Region, parabolic
 from vamgpu.schema import check, fields_of, write

@@ -16,9 +16,9 @@ from vamgpu.errors import BadInput, JobError
 from vamgpu.jobs.build import projection_of, target_of
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.keys import keys_of, reference, schema_of
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.saved import describe, projection_from
+from vamgpu.methods.plan_folder import describe, projection_from
 from vamgpu.schema import register, write
 from vamgpu.schema import registry as names
 from vamgpu.schema.read import read
@@ -133,14 +133,14 @@ def job(*settings: str) -> str:
 
 
 def test_a_vessel_from_outside_is_solved_written_and_proven(tmp_path: Path) -> None:
-    solve(parse_job(job(), [*SMALL, ABSORBED]), tmp_path / "boat.vam")
+    solve(Job.parse(job(), [*SMALL, ABSORBED]), tmp_path / "boat.vam")
     A = prove(tmp_path / "boat.vam").proof.operator
     assert type(A.vessel).__name__ == "Veil" and (A.vessel.radius, A.vessel.share) == (12.0, 0.25)  # type: ignore[union-attr]
 
 
 def test_a_vessel_from_outside_stands_inside_another() -> None:
     inside = 'kind = "occluded"\nacross = "2 mm"\n[vessel.vessel]\nkind = "veil"'
-    wanted = parse_job(job().replace('kind = "veil"', inside), SMALL)
+    wanted = Job.parse(job().replace('kind = "veil"', inside), SMALL)
     device = vam.open_device("numpy")
     A = projection_of(wanted.file, target_of(wanted, device), device)
     B = projection_from(json.loads(json.dumps(describe(A))), device)
@@ -151,13 +151,13 @@ def test_a_vessel_from_outside_stands_inside_another() -> None:
 def test_wrong_fields_are_named_by_line() -> None:
     text = job().replace('"12 mm"', '"-2 mm"').replace("share", "shaer")
     with pytest.raises(JobError, match=r"(?s)line \d+: vessel\.radius: got '-2 mm'.*shaer: .*did you mean 'share'"):
-        parse_job(text)
+        Job.parse(text)
     with pytest.raises(JobError, match=r"--set: vessel\.share: got 2; expected less than or equal to 1"):
-        parse_job(job(), ["vessel.share=2"])
+        Job.parse(job(), ["vessel.share=2"])
 
 
 def test_a_loss_and_a_lens_from_outside_are_read_and_written() -> None:
-    wanted = parse_job(job('[method]\nkind = "sorry"\ngain = 0.5\n[method.loss]\nweight = 3.0\n')).file
+    wanted = Job.parse(job('[method]\nkind = "sorry"\ngain = 0.5\n[method.loss]\nweight = 3.0\n')).file
     method: Any = wanted.method
     assert type(method).__name__ == "Sorry" and (method.gain, method.loss.weight) == (0.5, 3.0)
     table = write(method)

@@ -19,7 +19,7 @@ import vamgpu as vam
 from vamgpu.errors import BadInput, StorageError, VamError
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
 from vamgpu.jobs.demo import JOB
-from vamgpu.jobs.read import parse_job
+from vamgpu.jobs.read import Job
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.storage import memory
 from vamgpu.storage.memory import MEMORY as VARIABLE
@@ -109,7 +109,7 @@ values = some.recursive(scalars, lambda inner: some.lists(inner, max_size=3) | s
 
 @fuzzed
 @given(cut=some.tuples(some.integers(0, 3000), some.integers(0, 30)), junk=some.text(max_size=12))
-@pytest.mark.parametrize(("text", "parse"), [(JOB, parse_job), (EMULATED, parse_rig)], ids=["job", "rig"])
+@pytest.mark.parametrize(("text", "parse"), [(JOB, Job.parse), (EMULATED, parse_rig)], ids=["job", "rig"])
 def test_spoiled_texts_are_read_or_refused(text: str, parse: Any, cut: tuple[int, int], junk: str) -> None:
     begin = cut[0] % len(text)
     try:
@@ -121,7 +121,7 @@ def test_spoiled_texts_are_read_or_refused(text: str, parse: Any, cut: tuple[int
 @pytest.mark.slow
 @fuzzed
 @given(which=some.integers(0, 10**6), value=values)
-@pytest.mark.parametrize(("text", "parse"), [(JOB, parse_job), (EMULATED, parse_rig)], ids=["job", "rig"])
+@pytest.mark.parametrize(("text", "parse"), [(JOB, Job.parse), (EMULATED, parse_rig)], ids=["job", "rig"])
 def test_spoiled_values_are_read_or_refused(text: str, parse: Any, which: int, value: Any) -> None:
     lines = [number for number, line in enumerate(text.splitlines()) if " = " in line and line[0] != "#"]
     spoiled, at = text.splitlines(), lines[which % len(lines)]

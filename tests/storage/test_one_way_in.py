@@ -12,7 +12,7 @@ DECODERS = {
     "vamgpu/storage/memory.py": {"read_text"},  # what the system says of a container
     "vamgpu/storage/reading.py": {"tomllib.loads", "json.loads", "os.open"},
     "vamgpu/storage/numpy_files.py": {"np.memmap"},
-    "vamgpu/storage/zipped.py": {"ZipFile"},
+    "vamgpu/storage/zips.py": {"ZipFile"},
     "vamgpu/storage/images.py": {"Image.open", "OpenEXR.File"},
     "vamgpu/storage/films.py": {"av.open"},  # of an open file
     "vamgpu/storage/atomic.py": {"os.open"},  # for locks and fsync

@@ -12,7 +12,7 @@ from vamgpu.cli import main
 from vamgpu.errors import JobError, StorageError
 from vamgpu.jobs.demo import WEB_JOB as JOB
 from vamgpu.jobs.limits import parse_limits
-from vamgpu.jobs.web import contrasts, parse_web, solve_web, stream_of
+from vamgpu.jobs.web import WebJob, contrasts, solve_web, stream_of
 from vamgpu.operators.web import WebProjection
 from vamgpu.printing.frames import Frames
 from vamgpu.web import WebGrid
@@ -28,11 +28,11 @@ SMALL = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> WebFolder:
-    return solve_web(parse_web(JOB, SMALL), tmp_path_factory.mktemp("web") / "web.vam")
+    return solve_web(WebJob.parse(JOB, SMALL), tmp_path_factory.mktemp("web") / "web.vam")
 
 
 def test_the_proof_is_the_dose_of_the_bytes(folder: WebFolder) -> None:
-    job = stream_of(parse_web(JOB, SMALL))
+    job = stream_of(WebJob.parse(JOB, SMALL))
     assert job.light.shape[2] == job.layout.window and len(folder.segments) == 3
     grid = WebGrid((folder.columns, *job.grid.shape[1:]), job.grid.pitch)
     A = WebProjection(
@@ -114,7 +114,7 @@ def test_a_mesh_stays_where_it_is(tmp_path: Path) -> None:
     block.apply_translation((1.5, 2.0, 0.0))
     block.export(tmp_path / "block.stl")
     text = JOB.replace('lattice = "SheetGyroid"', 'mesh = "block.stl"').replace('cell = "6 mm"', 'period = "5 mm"')
-    job = stream_of(parse_web(text, SMALL, folder=tmp_path))
+    job = stream_of(WebJob.parse(text, SMALL, folder=tmp_path))
     columns = Columns(job.tiles, job.grid, job.length).take(0, round(5.0 / job.grid.edges[0]))
     _, rho, z = job.grid.axes()
     filled = columns.sum(axis=0)
@@ -136,7 +136,7 @@ def test_a_mesh_stays_where_it_is(tmp_path: Path) -> None:
 )
 def test_wrong_values_are_named(setting: str, said: str) -> None:
     with pytest.raises(JobError, match=said):
-        stream_of(parse_web(JOB, (*SMALL, setting)))
+        stream_of(WebJob.parse(JOB, (*SMALL, setting)))
 
 
 def test_doses_are_counted_as_a_histogram_counts_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from slanted import BEAM, SECTION, WINDOW, Slanted, part, stream, tiled
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.jobs.demo import WEB_JOB
-from vamgpu.jobs.web import parse_web, stream_of
+from vamgpu.jobs.web import WebJob, stream_of
 from vamgpu.methods import bound, optimize
 from vamgpu.methods.pdhg import PDHG
 from vamgpu.operators.web import WebProjection
@@ -104,7 +104,7 @@ def test_frames_are_decided_a_window_ahead(fast_device: Device) -> None:
 def test_best_is_by_prices() -> None:
     best = stream(part(60), method="best", iterations=4).solver
     more = ("web.length=60 mm", "beam.pitch=600 um", "beam.height=1.2 mm", "roller.step=4 deg", "solve.method=best")
-    assert isinstance(stream_of(parse_web(WEB_JOB, more)).solver, WindowSolver)
+    assert isinstance(stream_of(WebJob.parse(WEB_JOB, more)).solver, WindowSolver)
     assert isinstance(best, WindowSolver) and best.method == PDHG()
 
 

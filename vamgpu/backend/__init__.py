@@ -73,7 +73,7 @@ def open_device(name: str | Device | None = None) -> Device:
         name = default_device()
     if isinstance(name, str):
         return _open(name)
-    from vamgpu.backend.device import Device
+    from vamgpu.backend.device import Device  # a circle: devices unpickle by `open_device`
 
     if not isinstance(name, Device):
         raise DeviceError(
@@ -120,7 +120,7 @@ def _open(name: str) -> Device:
             f"{', '.join(_opencl_names()[1]) or 'none here'}, and a size of memory, as in opencl:pocl:0@8GB"
         )
     if name.endswith(":*") or "+" in name:
-        from vamgpu.backend.slabs import SlabDevice
+        from vamgpu.backend.slabs import SlabDevice  # and PyOpenCL or Warp below: only where it is asked for
 
         found = [each for each in devices() if each.startswith(name[:-1])] if name.endswith(":*") else name.split("+")
         if found:

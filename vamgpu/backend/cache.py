@@ -30,10 +30,7 @@ def refusal() -> str:
 
 @cache
 def writable() -> tempfile.TemporaryDirectory[str] | None:
-    """Let drivers keep kernels in a folder that ends with this process, where the user's cache cannot be written.
-
-    Raises `StorageError` where no temporary folder can be made either.
-    """
+    """Keep drivers' kernels in a folder of this process where the user's cache is read-only. Raises `StorageError`."""
     if sys.platform in ("win32", "darwin") or not refusal():
         return None
     try:

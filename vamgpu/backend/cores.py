@@ -24,11 +24,7 @@ WORKER = "vamgpu"
 
 
 def threads() -> int:
-    """Count the threads to work in.
-
-    Returns:
-        One a core that this process may use, `MOST` at the most.
-    """
+    """Threads to work in: one a core that this process may use, `MOST` at the most."""
     usable = getattr(os, "sched_getaffinity", None)
     return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, MOST))
 

@@ -18,7 +18,6 @@ BENCHY_DEVIATIONS = (0.4, 0.8, 0.4, 1.3, 2.4)
 """Standard deviations of five prints each [s]. Source: as above."""
 LOST = 0.125
 """Share of the resin lost in a print: the middle of the 10 to 15 % of the automatic exposure paper."""
-PAPER = "A. Orth et al., Automatic exposure volumetric additive manufacturing, Table S1"
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from vamgpu.geometry import counts, positive
 from vamgpu.kernels.update import linear
 from vamgpu.operators.blur import Blur, gaussian
 from vamgpu.operators.compose import NO_FLOOR, same_device
-from vamgpu.operators.moves import Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import extent, total
+from vamgpu.operators.shifts import Wobbled
 from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
 

@@ -138,16 +138,6 @@ class PowerWindow(LegalRange):
         return max(0.0, 1.0 - self.low / self.middle) if self.legal else 0.0
 
 
-def judge(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> PowerVerdict:
-    """The three conditions after ``turns`` equal turns at a power. Raises `BadInput`."""
-    n, power = counts("turns", (turns,), 1)[0], positive("power", power)
-    return PowerVerdict(
-        thresholds.optical - (n - 1) * power * doses.in_most,
-        n * power * doses.in_least - thresholds.mechanical,
-        thresholds.optical - n * power * doses.out_most,
-    )
-
-
 def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerWindow:
     """All powers at which ``turns`` turns meet (a) to (c); empty where the part gets no dose. Raises `BadInput`."""
     n = counts("turns", (turns,), 1)[0]

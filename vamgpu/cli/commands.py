@@ -110,14 +110,19 @@ def solve(
             needs = report_memory(memory, proof)
             found = None if needs else proof.verdict
     if pareto:
-        sheet = Table("exposure", "window", "dose outside over inside")
-        for point in folder.manifest.inputs["pareto"]:
-            sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
-        screen.print(sheet)
+        screen.print(_exposures(folder.manifest.inputs["pareto"]))
     if found is not None:
         show_verdict(screen, found)
     elif needs:
         screen.print(f"[yellow]note[/]  no verdict, which takes {size(needs)} of memory; leave --memory out to have it")
+
+
+def _exposures(points: list[dict[str, float]]) -> Table:
+    """The widest windows of shorter and shorter exposures."""
+    sheet = Table("exposure", "window", "dose outside over inside")
+    for point in points:
+        sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
+    return sheet
 
 
 def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:

@@ -101,7 +101,7 @@ def export(
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.methods.saved import load_plan
+    from vamgpu.methods.plan_folder import load_plan
     from vamgpu.printing.export import Canvas
     from vamgpu.printing.export import export as write
     from vamgpu.printing.folder import frames_of, load_frames

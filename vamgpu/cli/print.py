@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console
-from vamgpu.errors import VamError
+from vamgpu.errors import BadInput, VamError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,23 +72,11 @@ def print_(
     if jobs == ("demo", "live") or live:
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
         return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
-    from vamgpu.errors import BadInput
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
-    if not jobs:
-        raise BadInput("no job was given; expected the folder of a job for each projector, or the word demo")
-    if resume is not None and out is not None:
-        raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
-    if resume is not None and (dry_run or config.setup.emulated):
-        raise BadInput("a dry run has no machines that remember a print; expected --resume with the rig that began it")
-    if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
-        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job of it")
-    if unattended < 0:
-        raise BadInput(f"--unattended is {unattended}; expected how often a held print goes on by itself, 0 or more")
-    if stay and not panel:
-        raise BadInput("--stay keeps the page after the print, and none is served; add --panel, or take vam panel")
+    _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
     exposure = None
@@ -119,6 +107,25 @@ def print_(
             return _printed(screen, planned, order, board)
 
 
+def _check_options(
+    jobs: tuple[str, ...], rig: str, config: Any, out: Path | None, resume: Path | None, unattended: int, *,
+    dry_run: bool, panel: bool, stay: bool,
+) -> None:  # fmt: skip
+    """Refuse options that do not go together. Raises `BadInput`."""
+    if not jobs:
+        raise BadInput("no job was given; expected the folder of a job for each projector, or the word demo")
+    if resume is not None and out is not None:
+        raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
+    if resume is not None and (dry_run or config.setup.emulated):
+        raise BadInput("a dry run has no machines that remember a print; expected --resume with the rig that began it")
+    if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
+        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job of it")
+    if unattended < 0:
+        raise BadInput(f"--unattended is {unattended}; expected how often a held print goes on by itself, 0 or more")
+    if stay and not panel:
+        raise BadInput("--stay keeps the page after the print, and none is served; add --panel, or take vam panel")
+
+
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
     """Turns and exposure of the run that is resumed, so that the rest gets the light of the beginning."""
     from vamgpu.hosts.records.record import read_run
@@ -133,7 +140,6 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
 
 def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
     """Print one vial that is watched, and say what was off, what was found, and what came of it; the exit status."""
-    from vamgpu.errors import BadInput
     from vamgpu.hosts.live.live_print import live
 
     screen, demo = console(), tuple(jobs) == ("demo", "live")
@@ -197,8 +203,6 @@ def panel(
         host: where the page is served; a token is needed beyond this machine
         port: of the page
     """
-    from vamgpu.errors import BadInput
-
     if attach is not None:
         if jobs or rig is not None:
             raise BadInput("--attach watches a print that goes on; give no jobs and no rig with it")

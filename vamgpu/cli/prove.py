@@ -51,25 +51,15 @@ def prove(
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.storage.atomic import named, page_path
+    from vamgpu.storage.atomic import page_path
     from vamgpu.storage.memory import size
 
-    if job.suffix.lower() == ".toml":
-        folder = job.with_suffix(".vam")
-        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
-                       f"writes: vam prove {folder}")  # fmt: skip
-    job = named(job)
+    job = _written(job)
     device = device if memory is None else within(device, memory)
     is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
     # a run has a page beside that of its job
     place = page_path(report or (job.with_name(f"{job.name}.html") if is_run else job.with_suffix(".html")))
-    for option, given in (("--bound", bound), ("--tolerances", tolerances), ("--rig", rig is not None)):
-        if given and (is_run or is_web):
-            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is none; leave it out")
-    if slices is not None and not bound:
-        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
-    if rig is None and speed is not None:
-        raise BadInput(f"--speed {speed} is that of a rig, and none is given; give --rig too, or leave it out")
+    _check_options(job, bound, tolerances, slices, rig, speed, vial=not (is_run or is_web))
     if is_run:
         return _checked(_prove_run(job, place, device, printed or ()), check)
     if printed:
@@ -99,6 +89,31 @@ def prove(
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
     return _checked(not check or proven.proof.all_correct, check)
+
+
+def _written(job: Path) -> Path:
+    """The folder of a job or a run. Raises `BadInput` for a job file."""
+    from vamgpu.storage.atomic import named
+
+    if job.suffix.lower() == ".toml":
+        folder = job.with_suffix(".vam")
+        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
+                       f"writes: vam prove {folder}")  # fmt: skip
+    return named(job)
+
+
+def _check_options(
+    job: Path, bound: bool, tolerances: bool, slices: tuple[int, int] | None, rig: str | None, speed: str | None, *,
+    vial: bool,
+) -> None:  # fmt: skip
+    """Refuse options that do not go together, or with what is proved. Raises `BadInput`."""
+    for option, given in (("--bound", bound), ("--tolerances", tolerances), ("--rig", rig is not None)):
+        if given and not vial:
+            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is none; leave it out")
+    if slices is not None and not bound:
+        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
+    if rig is None and speed is not None:
+        raise BadInput(f"--speed {speed} is that of a rig, and none is given; give --rig too, or leave it out")
 
 
 def _checked(prints: bool, check: bool) -> int:

@@ -22,6 +22,7 @@ from vamgpu.curethrough.printer import Machine
 from vamgpu.curethrough.score import Features, Sample, features, ratio, sample
 from vamgpu.errors import SliceWarning
 from vamgpu.kernels.curethrough import BITS
+from vamgpu.metrics.line import length
 
 GRAY_PER_DOSE = 51
 """Gray levels of a critical dose in pictures of the dose: white is five."""
@@ -80,9 +81,26 @@ class Outcome:
     written: int = 0
 
     def __repr__(self) -> str:
-        from vamgpu.curethrough.report import verdict
+        return f"Outcome({' × '.join(map(str, self.shape))} slices, y, x: {self.verdict[1]})"
 
-        return f"Outcome({' × '.join(map(str, self.shape))} slices, y, x: {verdict(self)[1]})"
+    @property
+    def verdict(self) -> tuple[bool, str]:
+        """Whether all prints right, and a sentence or two on what does not."""
+        if self.after is None:
+            error = self.before.heights.error
+            wrong = int((self.before.heights.over + self.before.heights.under > 0).sum())
+            text = f"{wrong:,} columns of pixels print wrong, by {length(error / max(1, wrong))} of height on average."
+            return error == 0, text
+        ratio = self.ratio
+        missed, closed = (0 if found is None else int(found.sum()) for found in (self.missed, self.closed))
+        if ratio is None:
+            return True, "The slices print right as they are."
+        text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
+        if missed:
+            text += f" {missed:,} features lack room behind them for the light they need."
+        if closed:
+            text += f" {closed:,} voids are too short: they stay cured at this speed and power."
+        return missed + closed == 0 and ratio < 1, text
 
     @property
     def ratio(self) -> float | None:

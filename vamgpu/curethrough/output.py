@@ -24,7 +24,7 @@ from vamgpu.errors import StorageError
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain
 from vamgpu.storage.reading import open_file, parse_json, read_text
-from vamgpu.storage.zipped import open_zip, unpacked
+from vamgpu.storage.zips import open_zip, unpacked
 
 RECORD = "curethrough.json"
 """Says in a folder of slices, or beside them in a zip, what they were made with."""

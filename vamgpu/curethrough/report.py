@@ -56,7 +56,7 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
     across = 4 if after is not None else 2
     sections = [Images(row, "panels", across) for row in pictures.sections(outcome)]
     features = Table([_row(group, outcome) for group in widest(groups, ROWS)], _header(after is not None))
-    good, said = verdict(outcome)
+    good, said = outcome.verdict
     return Page(
         "Cure-through",
         title,
@@ -110,25 +110,6 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
         found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "lack dose at their back side"))
         found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to fall to the critical dose"))
     return tuple(found)
-
-
-def verdict(outcome: Outcome) -> tuple[bool, str]:
-    """Whether all prints right, and a sentence or two on what does not."""
-    if outcome.after is None:
-        error = outcome.before.heights.error
-        wrong = int((outcome.before.heights.over + outcome.before.heights.under > 0).sum())
-        text = f"{wrong:,} columns of pixels print wrong, by {length(error / max(1, wrong))} of height on average."
-        return error == 0, text
-    ratio = outcome.ratio
-    missed, closed = (0 if found is None else int(found.sum()) for found in (outcome.missed, outcome.closed))
-    if ratio is None:
-        return True, "The slices print right as they are."
-    text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
-    if missed:
-        text += f" {missed:,} features lack room behind them for the light they need."
-    if closed:
-        text += f" {closed:,} voids are too short: they stay cured at this speed and power."
-    return missed + closed == 0 and ratio < 1, text
 
 
 def _header(corrected: bool) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from vamgpu.errors import SliceError
 from vamgpu.storage.atomic import explained
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file, read_bytes
-from vamgpu.storage.zipped import open_zip, unpacked
+from vamgpu.storage.zips import open_zip, unpacked
 
 ARCHIVES = (".zip", ".sl1", ".sl1s")
 AHEAD = 32

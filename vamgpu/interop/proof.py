@@ -10,7 +10,7 @@ from vamgpu.errors import BadInput
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.space import SinogramSpace, VolumeSpace
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 
 
 @final

@@ -21,7 +21,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.surface import finer_voxels
 from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection

@@ -28,10 +28,10 @@ from vamgpu.jobs.model import (
 from vamgpu.jobs.read import Job
 from vamgpu.operators.compose import Composed
 from vamgpu.operators.defocus import Defocused
-from vamgpu.operators.moves import Wobbled
 from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.shifts import Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.sampling import enough_angles, resin_pixel
 from vamgpu.printing.fit import check_fit

@@ -10,7 +10,7 @@ from vamgpu.errors import BadInput
 from vamgpu.jobs.model import JobFile
 from vamgpu.methods.dual import Colors, DualPlan, superpose
 from vamgpu.methods.part import reach_of
-from vamgpu.methods.saved import PlanRecord
+from vamgpu.methods.plan_folder import PlanRecord
 from vamgpu.metrics import score, score_slices
 from vamgpu.operators.reductions import window
 from vamgpu.optics.beams import with_absorption

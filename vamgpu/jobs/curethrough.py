@@ -16,10 +16,10 @@ from vamgpu.curethrough.correction import Correction
 from vamgpu.curethrough.job import Outcome, correct_stack, model
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.leastsquares import StageProgress
+from vamgpu.curethrough.mesh_stack import MeshStack
 from vamgpu.curethrough.output import made_with
 from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel, Profile
-from vamgpu.curethrough.sliced import MeshStack
 from vamgpu.curethrough.stack import ARCHIVES, layer_height, open_stack
 from vamgpu.errors import JobError, SliceWarning
 from vamgpu.jobs.read import CheckedJob
@@ -196,7 +196,6 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
 
 
 read_curethrough: Callable[..., CurethroughJob] = CurethroughJob.read
-parse_curethrough: Callable[..., CurethroughJob] = CurethroughJob.parse
 
 
 def model_job(

@@ -10,7 +10,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.jobs.read import Job, read_job
 from vamgpu.jobs.web import WebJob, is_web, is_web_folder, read_web
 from vamgpu.methods.plan import Plan
-from vamgpu.methods.saved import load_plan
+from vamgpu.methods.plan_folder import load_plan
 from vamgpu.printing.folder import frames_of
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.proof import Proof

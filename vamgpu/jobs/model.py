@@ -6,7 +6,7 @@ this file say what is to be made of them.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
@@ -266,7 +266,6 @@ class SolveSection(Section):
     tolerance: NonNegative = 0.0
     evaluations: Positive | None = None
     exposure_limit: ExposureTime | None = None
-    renamed: ClassVar[dict[str, str]] = {"pairs": "evaluations"}
     device: str | None = None
     operator: Literal["voxels", "rings", "auto"] = "voxels"
 

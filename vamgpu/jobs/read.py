@@ -217,4 +217,3 @@ def _remedy(key: tuple[str, ...]) -> str:
 
 
 read_job: Callable[..., Job] = Job.read
-parse_job: Callable[..., Job] = Job.parse

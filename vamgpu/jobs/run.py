@@ -37,9 +37,10 @@ from vamgpu.jobs.colors import recolored, recorded, subtracted, superposed
 from vamgpu.jobs.estimate import expected
 from vamgpu.jobs.read import Job
 from vamgpu.methods import bound, optimize
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.plan import Plan, Step
-from vamgpu.methods.saved import (
+from vamgpu.methods.plan_folder import (
     IMPORTED,
     INTERRUPTED,
     PlanRecord,
@@ -393,8 +394,6 @@ def uv_folder(path: Path) -> Path:
 
 def _method(name: str) -> Any:
     """The method of that name with its default parameters."""
-    from vamgpu.methods.choose import chosen
-
     try:
         return chosen(name)
     except BadInput as error:

@@ -18,7 +18,7 @@ from vamgpu.jobs.read import CheckedJob, read_text
 from vamgpu.jobs.run import StageProgress, quiet
 from vamgpu.methods.bclp import BCLP
 from vamgpu.metrics.contrast import contrast
-from vamgpu.metrics.limited_dose import limited_dose, random_plane, responded
+from vamgpu.metrics.limited_angle_dose import limited_dose, random_plane, responded
 from vamgpu.optics.film import Film
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.gray import GrayCurve
@@ -142,7 +142,6 @@ class WebJob(CheckedJob[WebFile]):
 
 
 read_web: Callable[..., WebJob] = WebJob.read
-parse_web: Callable[..., WebJob] = WebJob.parse
 
 
 def is_web(path: str | Path) -> bool:

@@ -16,12 +16,12 @@ from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
 from vamgpu.kernels.watch import likelihood_weights, match_dose, share_gain, tilted_gain
-from vamgpu.live.calibrated import CalibratedProjection
+from vamgpu.live.calibrated_projection import CalibratedProjection
 from vamgpu.live.fields import here, picked, places, scaled
 from vamgpu.live.local_dose import LocalDose
 from vamgpu.live.prior import LEAST, MOST, NAMES, OPTICAL, Prior
 from vamgpu.live.rings import on_rings
-from vamgpu.live.smooth import Smoothing
+from vamgpu.live.smoothing import Smoothing
 from vamgpu.losses.response import Response
 from vamgpu.operators.compose import combine
 from vamgpu.operators.projection import Projection

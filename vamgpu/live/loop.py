@@ -21,7 +21,7 @@ from vamgpu.live.fields import added, alike, here, picked, places, scaled
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
-from vamgpu.live.smooth import Smoothing
+from vamgpu.live.smoothing import Smoothing
 from vamgpu.live.tomography import OpticalDepths, Reconstruction, Tomograph
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts

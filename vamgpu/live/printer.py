@@ -14,7 +14,7 @@ from vamgpu.live.camera import MonitoringCamera
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.losses.response import Interpolated
 from vamgpu.operators.projection import Projection
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Positive

@@ -23,7 +23,7 @@ from vamgpu.kernels.watch import interpolate
 from vamgpu.live.camera import MonitoringCamera
 from vamgpu.live.fields import here
 from vamgpu.live.rings import on_rings
-from vamgpu.live.smooth import Smoothing
+from vamgpu.live.smoothing import Smoothing
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts

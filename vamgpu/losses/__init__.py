@@ -6,7 +6,7 @@ from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss, Mean
 from vamgpu.losses.ramp import Ramp
 from vamgpu.losses.response import GeneralizedLogistic, Interpolated, Linear, Logistic, Response
-from vamgpu.losses.sampled import VoxelLoss, cross_entropy
+from vamgpu.losses.voxel_loss import VoxelLoss, cross_entropy
 
 __all__ = [
     "Band",

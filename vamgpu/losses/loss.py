@@ -40,11 +40,6 @@ class Loss(ABC):
         """
         return f"{type(self).__name__} does not say that it is a sum over voxels; define its coupling as empty if it is"
 
-    @property
-    def separable(self) -> bool:
-        """Whether it is a sum over voxels."""
-        return not self.coupling
-
     @abstractmethod
     def value_and_gradient(
         self, dose: DeviceArray, target: DeviceArray, out: DeviceArray, reach: float = EVERYWHERE

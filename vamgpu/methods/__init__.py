@@ -7,7 +7,7 @@ from vamgpu.methods.bclp import BCLP
 from vamgpu.methods.bounds import bound
 from vamgpu.methods.calgd import GradientDescent
 from vamgpu.methods.certificate import Bound
-from vamgpu.methods.choose import METHODS
+from vamgpu.methods.choice import METHODS
 from vamgpu.methods.descent import Descent
 from vamgpu.methods.fbp import FilteredBackProjection
 from vamgpu.methods.lbfgs import LBFGS

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, ClassVar
 
-from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss, Mean
@@ -15,7 +14,6 @@ from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
 
 
-@renamed_arguments(price="penalty")
 @dataclass(frozen=True)
 class BCLP(ByDescent):
     """Band constraint Lp norm minimization: a response M of the dose within a band of the target f, never farther.
@@ -60,7 +58,6 @@ class BCLP(ByDescent):
     weight: Any = field(default=None, compare=False, repr=False)
     papers: ClassVar[tuple[str, ...]] = (BAND, ROLL_TO_ROLL)
     iterations: ClassVar[int] = 100
-    price: ClassVar[Renamed] = Renamed("penalty")
 
     def __post_init__(self) -> None:
         if self.q is not None and not 1 <= self.q < inf:

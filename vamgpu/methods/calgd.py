@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from vamgpu.losses.loss import Loss
 from vamgpu.losses.response import Logistic, Response
-from vamgpu.losses.sampled import cross_entropy
+from vamgpu.losses.voxel_loss import cross_entropy
 from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import CAL, CAL_FIRST
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.response import Logistic
@@ -57,7 +56,6 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
     return made[name]
 
 
-@renamed_arguments(pairs="evaluations")
 def compared(
     operator: Projector,
     target: Any,

@@ -37,10 +37,7 @@ class FilteredBackProjection(Method):
 
 
 def filtered_light(state: OptimizerState, dose: DeviceArray) -> float:
-    """Put the clipped, filtered projection of the target into memory as ``light``, and its dose into ``dose``.
-
-    Scaled so that the part's mean dose is one; one projector evaluation. Returns what it was before.
-    """
+    """Put the target's clipped, filtered projection, of mean dose one, into memory; the ``light`` before."""
     projected, light = state.sinogram(), state.sinogram()
     state.project_scaled(state.target, projected)
     state.filter(projected, ramp(state.operator), light, floor=0.0)

@@ -11,10 +11,7 @@ from vamgpu.operators.reductions import dot
 
 
 class Pairs:
-    """Differences of light and of gradient with 1 / their product, oldest first, in the run's memory.
-
-    ``step`` and ``change`` are the pair in the making; until `close` they hold the light and gradient before the step.
-    """
+    """Differences of light and of gradient with 1 / their product, oldest first; the open one is what was before."""
 
     state: OptimizerState
     most: int

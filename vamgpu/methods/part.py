@@ -18,7 +18,7 @@ from vamgpu.operators.compose import Composed, capped, combine
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.protocol import ATTRIBUTES
 from vamgpu.operators.reductions import EVERYWHERE, dot, extent, total
-from vamgpu.operators.scaled import Scaled
+from vamgpu.operators.scaling import Scaled
 from vamgpu.operators.space import require
 from vamgpu.targets.limits import Limits
 from vamgpu.web import WebGrid
@@ -171,10 +171,7 @@ def _check_values(fractions: DeviceArray) -> None:
 
 
 def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> None:
-    """Refuse a target without any voxel that could be judged as part; tell of a part that reaches out of the cylinder.
-
-    A voxel counts as part from a fraction of one half. Warns with `OpticsWarning`, at ``stacklevel``.
-    """
+    """Refuse a target without a voxel to judge; warn, at ``stacklevel``, of a part that reaches out of the cylinder."""
     reach = reach_of(grid)
     _, most = extent(fractions, reach=reach)
     if not most >= 0.5:
@@ -214,10 +211,7 @@ def _check_beam(operator: Projector, radius: float | None, height: float | None)
 
 
 def _check_reach(operator: Any, fractions: DeviceArray) -> None:
-    """Refuse a part that stays in the dark whatever the light, and warn of one that light hardly gets to.
-
-    Voxels out of the cylinder that is judged do not count. Costs one projector evaluation, no part of a run's.
-    """
+    """Refuse a part that stays dark whatever the light, and warn of one that light hardly gets to; one evaluation."""
     device, vessel = operator.device, _vessel(operator)
     even, dose = device.empty(operator.range.shape), device.empty(operator.domain.shape)
     operator(fractions, out=even)  # finite numbers, as new memory need not hold

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from vamgpu.deprecated import Renamed, renamed_arguments
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.descent import ByDescent
 from vamgpu.methods.papers import PENALTY
 
 
-@renamed_arguments(price="penalty")
 @dataclass(frozen=True)
 class PenaltyMinimization(ByDescent):
     """Pays for every voxel on the wrong side of its threshold, and for nothing else.
@@ -47,7 +45,6 @@ class PenaltyMinimization(ByDescent):
     momentum: float = 0.0
     papers: ClassVar[tuple[str, ...]] = (PENALTY,)
     iterations: ClassVar[int] = 20
-    price: ClassVar[Renamed] = Renamed("penalty")
 
     def __post_init__(self) -> None:
         Band.thresholds(self.outside, self.inside)

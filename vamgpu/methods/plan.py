@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.card import card, drawable
-from vamgpu.deprecated import Renamed
 from vamgpu.methods.certificate import Bound
 from vamgpu.methods.part import idle_light, lit_pixels, on_device
 from vamgpu.operators.compose import combine
@@ -40,7 +39,6 @@ class Step:
     evaluations: float
     loss: float
     window: float
-    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,7 +83,6 @@ class Plan:
     tolerances: Tolerances | None = None
     corners: CornerDoses | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
-    pairs: ClassVar[Renamed] = Renamed("evaluations")
 
     def __repr__(self) -> str:
         held = "" if self.corners is None else f" at {len(self.corners.corners)} corners"
@@ -147,7 +144,8 @@ class Plan:
             BadInput: Nothing but Python can describe the operator.
             StorageError: The path is taken, or cannot be written.
         """
-        from vamgpu.methods.saved import save_plan
+        # a circle: folders make plans
+        from vamgpu.methods.plan_folder import save_plan
 
         return save_plan(self, path, state=state, overwrite=overwrite)
 

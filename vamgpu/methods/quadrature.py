@@ -47,11 +47,7 @@ def check_complete(motion: object) -> None:
 
 
 def balance(motion: Turntable) -> np.ndarray | None:
-    """What the filtered light of each angle is to be multiplied by, so that Aᵀ · filter · A is even over directions.
-
-    Directions over their mean, over the square of the angle's time, which A and Aᵀ both multiply by; shape (angles,).
-    None where all are 1.
-    """
+    """Factors (angles,) of filtered light that make Aᵀ · filter · A even over directions; None where all are 1."""
     if motion.is_even:
         return None
     return directions(motion) * motion.angles / (0.5 * FULL_TURN) / motion.times**2

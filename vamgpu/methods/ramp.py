@@ -45,11 +45,7 @@ def _ramp_taps(columns: int) -> np.ndarray:
 
 
 def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
-    """The ramp |ω| up to ``cap`` cycles a column, level beyond: a preconditioner that spares the finest detail.
-
-    span: share of the columns its taps reach over; below 1 they fade out, which costs little and saves most of the
-    state.
-    """
+    """The ramp |ω| up to ``cap`` cycles a column, level beyond; its taps fade out over a ``span`` of the columns."""
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
     taps = np.real(np.fft.ifft(np.minimum(frequency, cap)))[:columns]

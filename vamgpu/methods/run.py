@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.deprecated import renamed_arguments
 from vamgpu.errors import (
     BadInput,
     Cancelled,
@@ -25,7 +24,7 @@ from vamgpu.errors import (
 )
 from vamgpu.geometry import Grid, Turntable, counts, positive
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.choose import check_bodies, chosen
+from vamgpu.methods.choice import check_bodies, chosen
 from vamgpu.methods.limit import ExposureLimit
 from vamgpu.methods.method import Method
 from vamgpu.methods.part import fractions_of, limited, radius_of
@@ -39,8 +38,9 @@ from vamgpu.methods.surface import PIXEL_DEEP, SINOGRAMS, SurfaceRamp, across, a
 from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_tolerances, doses_of
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.reductions import extent
-from vamgpu.operators.ring_projection import RingProjection, covers, direct
+from vamgpu.operators.ring_projection import RingProjection, covers
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.optics.sampling import sampling_notes
@@ -57,7 +57,6 @@ COARSE_CORNERS = ("memory did not do for all corners on voxels as fine as light:
 """Note of a plan."""
 
 
-@renamed_arguments(pairs="evaluations")
 def optimize(
     operator: Projector,
     target: Any,
@@ -387,8 +386,7 @@ class _Run:
         return light, window
 
     def _judged(self, rays: Any, light: DeviceArray, iteration: int) -> tuple[DeviceArray, float, int] | None:
-        """Light, window and iteration by rays, the run's last light where that has the wider one; None for want of
-        memory."""
+        """Light, window and iteration by rays, the wider of the best and the last; None for want of memory."""
         state = self.state
         try:
             found = [(light, state.window(rays.T(light))[0], iteration)]
@@ -415,8 +413,7 @@ class _Run:
 
 
 def _posed_on_voxels(operator: Any, target: Any) -> Any:
-    """A projection on rings as one of the target's voxels: cells have unlike volumes, and no light tells apart those
-    near the axis, which are narrower than a pixel. Any other operator itself."""
+    """A projection on rings as one of the target's voxels, since no light tells cells near the axis apart."""
     if not isinstance(operator, SpectralProjection):
         return operator
     grid = target.grid if isinstance(target, Target) else operator.grid.box

@@ -19,8 +19,7 @@ SAME = 2.0
 
 
 def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
-    """Light [angle, r, z] of any library on the device of an operator; it may share memory. Raises `BadInput`,
-    `ShapeMismatch`."""
+    """Light [angle, r, z] of any library on an operator's device, maybe shared. Raises `BadInput`, `ShapeMismatch`."""
     light = getattr(light, "sinogram", light)
     require(operator.range, light, name)
     field = operator.device.field(light)

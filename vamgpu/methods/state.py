@@ -19,7 +19,7 @@ from vamgpu.kernels.reduce import disc
 from vamgpu.kernels.update import apply_penalty, fill_background, multiply
 from vamgpu.losses.band import MOST
 from vamgpu.losses.loss import Loss
-from vamgpu.methods.best import Best
+from vamgpu.methods.best_light import Best
 from vamgpu.methods.method import Criterion
 from vamgpu.methods.part import reach_of, uploaded
 from vamgpu.methods.projector import Projector

@@ -33,9 +33,10 @@ from vamgpu.methods.state import OptimizerState
 from vamgpu.metrics.depth import HALF, LARGEST_REACH, signed_depth, surrounded
 from vamgpu.metrics.interpolation import interpolated
 from vamgpu.operators.compose import capped
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import folded, parts_for, total
-from vamgpu.operators.ring_projection import RingProjection, direct, prefers_rings, unsupported_reason
+from vamgpu.operators.ring_projection import RingProjection, prefers_rings, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.optics.outer_resin import AllResin, outer_resin
 from vamgpu.optics.sampling import resin_pixel

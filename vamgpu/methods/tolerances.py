@@ -16,11 +16,11 @@ from vamgpu.calibration.runout import Runout
 from vamgpu.errors import BadInput, ToleranceError
 from vamgpu.methods.part import LOST, fractions_of, limited, reach_of
 from vamgpu.operators.compose import Composed, Sum
-from vamgpu.operators.moves import Tiles, Wobbled
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
 from vamgpu.operators.ring_projection import RingProjection, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
+from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.beams import Misaligned
 from vamgpu.quantity import positive
@@ -300,10 +300,7 @@ class Tolerances:
 
 
 def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, target: DeviceArray) -> CornerDoses:
-    """The doses at the corners of tolerances, whatever their operators are mixed by.
-
-    target: of one scenario.
-    """
+    """The doses of a light at the corners of tolerances, by the target of one scenario."""
     corners = tolerances.corners()
     optics = list(dict.fromkeys(corner.optics for corner in corners))
     dose, reach, found = target.device.empty(target.shape), reach_of(scenarios.each), {}

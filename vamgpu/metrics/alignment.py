@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
-from vamgpu.metrics.nearest import Array, Nearest, as_points
+from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 
 _ROUGH = 12
 """Steps that bring points to their nearest points before steps slide them along the surface."""

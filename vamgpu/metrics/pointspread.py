@@ -82,14 +82,3 @@ def wedge(shape: tuple[int, int], pitch: tuple[float, float] | float, ratio: flo
 def covered_share(ratio: float) -> float:
     """Share of all directions of the plane's frequencies that light carries: 2·arcsin m / π."""
     return 2.0 * steepest(ratio) / pi
-
-
-def limited(plane: npt.ArrayLike, pitch: tuple[float, float] | float, ratio: float) -> Array:
-    """A plane [l, rho], or each of a film [l, rho, z], without the frequencies that no light carries."""
-    # It wraps around at the edges: pad where that matters.
-    values = np.asarray(plane, np.float64)
-    if values.ndim not in (2, 3):
-        raise BadInput(f"the plane has shape {values.shape}; expected [l, rho] or [l, rho, z]")
-    mask = wedge(values.shape[:2], pitch, ratio)  # type: ignore[arg-type]
-    mask = mask if values.ndim == 2 else mask[..., None]
-    return np.fft.ifft2(np.fft.fft2(values, axes=(0, 1)) * mask, axes=(0, 1)).real

@@ -17,7 +17,7 @@ from vamgpu.errors import BadInput, EmptyMesh
 from vamgpu.geometry import centers, counts, positive
 from vamgpu.metrics.alignment import Alignment, align
 from vamgpu.metrics.gaussian import Gaussian, fit_gaussian
-from vamgpu.metrics.nearest import Array, Nearest, as_points
+from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.targets.solid import Solid
 

@@ -13,15 +13,15 @@ from vamgpu.backend.cores import together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
-from vamgpu.metrics.joined import joined
 from vamgpu.metrics.line import Line, length
 from vamgpu.metrics.mesh_mask import mesh_mask
-from vamgpu.metrics.nearest import Nearest
+from vamgpu.metrics.mesh_union import joined
+from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
 from vamgpu.metrics.surface_distance import iso_solid
+from vamgpu.metrics.thin_regions import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.topology import Topology, topology
 from vamgpu.metrics.triangle_search import Array, TriangleSearch, drawn_on
-from vamgpu.metrics.unjudged import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.walls import walls
 from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid

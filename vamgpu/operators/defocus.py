@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, log, pi, sqrt
-from typing import Any, final
+from typing import Any, final, overload
 
 import numpy as np
 
@@ -246,3 +246,12 @@ class Defocused(Derived):
         ratio = self.operator.grid.pitch / self.operator.beam.pitch
         taps = gaussian(sqrt(variance) / TO_SIGMA / self.operator.beam.pitch, 1.0 if ratio <= EQUAL else ratio)
         return Blur(self.range, self.device, taps, taps)
+
+
+@overload
+def direct(A: Projection | RingProjection) -> Projection: ...
+@overload
+def direct(A: Any) -> Any: ...
+def direct(A: Any) -> Any:
+    """The operator on voxels of one on rings; any other operator itself."""
+    return A.direct if isinstance(A, RingProjection | Defocused) else A

@@ -149,6 +149,7 @@ class LinearOperator(ABC):
         return self(x), self.T
 
     def __matmul__(self, other: Any) -> Any:
+        # a circle, here and below: sums and products are operators
         from vamgpu.operators.compose import Composed
 
         if isinstance(other, LinearOperator):

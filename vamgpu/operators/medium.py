@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Grid, positive
 from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
@@ -150,8 +149,6 @@ class CoRotatingMedium:
             rest = np.floor(part / (1.0 + part) * FINE) / FINE
             part[...] = np.where(stands > 0.0, -(stands + rest), part)
         return table
-
-    medium: ClassVar[Renamed] = Renamed("samples")
 
 
 def _real(name: str, values: Any) -> np.ndarray | None:

@@ -14,10 +14,10 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import Beam, Grid, Turntable, Vessel, one_ray_a_pixel
 from vamgpu.kernels.oblique import back_oblique, forward_oblique
 from vamgpu.operators.dwell import Dwell
+from vamgpu.operators.frame_motion import mean, places, ray_parts
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.ray_table import EQUAL, OpenAir, column_in_resin, tabulate
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.turning import mean, places, ray_parts
 from vamgpu.operators.wobble import Wobble
 
 

@@ -321,17 +321,8 @@ def ring_table(
         if splines:  # coefficients reach on, each ring a third as much: as far as the samples of the next tile
             last = [*last[1:], 2 * last[-1] - last[-2] if last[1:] else all_pairs + half]
         wide = [min(_in_rows(each + 1 - half), all_pairs) for each in last]
-        tiles, own = [], [[] for _ in footprints]
-        start = number = 0
-        for band in grid.bands:
-            for j in range(band.samples):
-                for ring in range(len(band.tiles)):
-                    own[number + ring].append(len(tiles))
-                    mate = (band.cell + (band.samples - 1 - j) * band.rings) // ROWS + ring
-                    tiles.append((start, wide[number + ring], mate))
-                    start += 2 * ROWS * wide[number + ring]
-            number += len(band.tiles)
-        entries = room((grid.angles // 2 + 1, start))
+        tiles, own, size = _tiles(grid, wide)
+        entries = room((grid.angles // 2 + 1, size))
 
         def fill(footprint: PoseTile, width: int, numbers: list[int]) -> None:
             found = _spectrum(footprint, beam, grid.angles, len(numbers), half, width, arc)
@@ -350,6 +341,21 @@ def ring_table(
         raise BadInput("no column of the beam lights a ring; widen the beam or check the vessel's radius")
     lit = np.stack([_lit(peak > faint * most) for peak in peaks], axis=1)
     return RingTable(entries.ravel(), most, np.array(tiles)[:, [0, 2]], lit, mirrored)
+
+
+def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]], list[list[int]], int]:
+    """Where each tile begins, its pairs and its mate; the tiles of each footprint, so many pairs wide; and the end."""
+    tiles, own = list[tuple[int, int, int]](), [list[int]() for _ in wide]
+    start = number = 0
+    for band in grid.bands:
+        for j in range(band.samples):
+            for ring in range(len(band.tiles)):
+                own[number + ring].append(len(tiles))
+                mate = (band.cell + (band.samples - 1 - j) * band.rings) // ROWS + ring
+                tiles.append((start, wide[number + ring], mate))
+                start += 2 * ROWS * wide[number + ring]
+        number += len(band.tiles)
+    return tiles, own, start
 
 
 def _greatest(entries: np.ndarray) -> np.ndarray:

@@ -18,11 +18,11 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel
 from vamgpu.kernels.footprint import back_footprint, forward_footprint
 from vamgpu.kernels.project import back_joseph, forward_joseph
 from vamgpu.operators.dwell import Dwell
+from vamgpu.operators.frame_motion import mean, places, straight_parts
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.ray_table import OpenAir, column_in_resin, tabulate
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.turning import mean, places, straight_parts
 
 FOOTPRINTS = ("exact", "joseph")
 
@@ -199,22 +199,11 @@ class Projection(LinearOperator):
         """Share of the light of each row of pixels in each slice, (slices, rows)."""
         return self._rows.weights
 
-    def dose_of_slices(self, light: np.ndarray | DeviceArray) -> np.ndarray:
+    def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
         """Dose of some slices, of which each has its own light: none lights another.
 
         Args:
             light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.
-
-        Returns:
-            The dose, [x, y, slice], NumPy.
-        """
-        return self.lit_slices(light).numpy()
-
-    def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
-        """`dose_of_slices`, left on the device.
-
-        Args:
-            light: As for `dose_of_slices`, [angle, r, slice].
 
         Returns:
             The dose, [x, y, slice] on the device.

@@ -7,7 +7,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from math import ceil, sqrt
-from typing import Any, final, overload
+from typing import Any, final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 from vamgpu.operators.spectral import SpectralProjection, passes
-from vamgpu.operators.traced import BLOCK, WHOLE, SparseEntries
+from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6
@@ -279,17 +279,6 @@ class RingProjection(LinearOperator):
         """Bring what `_cut` takes to where it is from."""
         if strip is not field:
             self.device.launch(copy_slices, source=strip, first=-first, lanes=strip, field=field)
-
-
-@overload
-def direct(A: Projection | RingProjection) -> Projection: ...
-@overload
-def direct(A: Any) -> Any: ...
-def direct(A: Any) -> Any:
-    """The operator on voxels of one on rings; any other operator itself."""
-    from vamgpu.operators.defocus import Defocused
-
-    return A.direct if isinstance(A, RingProjection | Defocused) else A
 
 
 def unsupported_reason(A: Any) -> str:

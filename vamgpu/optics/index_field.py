@@ -122,12 +122,6 @@ class FormulaField:
         return formula_at(self.table, place)
 
 
-def luneburg(radius: float, *, cylinder: bool = False) -> FormulaField:
-    """The Luneburg lens n² = 2 − r²/radius²: parallel rays meet on the rim opposite."""
-    region = Region.cylinder(radius) if cylinder else Region.ball(radius)
-    return FormulaField(_round(cylinder), (2.0, -1.0 / positive("Luneburg radius [mm]", radius) ** 2), region=region)
-
-
 def fish_eye(radius: float, index: float = 2.0, *, cylinder: bool = False) -> FormulaField:
     """Maxwell's fish-eye n = index/(1 + r²/radius²), without a border: every ray is a circle."""
     scale = 1.0 / positive("fish-eye radius [mm]", radius) ** 2
@@ -138,11 +132,6 @@ def parabolic(index: float, slope: float, half_width: float | None = None) -> Fo
     """n² = index²·(1 − slope²·x²), slope in 1/mm; a ray through x = 0 at the angle θ repeats after 2π·cosθ/slope."""
     region = Region() if half_width is None else Region(low=(-half_width, -FAR, -FAR), high=(half_width, FAR, FAR))
     return FormulaField((1.0, 0.0, 0.0), (index**2, -((index * slope) ** 2)), region=region)
-
-
-def homogeneous(index: float, region: Region) -> FormulaField:
-    """One index everywhere."""
-    return FormulaField((1.0, 1.0, 1.0), (positive("index", index) ** 2,), region=region)
 
 
 def _round(cylinder: bool) -> tuple[float, float, float]:

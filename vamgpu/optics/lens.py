@@ -116,18 +116,6 @@ class TunableLens:
         """
         return self.slope * (self._reachable(as_offsets("power", power)) - self.powers[0])
 
-    def shift_per_focal_length(self, focal: ArrayLike) -> Floats:
-        """Change of the focus with the tunable lens's focal length: +n·f₂²·M²/f² (S6, its sign corrected).
-
-        Args:
-            focal: Focal lengths [mm], (...,).
-
-        Returns:
-            Change [mm/mm], (...,).
-        """
-        length = as_offsets("focal length", focal)
-        return -self.slope / DIOPTER / length**2
-
     def power(self, depth: ArrayLike, axis: float | None = None) -> Floats:
         """Powers that focus at some depths, rounded to the driver's quantum.
 

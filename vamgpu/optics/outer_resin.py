@@ -23,22 +23,20 @@ from vamgpu.kernels.footprint import TAIL
 from vamgpu.kernels.gather import gather_rows
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.compose import combine
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_projection import RingProjection, direct
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
 from vamgpu.operators.space import PolarSpace, SinogramSpace
 from vamgpu.operators.spectral import SpectralProjection
-from vamgpu.operators.traced import BLOCK, SparseEntries
+from vamgpu.operators.traced_projection import BLOCK, SparseEntries
 from vamgpu.optics.traced_rays import Rays, resin_radius, traced_rays
 from vamgpu.schema.quantities import Thickness
 
 WIDTH = 2.0
 """Width of a cell beside the part [voxels]."""
-RIDGE = 1.18
-"""Greatest dose on voxels half as wide over that of cells two voxels wide and one high, of light that was found to hold
-cells at a limit (1.06 of other light); on whole voxels it is 1.10."""
 MOST_ANGLES = 1440
 """Even angles over a turn, at most, that measured ones lie between."""
 RAYS, STEPS = 6, 8

@@ -16,13 +16,13 @@ from vamgpu.optics.faces import Face, transmit
 from vamgpu.optics.film import Coverage, Film, coverage
 from vamgpu.optics.inputs import Floats, as_offsets
 from vamgpu.optics.interface import Polarization, polarized
-from vamgpu.optics.roller_cells import cells, walks
+from vamgpu.optics.roller_cells import cells
 from vamgpu.optics.roller_index import FilmIndex
-from vamgpu.optics.roller_rays import Layers, Segments, Traced, trace
+from vamgpu.optics.roller_rays import Layers, Traced, trace
 from vamgpu.optics.wrap_map import WrapMap
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Count, Gain, HalfAngle, Index, Length, Place, Share, Step, Thickness
-from vamgpu.web import Propagation, WebGrid, WebRays
+from vamgpu.web import Propagation, WebGrid
 
 Volume = Literal["flat", "bent"]
 LARGEST_GAIN = 2.0
@@ -275,45 +275,16 @@ class Roller:
             BadInput: The grid is not as thick as the film, or a column misses it.
             RayError: A column is reflected totally.
         """
-        map, segments, rays, shape = self._segments(grid, beam, device)
+        map, columns = self.map(grid), self._columns(beam)
+        offsets, leans = self._bundle(beam.pitch)
+        segments = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device).segments
+        shape = (columns.size, grid.shape[1], round(map.length / grid.edges[0]))
+        rays = offsets.size * leans.size
         *entries, weight = cells(map, segments, segments.ray // rays, self.film.absorption, shape,
                                  (grid.edges[1], grid.edges[0]))  # fmt: skip
         r, rho, l = (index.astype(np.int32) for index in entries)  # noqa: E741 - the web's axis
         weight = weight * self._power(beam, rays)[r] * self._dense(map, grid, rho, l)
         return Propagation(shape, r, rho, l, weight, map.middle, self.lit_share * self.advance / grid.edges[0])
-
-    def rays_of(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> WebRays:
-        """The light of `propagation` ray by ray, as it meets things that the film carries, of a film at its pose.
-
-        Args:
-            grid: Voxels of the film.
-            beam: Pixels of the light.
-            device: As for `trace`.
-
-        Returns:
-            All pieces of all rays, in the order in which each runs.
-
-        Raises:
-            BadInput: The grid is not as thick as the film, or a column misses it.
-            RayError: A column is reflected totally.
-        """
-        map, segments, rays, shape = self._segments(grid, beam, device)
-        ray, rho, l, length, weight = walks(  # noqa: E741 - the web's axis
-            map, segments, self.film.absorption, shape[1:], (grid.edges[1], grid.edges[0])
-        )
-        r = ray // rays
-        weight = weight * self._power(beam, rays)[r] * self._dense(map, grid, rho, l)
-        return WebRays(shape, ray, r, rho, l, length, weight, self.film.absorption, map.middle)
-
-    def _segments(
-        self, grid: WebGrid, beam: Beam, device: str | Device | None
-    ) -> tuple[WrapMap, Segments, int, tuple[int, int, int]]:
-        """The map, the pieces of all rays of a pose, the number of rays of a column, and the shape (r, rho, l)."""
-        map, columns = self.map(grid), self._columns(beam)
-        offsets, leans = self._bundle(beam.pitch)
-        traced = self.trace(columns[:, None, None] + offsets[:, None], leans, map.leg, device)
-        shape = (columns.size, grid.shape[1], round(map.length / grid.edges[0]))
-        return map, traced.segments, offsets.size * leans.size, shape
 
     def _power(self, beam: Beam, rays: int) -> Floats:
         """Power of one of so many rays of each column."""

@@ -113,23 +113,6 @@ def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: floa
     return row, voxel // shape[2], voxel % shape[2], weight
 
 
-def walks(map: WrapMap, segments: Segments, absorption: float, shape: tuple[int, int],
-          pitch: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Floats, Floats]:  # fmt: skip
-    """The pieces (ray, rho, l, length [mm], what is left) of rays in voxels, in the order of rays and ways."""
-    order, rays = np.argsort(segments.ray, kind="stable"), int(segments.ray.max(initial=-1)) + 1
-    kinds = (_arcs(map, segments, segments.ray, order), _straights(map, segments, segments.ray, order))
-    pieces: list[tuple[np.ndarray, ...]] = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))]
-    for lines in kinds:
-        for some in _chunks(map, lines, pitch):
-            place, weight, start, length = _pieces(map, *some, absorption, (rays, *shape), pitch)
-            kept = length > 0.0
-            pieces.append((place[kept], weight[kept], start[kept], length[kept]))
-    place, weight, start, length = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    ray, voxel = np.divmod(place, shape[0] * shape[1])
-    order = np.lexsort((start, ray))
-    return ray[order], voxel[order] // shape[1], voxel[order] % shape[1], length[order], weight[order]
-
-
 def _arcs(map: WrapMap, segments: Segments, column: np.ndarray, order: np.ndarray) -> _Arcs:
     """The pieces on the roller, cut where they are nearest the axis."""
     rows = order[segments.side[order] == 0]
@@ -179,12 +162,6 @@ def _chunks(map: WrapMap, lines: _Lines, pitch: tuple[float, float]
 def _crossed(map: WrapMap, lines: _Lines, deep: Reals, along: Reals, absorption: float, shape: tuple[int, int, int],
              pitch: tuple[float, float]) -> tuple[np.ndarray, Reals]:  # fmt: skip
     """Flat indices of the voxels between all walls, and what is left there; nothing where two walls are one."""
-    return _pieces(map, lines, deep, along, absorption, shape, pitch)[:2]
-
-
-def _pieces(map: WrapMap, lines: _Lines, deep: Reals, along: Reals, absorption: float, shape: tuple[int, int, int],
-            pitch: tuple[float, float]) -> tuple[np.ndarray, Reals, Reals, Reals]:  # fmt: skip
-    """`_crossed`, and the way in resin before each voxel and in it [mm]."""
     ends = lines.begin[:, None], lines.finish[:, None]
     t = np.concatenate([ends[0], *lines.cross(map, deep, along), ends[1]], axis=1)
     np.clip(t, *ends, out=t)
@@ -198,4 +175,4 @@ def _pieces(map: WrapMap, lines: _Lines, deep: Reals, along: Reals, absorption: 
         weight = left[:, :-1] - left[:, 1:]
     else:
         weight = lines.power[:, None] * np.diff(t, axis=1)
-    return place.ravel(), weight.ravel(), (lines.before[:, None] + t[:, :-1]).ravel(), np.diff(t, axis=1).ravel()
+    return place.ravel(), weight.ravel()

@@ -12,11 +12,11 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import Vessel
-from vamgpu.optics.graded import GradedVial
+from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.inputs import Floats, absorbed_share
 from vamgpu.optics.interface import refract
 from vamgpu.optics.occluder import Occluded
-from vamgpu.optics.square import SquareBath
+from vamgpu.optics.square_bath import SquareBath
 from vamgpu.optics.vial import Vial
 
 RAYS = 1025

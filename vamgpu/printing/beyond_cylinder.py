@@ -11,7 +11,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.geometry import Grid
 from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
-from vamgpu.metrics.unjudged import IN_THE_PART
+from vamgpu.metrics.thin_regions import IN_THE_PART
 
 
 @dataclass(frozen=True)

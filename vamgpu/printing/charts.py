@@ -21,8 +21,6 @@ HALF = 5.6
 
 ABSCISSA = {
     "evaluations": "projector evaluations",
-    "pairs": "projector evaluations",
-    "projector_pairs": "projector evaluations",
     "iteration": "iteration",
 }
 """Fields of a history it may be plotted over, best first, and their labels."""

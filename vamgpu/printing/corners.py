@@ -7,11 +7,11 @@ from typing import Any
 
 from vamgpu.methods.part import on_device
 from vamgpu.methods.tolerances import Corner, CornerDose, CornerDoses, Tolerances, at
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
-from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.bodies import judged_parts
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.simulate import ShownLight
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import ClassVar
 
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput, OpticsWarning
 from vamgpu.geometry import positive
 from vamgpu.metrics import Scores
@@ -31,7 +29,6 @@ class ExposureTimes:
     complete: float  # until the last voxel of the part is solid
     overcure_onset: float
     energy: float  # light sent until ``seconds`` [mJ]
-    spill: ClassVar[Renamed] = Renamed("overcure_onset")
 
     def turns(self, speed: float = USUAL) -> float:
         """Turns of a vial that the exposure takes."""

@@ -27,9 +27,9 @@ from vamgpu.methods.part import fractions_of, on_device, reach_of
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.two_levels import TwoLevels
 from vamgpu.operators.compose import combine
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot, extent, total, window
-from vamgpu.operators.ring_projection import direct
 from vamgpu.printing.frames import Frames
 
 FULL_ON = (8.0, 4.0, 2.0, 1.0)

@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.methods.plan import Plan
-from vamgpu.methods.saved import inputs_of, light_of, method_described, pixel_pitch, sinogram_from
+from vamgpu.methods.plan_folder import inputs_of, light_of, method_described, pixel_pitch, sinogram_from
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack

@@ -157,6 +157,7 @@ class Frames:
         Raises:
             StorageError: The path is taken, or cannot be written.
         """
+        # a circle: folders make frames
         from vamgpu.printing.folder import save_frames
 
         return save_frames(path, self, overwrite=overwrite).path

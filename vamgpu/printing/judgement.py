@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import ceil, prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,10 +24,12 @@ from vamgpu.metrics.tolerance import (
     tolerance_window,
 )
 from vamgpu.operators.projection import Projection
-from vamgpu.printing.independent import FineSlab, IndependentExposure
-from vamgpu.printing.proof import Proof
+from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
 from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
 
 FINEST = 5
 """Voxels along an edge of the part's beyond which depths are not looked for in its mesh."""

@@ -125,8 +125,7 @@ def pack(
     curve = GrayCurve.linear() if gray is None else gray
     if not isinstance(curve, GrayCurve):
         raise BadInput(f"gray is {gray!r}; expected a GrayCurve, such as GrayCurve.gamma(2.2)")
-    motion = getattr(getattr(plan, "operator", None), "motion", None)
-    motion = motion if isinstance(motion, Turntable) else None
+    motion = _turntable(plan)
     check_dither(dither, getattr(plan, "operator", None), getattr(plan, "target", None), bits, settings.shift)
     angles, columns, rows = light.shape
     flat = None if flat_field is None else flattened(flat_field, (rows, columns))
@@ -135,12 +134,7 @@ def pack(
     if dither == FIT and bits == 1:
         shown = _quantile(plan, settings, shared)  # tells of light there is none of
         return _fitted(plan, again, settings, shown if scale is None and quantile is not None else scale)
-    full = positive("scale", scale) if scale is not None else _quantile(plan, settings, shared)
-    if not FAINTEST <= full <= BRIGHTEST:
-        raise BadInput(
-            f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
-            "scale the plan's light"
-        )
+    full = _full(positive("scale", scale) if scale is not None else _quantile(plan, settings, shared))
     carry = float(np.diff(curve.table(bits)).max()) if dither == "error-diffusion" else 0.0
     images = _quantized(curve.table(bits), bits, full, carry, shared)
     kept = replace(plan, state={}) if isinstance(plan, Plan) else plan  # a run's memory is several times the light
@@ -153,6 +147,22 @@ def pack(
         return frames
     plain = again(plan, full, "round")
     return _better(plan, frames, replace(plain, settings=replace(settings, dither="round")))
+
+
+def _full(full: float) -> float:
+    """The light of a full-on pixel, if float32 can divide by it. Raises `BadInput`."""
+    if not FAINTEST <= full <= BRIGHTEST:
+        raise BadInput(
+            f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
+            "scale the plan's light"
+        )
+    return full
+
+
+def _turntable(plan: Patterns) -> Turntable | None:
+    """How the vial of a plan turns; None for anything else."""
+    motion = getattr(getattr(plan, "operator", None), "motion", None)
+    return motion if isinstance(motion, Turntable) else None
 
 
 def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: dict[str, Any]) -> DeviceArray:

@@ -16,7 +16,7 @@ from vamgpu.operators.projection import Projection
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof

@@ -18,25 +18,25 @@ from vamgpu.errors import BadInput
 from vamgpu.methods.part import idle_light, lit_pixels
 from vamgpu.metrics import Parts, Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
-from vamgpu.metrics.joined import joined
 from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
+from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.parts import EVERYWHERE, IN
-from vamgpu.metrics.unjudged import Unjudged, unjudged
+from vamgpu.metrics.thin_regions import Unjudged, unjudged
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.beyond_cylinder import Outer
 from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
 from vamgpu.printing.exposure import ExposureTimes
-from vamgpu.printing.independent import FineSlab, IndependentExposure
+from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
+from vamgpu.printing.judgement import Judgement, judged
+from vamgpu.printing.verdict import Verdict, verdict_of
 
 if TYPE_CHECKING:
     from vamgpu.methods import Bound
     from vamgpu.methods.tolerances import CornerDoses
     from vamgpu.printing.given_dose import GivenDose
-    from vamgpu.printing.judgement import Judgement
     from vamgpu.printing.planes import PlaneDose
-    from vamgpu.printing.verdict import Verdict
     from vamgpu.targets.limits import Limits
     from vamgpu.targets.solid import Solid
 
@@ -184,8 +184,6 @@ class Proof:
     @cached_property
     def judgement(self) -> Judgement:
         """The print judged below the voxel, see its `lines`. Found when asked: about ten projector evaluations."""
-        from vamgpu.printing.judgement import judged
-
         return judged(self)
 
     @cached_property
@@ -211,8 +209,6 @@ class Proof:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether it prints, and what is wrong where it does not; takes `judgement`."""
-        from vamgpu.printing.verdict import verdict_of
-
         return verdict_of(self, self.judgement)
 
     @property
@@ -283,6 +279,7 @@ class Proof:
             BadInput: Nothing but Python can describe the operator, or the frames are those of a run.
             StorageError: The path is taken, or cannot be written.
         """
+        # a circle: it makes proofs
         from vamgpu.printing.proof_folder import save_proof
 
         return save_proof(self, path, overwrite=overwrite)
@@ -301,6 +298,7 @@ class Proof:
         Raises:
             StorageError: The page cannot be written.
         """
+        # a circle: reports take `efficiency`
         from vamgpu.printing.report import write_report
 
         return write_report(self, path, plan, judgement)

@@ -13,7 +13,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Grid
-from vamgpu.methods.saved import inputs_of, operator_from, target_from
+from vamgpu.methods.plan_folder import inputs_of, operator_from, target_from
 from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.window import Windows
 from vamgpu.printing.beyond_cylinder import Outer

@@ -14,20 +14,22 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.methods.part import check_cylinder, on_device
 from vamgpu.methods.surface import fine_grid
-from vamgpu.metrics import mean_brightness, score, score_slices
+from vamgpu.metrics import Scores, mean_brightness, score, score_slices
 from vamgpu.metrics.light import light_sent
 from vamgpu.metrics.parts import Parts
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_projection import RingProjection, direct
+from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.space import require
 from vamgpu.optics.outer_resin import OuterResin, outer_resin
 from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
 from vamgpu.printing.black_level import check_dose
 from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
-from vamgpu.printing.independent import IndependentExposure
+from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.proof import Proof
+from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
 
@@ -103,15 +105,13 @@ def simulate(
     light = _light(A, frames)
     own, limits = A.T(light), getattr(target, "limits", None)
     check_dose(light, Parts(own, fraction))
-    held = judged_parts(own, fraction, limits)
-    claimed = score(held.dose, held.target, threshold=threshold)
+    claimed = _scores(own, fraction, limits, threshold)
     if coarse and (finer := _as_fine_as_light(A, target)) is not None:
         volume = A.grid.voxel_volume
         A, target = finer
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # the exposure is that of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
-        held = judged_parts(own, fraction, limits)
-        claimed = score(held.dose, held.target, threshold=threshold)
+        claimed = _scores(own, fraction, limits, threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
     traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
@@ -126,24 +126,20 @@ def simulate(
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
     return Proof(
-        operator=A,
-        frames=frames,
-        name=getattr(target, "name", None) or "target",
-        target=fraction,
-        dose=dose,
-        scores=scores,
-        slices=score_slices(held.dose, held.target, scores),
-        claimed=claimed,
-        outer=outer,
-        independent=isinstance(judge, IndependentExposure),
-        width=judge.pitch,
-        agrees=judge.agrees,
-        solid=getattr(target, "solid", None),
-        limits=limits,
+        operator=A, frames=frames, name=getattr(target, "name", None) or "target", target=fraction, dose=dose,
+        scores=scores, slices=score_slices(held.dose, held.target, scores), claimed=claimed, outer=outer,
+        independent=isinstance(judge, IndependentExposure), width=judge.pitch, agrees=judge.agrees,
+        solid=getattr(target, "solid", None), limits=limits,
         light_efficiency=plain.total_in / sent if sent > 0 else 0.0,
         mean_brightness=mean_brightness(shone, frames.scale),
         exposure=None if irradiance is None else expose(A, plain, sent, frames.scale, **given),  # type: ignore[arg-type]
-    )
+    )  # fmt: skip
+
+
+def _scores(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None) -> Scores:
+    """The scores of a dose, of what is judged of it."""
+    held = judged_parts(dose, fraction, limits)
+    return score(held.dose, held.target, threshold=threshold)
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:

@@ -4,6 +4,5 @@ from __future__ import annotations
 
 from vamgpu.scene.body import Body
 from vamgpu.scene.scene import Scene
-from vamgpu.scene.web import WebPart
 
-__all__ = ["Body", "Scene", "WebPart"]
+__all__ = ["Body", "Scene"]

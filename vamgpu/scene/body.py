@@ -211,33 +211,12 @@ class Body:
         if solid is not None:
             return voxelize(solid, grid, device).fraction.numpy()
         if isinstance(self.source, Target):
-            return self.averaged_mask(grid.shape, grid.pitch, (0.0, 0.0, 0.0), place, device)
+            if place.rotation is not None:
+                raise BadInput(f"body {self.name!r} is a mask, which cannot be turned; give it in the turned frame")
+            mask = Target.from_array(self.source.numpy(), place.factor * self.source.grid.pitch)
+            x, y, z = (-move for move in place.move)
+            return mask.resampled(grid, (x, y, z), device).numpy()
         return filled(self.placed(place), grid)
-
-    def averaged_mask(
-        self, shape: tuple[int, int, int], pitch: float, middle: tuple[float, float, float], place: Place,
-        device: Device,
-    ) -> npt.NDArray[np.float32]:  # fmt: skip
-        """A mask on other voxels.
-
-        Args:
-            shape: Voxels.
-            pitch: Their edge [mm].
-            middle: Of the grid [mm].
-            place: Of the CAD frame.
-            device: Where it is averaged.
-
-        Returns:
-            Shares [x, y, z].
-
-        Raises:
-            BadInput: The mask is to be turned.
-        """
-        if place.rotation is not None:
-            raise BadInput(f"body {self.name!r} is a mask, which cannot be turned; give it in the turned frame")
-        mask = Target.from_array(self.source.numpy(), place.factor * self.source.grid.pitch)
-        x, y, z = (m - move for m, move in zip(middle, place.move, strict=True))
-        return mask.resampled(Grid(shape, pitch), (x, y, z), device).numpy()
 
     def placed(self, place: Place) -> Any:
         """The function where it is printed.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import ceil, inf
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +17,14 @@ from vamgpu.geometry import Beam, Grid, Turntable, Vessel, counts, positive
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.traced import TracedProjection
-from vamgpu.operators.web import WebProjection
-from vamgpu.operators.web_insert import WebInsertProjection
-from vamgpu.optics.graded import GradedVial
+from vamgpu.operators.traced_projection import TracedProjection
+from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.occluder import Occluded
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
-from vamgpu.scene.web import WebPart, shares_on_web
 from vamgpu.schema.quantities import Length, measured
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import MARGIN, Target
-from vamgpu.web import WebGrid, Wrap
 
 MULTIPLE = 4
 """Grids that are chosen here have multiples of this many voxels along every axis."""
@@ -67,7 +62,7 @@ class Scene:
     orientation: npt.ArrayLike | None = None
     origin: tuple[float, float, float] | None = None
     void: float | None = None
-    _known: dict[Grid | WebGrid, _Shares] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[Grid, _Shares] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.bodies, (Body, Iterable)):
@@ -193,84 +188,11 @@ class Scene:
         """Whether there is nothing but parts to print."""
         return self.void in (None, 1.0) and all(body.role == "print" and body.weight == 1.0 for body in self.bodies)
 
-    def _shares(self, grid: Grid | WebGrid, device: Device) -> _Shares:
+    def _shares(self, grid: Grid, device: Device) -> _Shares:
         if grid not in self._known:
-            if isinstance(grid, Grid):
-                filled = [body.fractions(grid, self.place, device) for body in self.bodies]
-            else:
-                filled = [shares_on_web(body, grid, self._on_film, device) for body in self.bodies]
+            filled = [body.fractions(grid, self.place, device) for body in self.bodies]
             self._known[grid] = _Shares.of(self, filled)
         return self._known[grid]
-
-    @property
-    def _on_film(self) -> Place:
-        """Where the CAD frame comes to lie on a web: its origin, unless another is said, where the web begins."""
-        return self.place if self.origin is not None else replace(self.place, move=(0.0, 0.0, 0.0))
-
-    def web_part(self, grid: WebGrid, *, device: str | Device | None = None, name: str | None = None) -> WebPart:
-        """Target with the required dose of a web's voxels.
-
-        The CAD frame is that of the film laid flat: x along the web from where it begins, y outwards from the roller's
-        side, z across it about its middle. What lies outside is cut off.
-
-        Args:
-            grid: Voxels of the film.
-            device: Where meshes are voxelized: a name or a device; the best one here by default.
-            name: In messages; by default that of the first body that is printed.
-
-        Returns:
-            The part, its `limits` per voxel.
-
-        Raises:
-            BadInput: A mask cannot be put on these voxels.
-            EmptyMesh: A body fills no voxel, or others carve all of it away.
-        """
-        if not isinstance(grid, WebGrid):
-            raise BadInput(f"got {grid!r} as the web; expected a WebGrid")
-        found = self._shares(grid, open_device(device))
-        limits = None if self._plain else found.limits(self)
-        return WebPart(grid, name or str(self.printed[0].name), found.fraction, limits)
-
-    def web_operator(
-        self, grid: WebGrid, beam: Beam, wrap: Wrap, *, device: str | Device | None = None, poses: int | None = None,
-        start: float | None = None,
-    ) -> WebProjection | WebInsertProjection:  # fmt: skip
-        """The light of a beam on a web that carries the inserts along.
-
-        Args:
-            grid: Voxels of the film.
-            beam: Its pixels; ``fill`` and ``spread`` must be left out.
-            wrap: The machine, a `Roller` where there are inserts.
-            device: Where to compute: a name or a device; the best one here by default.
-            poses: How many poses; by default all that see any of the web.
-            start: Where the first window begins [columns]; by default the first that sees any of the web.
-
-        Returns:
-            A `WebProjection`, or with inserts a `WebInsertProjection`.
-
-        Raises:
-            BadInput: An insert has an index of its own, or an argument is out of its range.
-            EmptyMesh: A body fills no voxel.
-            SkippedColumns: Some columns are never lit.
-        """
-        if not self.inserts:
-            return WebProjection(grid, beam, wrap, device, poses, start)
-        bending = next((body for body in self.inserts if body.index is not None), None)
-        if bending is not None:
-            raise BadInput(
-                f"insert {bending.name!r} has the index {bending.index:g} on a web, whose rays are traced once for all "
-                "angles, and would bend anew at each; expected an opaque insert, or absorption= alone where its index "
-                "is near the resin's"
-            )
-        film: Any = getattr(wrap, "film", wrap)
-        found, resin = self._shares(grid, open_device(device)), float(film.absorption)
-        solid, extinction = np.zeros(grid.shape), np.full(grid.shape, resin)
-        for body, share in zip(self.bodies, found.shares, strict=True):
-            if body.opaque:
-                solid += share
-            elif body.role == "insert":
-                extinction += share * ((body.absorption or 0.0) - resin)
-        return WebInsertProjection(grid, beam, wrap, solid >= HALF, np.maximum(extinction, 0.0), device, poses, start)
 
     def medium(
         self, grid: Grid, *, resin_index: float | None = None, absorption: float = 0.0,

@@ -14,11 +14,10 @@ from pydantic import BaseModel, TypeAdapter, ValidationError, create_model
 from pydantic import Field as Described
 from pydantic_core import core_schema
 
-from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.schema.noun import GIVEN, fields_of, quantity_in
 from vamgpu.schema.quantities import PLAIN
-from vamgpu.schema.registry import as_known, current, families_of, family, find, remedy
+from vamgpu.schema.registry import as_known, families_of, family, find, remedy
 from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
@@ -83,7 +82,6 @@ class Nouns:
         if not isinstance(kind, str):
             raise BadInput(f"{word} is {kind!r}; expected one of {', '.join(kinds)}")
         kind = as_known(kind, kinds)
-        kind = kind if kind in kinds else current(kind)
         if kind not in kinds:
             what = " or ".join(dict.fromkeys(kinds.values()))
             raise BadInput(f"no {what} {kind!r}; expected one of {', '.join(kinds)}{remedy(what, kind, kinds)}")
@@ -160,9 +158,7 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
         if kind is not None and field.name not in without:
             described = Annotated[kind, Described(description=field.doc)] if field.doc else kind
             found[field.name] = (described, ... if field.required else field.default)
-    model = create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
-    model.renamed = {name: old.new for name, old in vars(cls).items() if isinstance(old, Renamed)}
-    return model
+    return create_model(cls.__name__, __base__=Section, __doc__=cls.__doc__, **found)
 
 
 def in_files(kind: Any) -> Any:

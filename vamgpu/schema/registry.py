@@ -11,7 +11,6 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from vamgpu.deprecated import warn_renamed
 from vamgpu.errors import BadInput
 
 NEAR = 0.7
@@ -38,9 +37,9 @@ FAMILIES: dict[str, Family] = {
         {
             "vial": "vamgpu.optics.vial:Vial",
             "vat": "vamgpu.optics.vat:Vat",
-            "double walled": "vamgpu.optics.double_walled:DoubleWalledVial",
-            "square": "vamgpu.optics.square:SquareBath",
-            "graded": "vamgpu.optics.graded:GradedVial",
+            "double walled": "vamgpu.optics.double_walled_vial:DoubleWalledVial",
+            "square": "vamgpu.optics.square_bath:SquareBath",
+            "graded": "vamgpu.optics.graded_vial:GradedVial",
             "misaligned": "vamgpu.optics.beams:Misaligned",
             "fan": "vamgpu.optics.beams:Fan",
             "occluded": "vamgpu.optics.occluder:Occluded",
@@ -49,7 +48,7 @@ FAMILIES: dict[str, Family] = {
         stands="vamgpu.geometry:Vessel",
     ),
     "light": Family(
-        {"cone": "vamgpu.optics.rising:Cone", "inclined": "vamgpu.optics.rising:Inclined"},
+        {"cone": "vamgpu.optics.rising_beams:Cone", "inclined": "vamgpu.optics.rising_beams:Inclined"},
         stands="vamgpu.operators.oblique:Rising",
     ),
     "index": Family(
@@ -105,10 +104,10 @@ FAMILIES: dict[str, Family] = {
         {
             "projection": "vamgpu.operators.projection:Projection",
             "oblique": "vamgpu.operators.oblique:Oblique",
-            "traced": "vamgpu.operators.traced:TracedProjection",
+            "traced": "vamgpu.operators.traced_projection:TracedProjection",
             "defocused": "vamgpu.operators.defocus:Defocused",
-            "wobbled": "vamgpu.operators.moves:Wobbled",
-            "tiles": "vamgpu.operators.moves:Tiles",
+            "wobbled": "vamgpu.operators.shifts:Wobbled",
+            "tiles": "vamgpu.operators.shifts:Tiles",
             "spread": "vamgpu.chemistry.diffusion:Spread",
             "composed": "vamgpu.operators.compose:Composed",
             "sum": "vamgpu.operators.compose:Sum",
@@ -173,17 +172,6 @@ FAMILIES: dict[str, Family] = {
         word="driver",
     ),
 }
-
-
-RENAMED = {"aimed": "misaligned"}
-"""Old kind → the kind it is called now, for one release."""
-
-
-def current(kind: str) -> str:
-    """A kind under the name it has now; warns for an old one."""
-    if kind in RENAMED:
-        warn_renamed(f"kind {kind!r}", repr(RENAMED[kind]), category=FutureWarning)
-    return RENAMED.get(kind, kind)
 
 
 def register(family: str, kind: str, path: str, *, stands: str = "") -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu import __version__
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.reading import parse_json
 
@@ -108,8 +109,6 @@ def _record(name: str, record: dict[str, Any]) -> ArrayRecord:
 
 def versions() -> dict[str, str]:
     """Versions of this library, Python and the packages it computes with, as far as they are installed."""
-    from vamgpu import __version__
-
     found = {"vamgpu": __version__, "python": platform.python_version()}
     for package in PACKAGES:
         try:

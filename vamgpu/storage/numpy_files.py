@@ -16,7 +16,7 @@ from numpy.lib import format as npy
 from vamgpu.errors import StorageError
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file
-from vamgpu.storage.zipped import open_zip
+from vamgpu.storage.zips import open_zip
 
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 

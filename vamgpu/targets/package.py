@@ -8,7 +8,7 @@ from zipfile import ZipInfo
 
 from vamgpu.errors import MeshError
 from vamgpu.storage.memory import afford, size
-from vamgpu.storage.zipped import open_zip, unpacked
+from vamgpu.storage.zips import open_zip, unpacked
 
 WORK = 12
 """Bytes of memory that reading takes, by byte of a model's text."""

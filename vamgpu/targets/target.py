@@ -20,8 +20,8 @@ from vamgpu.operators.polar import PolarGrid
 from vamgpu.quantity import meant
 from vamgpu.schema.quantities import Length, measured
 from vamgpu.targets.mesh import solid_of
-from vamgpu.targets.on_rings import averaged_on_rings, voxelized
 from vamgpu.targets.resampling import averaged
+from vamgpu.targets.ring_fractions import averaged_on_rings, voxelized
 from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
 

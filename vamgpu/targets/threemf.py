@@ -15,6 +15,7 @@ import numpy.typing as npt
 from vamgpu.errors import EmptyMesh, MeshError
 from vamgpu.storage.memory import afford
 from vamgpu.targets.package import members_of
+from vamgpu.targets.shapes import csg
 
 if TYPE_CHECKING:
     import trimesh
@@ -51,8 +52,6 @@ class _Object:
 def read_3mf(data: bytes, name: str) -> trimesh.Trimesh:
     """The printed parts of a package [mm], joined, less its negative volumes. Raises `MeshError`, `EmptyMesh`."""
     import trimesh
-
-    from vamgpu.targets.shapes import csg
 
     solid, cut = _Package(name, members_of(data, name, (PRUSA, BAMBU))).placed()
     if not solid:

@@ -21,6 +21,7 @@ from vamgpu.webs.describe import wrap_from
 from vamgpu.webs.drift import clouded, drifts_of, gains
 from vamgpu.webs.frame_light import light_of
 from vamgpu.webs.layout import SegmentLayout
+from vamgpu.webs.report import write_report
 from vamgpu.webs.section import lit_by
 from vamgpu.webs.store import WebFolder
 
@@ -85,8 +86,6 @@ class WebProof:
 
     def report(self, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()) -> Path:
         """Write the HTML page; contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
-        from vamgpu.webs.report import write_report
-
         return write_report(self, path, title=title, contrast=contrast)
 
 

@@ -14,6 +14,7 @@ from vamgpu.optics.roller import Roller
 from vamgpu.printing import pictures, surface
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Page, Papers, Slices, SurfaceView, Table
 from vamgpu.webs import views
+from vamgpu.webs.describe import wrap_from
 
 if TYPE_CHECKING:
     from vamgpu.webs.proof import WebPart, WebProof
@@ -107,8 +108,6 @@ def _surface(values: np.ndarray, level: float, edges: np.ndarray) -> surface.Sur
 
 
 def _wrapped(proof: WebProof) -> str:
-    from vamgpu.webs.describe import wrap_from
-
     roller = wrap_from(proof.folder.details["wrap"])
     assert isinstance(roller, Roller)
     frame = proof.folder.frame(proof.folder.frames // 2)

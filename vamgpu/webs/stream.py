@@ -19,7 +19,7 @@ from vamgpu.geometry import Beam, positive
 from vamgpu.kernels.dwell import weigh_poses
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.bclp import BCLP
-from vamgpu.methods.choose import chosen
+from vamgpu.methods.choice import chosen
 from vamgpu.methods.method import Method
 from vamgpu.methods.pdhg import PDHG
 from vamgpu.optics.lens import TunableLens

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vamgpu.chemistry.materials.clear import Clear, Glass, Liquid
+from vamgpu.chemistry.materials.clear_media import Clear, Glass, Liquid
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.extinction import Extinction
 from vamgpu.chemistry.materials.inhibitor import Inhibitor

@@ -23,7 +23,6 @@ def _quantities(kind: str) -> BeforeValidator:
 
 Source = Annotated[str, Field(min_length=12, pattern=r"\S")]
 """Where a number was found, so that somebody else finds it there."""
-Wavelength = Annotated[float, _quantity("a wavelength")]
 Wavelengths = Annotated[tuple[float, ...], _quantities("a wavelength"), Field(min_length=1)]
 Numbers = Annotated[tuple[float, ...], Listed, Field(min_length=1)]
 

@@ -25,9 +25,9 @@ from vamgpu.jobs.build import pitch_of
 from vamgpu.jobs.foreign.patterns import STEPPED, ForeignPatterns
 from vamgpu.jobs.foreign.pictures import images_of
 from vamgpu.jobs.model import JobFile
-from vamgpu.methods.saved import target_of as known_target
+from vamgpu.methods.plan_folder import target_of as known_target
+from vamgpu.operators.defocus import direct
 from vamgpu.operators.projection import Projection
-from vamgpu.operators.ring_projection import direct
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
 from vamgpu.printing.frames import Frames

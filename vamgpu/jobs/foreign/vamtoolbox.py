@@ -18,7 +18,7 @@ from vamgpu.jobs.build import pitch_of
 from vamgpu.jobs.foreign.patterns import STEPPED, ForeignPatterns
 from vamgpu.jobs.model import JobFile
 from vamgpu.storage.numpy_files import map_npy
-from vamgpu.storage.pickled import Bag, read_pickle
+from vamgpu.storage.pickles import Bag, read_pickle
 from vamgpu.targets.target import Target
 from vamgpu.units import cm, deg
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vamgpu.methods.dual.colors import Colors, DualPlan, Pass
-from vamgpu.methods.dual.least import LeastSquares
+from vamgpu.methods.dual.least_squares import LeastSquares
 from vamgpu.methods.dual.passes import DualColor, SingleColor, Tolerant
 from vamgpu.methods.dual.run import METHODS, superpose
 

@@ -9,7 +9,7 @@ from typing import Any
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, EmptyMesh
 from vamgpu.methods.dual.colors import Colors, DualPlan, Pass
-from vamgpu.methods.dual.least import LeastSquares
+from vamgpu.methods.dual.least_squares import LeastSquares
 from vamgpu.methods.dual.passes import DualColor, DualState, Rule, SingleColor, Tolerant
 from vamgpu.methods.part import on_device, one_limit
 from vamgpu.operators.reductions import extent

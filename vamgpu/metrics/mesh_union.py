@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vamgpu.targets.repair import bodies, repaired
+from vamgpu.targets.shapes.csg import from_triangles, union
 from vamgpu.targets.solid import Solid
 
 
@@ -13,8 +14,6 @@ def joined(solid: Solid) -> Solid:
     # Programs export assemblies as bodies that overlap. What lies inside another body is not a surface of the part.
     # solid [mm]
     from manifold3d import Error
-
-    from vamgpu.targets.shapes.csg import from_triangles, union
 
     solid = repaired(solid)
     if not bodies(solid.faces, len(solid.vertices)).any():

@@ -19,11 +19,11 @@ from vamgpu.kernels.trace import survey_rays, trace_entries
 from vamgpu.kernels.traced import back_traced, clear_volume, forward_traced
 from vamgpu.operators.bundle import RayBundle
 from vamgpu.operators.dwell import Dwell
+from vamgpu.operators.frame_motion import mean, places, ray_parts
 from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.medium import CoRotatingMedium
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.turning import mean, places, ray_parts
 
 SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""

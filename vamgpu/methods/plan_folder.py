@@ -17,6 +17,7 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory, StorageError
 from vamgpu.geometry import Grid
 from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
 from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.linear import LinearOperator
@@ -171,8 +172,7 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def light_of(sinogram: DeviceArray) -> Streamed:
-    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column]: row 0 the largest z. Floats, as wide as
-    the device counts in: nothing is rounded."""
+    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column], row 0 the largest z, without rounding."""
     angles, columns, rows = sinogram.shape
 
     def part(first: int, last: int) -> np.ndarray:
@@ -234,10 +234,7 @@ def target_of(plan: Any) -> Target | None:
 
 
 def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
-    """The target that a job folder keeps, on a device or the host, and its mesh; None where it keeps none.
-
-    Raises `StorageError`.
-    """
+    """The target that a job folder keeps, and its mesh; None where it keeps none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
     try:
@@ -353,8 +350,6 @@ def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entr
 
 def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
     """The plan that `Plan.save`, or ``vam solve``, wrote to a folder."""
-    from vamgpu.methods.plan import Plan, Step
-
     folder, place = Folder.open(path), open_device(device)
     operator = operator_from(folder, place, solved=True)
     details = folder.manifest.details.get("plan") or {}

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
 from vamgpu.geometry import Chords, Vessel
-from vamgpu.optics.double_walled import DoubleWalledVial
+from vamgpu.optics.double_walled_vial import DoubleWalledVial
 from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, as_offsets
 from vamgpu.optics.interface import fresnel
 from vamgpu.optics.vial import Vial

@@ -12,7 +12,7 @@ from vamgpu.backend.device import Device
 from vamgpu.kernels.update import multiply
 from vamgpu.operators.compose import Derived, inherit
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.moves import Shift
+from vamgpu.operators.shifts import Shift
 from vamgpu.operators.space import require
 
 
