@@ -118,13 +118,18 @@ def texts(node: ast.AST) -> Iterator[tuple[int, str]]:
             yield part.lineno, part.value
 
 
+def _called(node: ast.Call) -> str:
+    """Name of a function or method that is called."""
+    return getattr(node.func, "id", getattr(node.func, "attr", ""))
+
+
 def messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """What errors and warnings of a module say."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for argument in (*node.exc.args, *(keyword.value for keyword in node.exc.keywords)):
                 yield from texts(argument)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("warn", "warnings.warn") and node.args:
+        elif isinstance(node, ast.Call) and _called(node) == "warn" and node.args:
             yield from texts(node.args[0])
 
 
@@ -151,11 +156,15 @@ def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.attr
 
 
+ANY = re.compile("|".join(WORDS), re.IGNORECASE)
+
+
 def amiss(place: Path, lines: Iterator[tuple[int, str]]) -> list[str]:
     """Where lines use a word that has a better one."""
     return [
         f"{place.relative_to(ROOT)}:{number}: {found[0]!r} → {instead}"
         for number, line in lines
+        if ANY.search(line)
         for word, instead in WORDS.items()
         if (found := re.search(word, line, re.IGNORECASE))
     ]

@@ -143,6 +143,7 @@ def test_light_is_sought_with_the_point_spread_of_its_rig(
     from vamgpu.jobs.demo import JOB
 
     part, small = tmp_path / "part.toml", {
+        "target.shape": "gear_base",
         "target.pitch": "200 um", "beam.pitch": "100 um", "turntable.angles": "12", "solve.iterations": "1",
         "solve.device": "cpu", "target.height": "2 mm", "vial.radius": "3 mm", "vial.wall": "0.3 mm",
     }  # fmt: skip

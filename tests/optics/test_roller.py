@@ -229,7 +229,7 @@ def test_a_plane_for_every_depth_is_focus_that_follows_the_film() -> None:
     from vamgpu.printing.focus import FocusMasks
 
     machine = roller(Film(3.0, 1.49, 1.33, 0.2), divergence=0.02, rays=4)
-    beam, web = Beam((60, 2), 0.25), grid(machine)
+    beam, web = Beam((60, 2), 0.25), grid(machine, 15)
     light = [machine.propagation(web, beam).dense()]
     masks = FocusMasks.around(beam, machine.radius, 3.0, 30)
     assert masks.defocus.max() < 1e-9

@@ -56,7 +56,7 @@ def test_a_web_in_segments_is_as_wide_as_the_web_in_one_piece(fast_device: Devic
     found = {
         core: proven(stream(target, method="best", core=core, iterations=300, device=fast_device),
                      tmp_path / f"{core}.vam")
-        for core in (1.0, 2.0, 30.0)
+        for core in (1.0, 30.0)
     }  # fmt: skip
     in_one_piece = found[30.0]
     for window in found.values():
