@@ -111,15 +111,16 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     file = Path(metafunc.definition.path)
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
-            met = [name for name in names if _is_met(name, file)]
-            marked = [pytest.param(name, marks=pytest.mark.slow) if _is_slow(name, file) else name for name in met]
+            met = [name for name in names if _is_met(name, fixture, file)]
+            late = [_is_slow(name, file) or (fixture == "opencl_device" and GPU_LAYOUT in name) for name in met]
+            marked = [pytest.param(n, marks=pytest.mark.slow) if slow else n for n, slow in zip(met, late, strict=True)]
             metafunc.parametrize(fixture, marked, indirect=True)
 
 
-def _is_met(device: str, file: Path) -> bool:
+def _is_met(device: str, fixture: str, file: Path) -> bool:
     """Kernels and operators agree on all devices, by the contracts: other tests meet the reference and a processor."""
-    if device in _processors()[1:]:  # one more driver for the same layout, which kernels meet
-        return file.name == "test_kernels.py"
+    if device in _processors()[1:]:  # one more driver for the same layout
+        return file.name == "test_kernels.py" or (fixture.startswith("opencl_") and _is_close(file))
     return _is_close(file) or not (device == "warp:cpu" or device.endswith(GPU_LAYOUT))
 
 

@@ -84,7 +84,8 @@ def test_solve_writes_beside_the_file_and_overwrites_only_when_told(
     from vamgpu.jobs.demo import JOB
 
     (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
-    command = ["solve", str(tmp_path / "part.toml"), *SETTINGS, "--set", "target.shape=gear_base"]
+    command = ["solve", str(tmp_path / "part.toml"), *SETTINGS]
+    command += ["--set", "target.shape=gear_base", "--set", "target.height=6 mm"]
     assert main(command) == 0
     manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["inputs"]["job"]["frames"]["flip_r"] is False

@@ -37,7 +37,7 @@ def target_of(*bodies: vam.Body) -> tuple[vam.Target, Limits]:
 
 def solved(method: str, target: vam.Target) -> np.ndarray:
     """Dose [x, y, z] in units of the part's."""
-    A = vam.Projection(target.grid, vam.Beam((32, 2), PITCH), vam.Turntable(48))
+    A = vam.Projection(target.grid, vam.Beam((32, 2), PITCH), vam.Turntable(48), None, "numpy")
     return vam.optimize(A, target, HOW[method], ITERATIONS.get(method, 25)).dose().numpy()
 
 
