@@ -101,6 +101,7 @@ def test_a_print_that_has_its_dose_is_stopped() -> None:
     assert plan.expected.iou > 0.99 > plan.kept.iou
 
 
+@pytest.mark.slow
 def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
     """The surface that rays prove of 5.4 turns' light by a machine whose gain falls along z."""
     A, part, light, replanner = setup()
