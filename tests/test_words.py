@@ -106,6 +106,8 @@ def pages() -> list[Path]:
 @cache
 def modules(*packages: str) -> dict[Path, ast.Module]:
     """Trees of the modules of packages, by their files."""
+    if len(packages) > 1:
+        return {path: tree for package in packages for path, tree in modules(package).items()}
     files = [path for package in packages for path in sorted((ROOT / package).rglob("*.py"))]
     return {path: ast.parse(path.read_text("utf-8")) for path in files if not path.is_symlink()}
 

@@ -59,8 +59,11 @@ def test_voxels_see_the_mean_of_the_way(opencl_device: Device, motion: vam.Turnt
     assert still > (5 if many else 15) * np.abs(found - wanted)[inside].max()
 
 
-@pytest.mark.parametrize("motion", SMALL.values(), ids=SMALL)
-@pytest.mark.parametrize("vessel", [None, VIAL], ids=["air", "vial"])
+@pytest.mark.parametrize(("motion", "vessel"), [
+    *(pytest.param(motion, VIAL, id=f"vial-{name}") for name, motion in SMALL.items()),
+    *(pytest.param(motion, None, id=f"air-{name}", marks=[pytest.mark.slow] * (name != "few"))
+      for name, motion in SMALL.items()),
+])  # fmt: skip
 def test_the_transpose_is_exact(device: Device, motion: vam.Turntable, vessel: Any) -> None:
     A = vam.Projection(vam.Grid((9, 8, 2), 1.7), vam.Beam((16, 3), 1.5), motion, vessel, device)
     assert transpose_gap(A, most=60) <= 3e-6

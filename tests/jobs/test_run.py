@@ -173,7 +173,10 @@ def test_bits_of_a_job_are_chosen_by_their_dose(tmp_path: Path) -> None:
     """Of one color; of two nobody knows the dose of both, and errors are carried on."""
     colors = 'colors.absorption="0.1 1/mm"'
     for name, settings, dither in (("one", (), "fit"), ("two", (colors,), "error-diffusion")):
-        solve(parse_job(JOB, [*SMALL, "frames.bits=1", *settings]), tmp_path / f"{name}.vam")
+        solve(
+            parse_job(JOB, [*SMALL, "target.pitch=900 um", "beam.pitch=1200 um", "frames.bits=1", *settings]),
+            tmp_path / f"{name}.vam",
+        )
         frames = load_frames(tmp_path / f"{name}.vam", "numpy")
         assert (frames.bits, frames.settings.dither) == (1, dither)
 

@@ -42,7 +42,7 @@ def overlap(dose: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("everything", "rings"), [
-    (False, False), pytest.param(True, False, marks=pytest.mark.slow), (True, True),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in ((False, False), (True, False))), (True, True),
 ])  # fmt: skip
 def test_a_print_that_drifts_is_saved(everything: bool, rings: bool) -> None:
     A, _, light, replanner = setup()

@@ -139,6 +139,7 @@ def test_prints_are_compared_pair_by_pair() -> None:
     assert np.array_equal(rms, rms.T)
 
 
+@pytest.mark.slow
 def test_the_automatic_exposure_papers_deviations_come_back_from_prints_that_have_them() -> None:
     """Boats of 11.5 mm, as scans of prints lie: an RMS of 0.100 mm to the reference and 0.053 mm from print to print.
 

@@ -225,6 +225,7 @@ def test_light_spreads_with_the_distance_from_its_focus_plane() -> None:
     assert ray.size == 8 and set(plane) == set(planes) and across == pytest.approx(column, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_plane_for_every_depth_is_focus_that_follows_the_film() -> None:
     from vamgpu.printing.focus import FocusMasks
 

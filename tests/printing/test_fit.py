@@ -79,6 +79,7 @@ def test_any_projector_will_do(plan: vam.Plan, case: dict[str, Any]) -> None:
     assert np.array_equal(again.levels(), fitted.levels())
 
 
+@pytest.mark.slow
 def test_light_is_driven_to_its_ends_before_pixels_are_flipped(
     plan: vam.Plan, bits: vam.Frames, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def test_a_web_in_segments_is_as_wide_as_the_web_in_one_piece(fast_device: Devic
         assert window > 0.65 * limit.value, (found, limit.value)
 
 
+@pytest.mark.slow
 def test_one_threshold_serves_all_segments(fast_device: Device, tmp_path: Path) -> None:
     """Where each would choose its own they would be 0.16 apart."""
     target = dense_and_sparse(LONG)
