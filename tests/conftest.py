@@ -44,11 +44,10 @@ def _wanted() -> list[str]:
 
 @lru_cache(maxsize=1)
 def device_list() -> tuple[str, ...]:
-    """Working devices, a GPU's layout on a processor, and each kind that is missing, see `needs`."""
+    """Working devices, a GPU's layout on two processors, and each kind that is missing, see `needs`."""
     working = vamgpu.devices()
     missing = (kind for kind in _wanted() if not any(name.startswith(kind) for name in working))
-    clever = (name for name in working if name.startswith("opencl"))
-    return (*working, *(f"{name}{GPU_LAYOUT}" for name in [*clever][:2]), *missing)
+    return (*working, *(f"{name}{GPU_LAYOUT}" for name in _processors()[:2]), *missing)
 
 
 @cache
