@@ -38,8 +38,8 @@ def sooner(
                   tuple((str(k + 1), (p.seconds, p.window, p.outside)) for k, p in enumerate(points)))  # fmt: skip
     caption = (
         "An exposure lasts until the dose midway between part and voids is the critical dose, with the brightest pixel "
-        "at full drive. Each point is the result of the default method within a time limit, started from the patterns "
-        "of the previous point; the curve ends where no patterns print. If two windows are equally wide, use the "
-        "shorter exposure. Doses are those before packing. `vam solve --pareto` draws this chart for a job."
+        "full-on. Each point is the result of the default method within a time limit, started from the patterns of the "
+        "previous point; the curve ends where no patterns print. If two windows are equally wide, use the shorter "
+        "exposure. Doses are those before packing. `vam solve --pareto` draws this chart for a job."
     )
     return Picture(figure, caption, facts, table, plan.papers)
