@@ -43,7 +43,7 @@ def history(
         for k, (t, r, e) in enumerate(zip(measured, found.residuals, found.left_out, strict=True))
     )
     caption = (
-        "Print times of five generations of resin. Each print uses oxygen of the resin around the part and removes "
+        "Print times of five generations of resin. Each print uses up oxygen in the resin around the part and removes "
         "some resin; stirring and a night under air restore oxygen, the more the less resin there is under the same "
         "surface. Three numbers fit five ages well, which proves little, so each age is also predicted from the other "
         "four. The last time, longer than the one before, is not predicted. The fit returns far more oxygen to the "
