@@ -105,13 +105,13 @@ def simulate(
     light = _light(A, frames)
     own, limits = A.T(light), getattr(target, "limits", None)
     check_dose(light, Parts(own, fraction))
-    claimed = _scores(own, fraction, limits, threshold)
+    held, claimed = _scored(own, fraction, limits, threshold)
     if coarse and (finer := _as_fine_as_light(A, target)) is not None:
         volume = A.grid.voxel_volume
         A, target = finer
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # the exposure is that of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
-        claimed = _scores(own, fraction, limits, threshold)
+        held, claimed = _scored(own, fraction, limits, threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
     traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
@@ -120,8 +120,7 @@ def simulate(
     shone = Dwell(A.motion, A.device).weighted(light)
     scores = claimed
     if dose is not own:
-        held = judged_parts(dose, fraction, limits)
-        scores = score(held.dose, held.target, threshold=threshold)
+        held, scores = _scored(dose, fraction, limits, threshold)
     plain = scores if limits is None else score(dose, held.target, threshold=scores.threshold * limits.void)
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
@@ -136,10 +135,12 @@ def simulate(
     )  # fmt: skip
 
 
-def _scores(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None) -> Scores:
-    """The scores of a dose, of what is judged of it."""
+def _scored(
+    dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None
+) -> tuple[Parts, Scores]:
+    """What is judged of a dose, and its scores."""
     held = judged_parts(dose, fraction, limits)
-    return score(held.dose, held.target, threshold=threshold)
+    return held, score(held.dose, held.target, threshold=threshold)
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:
