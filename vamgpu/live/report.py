@@ -30,16 +30,18 @@ def page(
     found = [each for each in told if each["parameters"]]
     swaps = sum(each["action"] == "swap" for each in told)
     last = told[-1]
-    good = bool(found) and last["iou"] > 0.99
+    doubted = next((each for each in told if each.get("doubt")), None)
+    good = bool(found) and last["iou"] > 0.99 and not doubted
     headline = [] if overlaps is None else [
         Figure(f"{overlaps[1]:.4f}", "overlap watched", "of the print with the part, by rays of its own"),
         Figure(f"{overlaps[0]:.4f}", "overlap unwatched", "of the same resin lit as planned"),
     ]  # fmt: skip
+    expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
         Figure(str(len(told)), "decisions", "one after each turn that was looked at"),
         Figure(str(swaps), "swaps", "times that the light of the turns to come was replaced"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
-        Figure(f"{last['iou']:.4f}", "overlap expected", "with the part, by the last estimate"),
+        Figure(expected, "overlap expected", "with the part, by the last estimate"),
     ]
     cards = [
         Card("What was decided",
@@ -63,6 +65,10 @@ def page(
         cards.insert(1, Card("Conversion in the end", Images([picture], "panels", 1), note="The part is outlined."))
     verdict = (f"Watched over {len(told)} turns, its light replaced {swaps} times." if found
                else "Nothing was seen that light could be decided by; it went as planned.")  # fmt: skip
+    if doubted:
+        verdict = (
+            f"From turn {doubted['turn']} on images did not decide, and the planned light went on: {doubted['doubt']}."
+        )
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 
 
