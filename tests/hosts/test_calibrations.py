@@ -162,7 +162,7 @@ def test_light_is_sought_with_the_point_spread_of_its_rig(
     assert found == pytest.approx(np.sqrt(0.04**2 - (0.1**2 + 0.0078**2) / 12)) and f"measured by {name}" in said
     assert f"turns true to 0.02, by {runs}" in said
     found, said = spread("--set", 'beam.spread="70 um"')
-    assert found == pytest.approx(0.07) and "the job says it" in said
+    assert found == pytest.approx(0.07) and "as the job sets it" in said
 
 
 def test_they_move_with_the_rig(rig: RigConfig, tmp_path: Path) -> None:

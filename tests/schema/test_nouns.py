@@ -159,7 +159,7 @@ def test_arrays_of_an_operator_are_kept_beside_the_manifest(name: str, device: D
     assert np.allclose(B.T(y), A.T(y), rtol=1e-5)  # rays add to voxels in any order on some devices
     again: dict[str, Any] = {}
     assert describe(B, again) == geometry and all(np.array_equal(arrays[k], again[k]) for k in again)
-    with pytest.raises(StorageError, match="open the job folder that keeps them"):
+    with pytest.raises(StorageError, match="expected the arrays of its job folder"):
         projection_from(geometry, device)
     file = tmp_path / "job" / "manifest.json"
     text, changed = file.read_text(), folder.manifest.arrays[next(iter(arrays))].sha256
