@@ -208,7 +208,7 @@ def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str
     _, own = name_of(nouns.chosen(table)) or ("", "")
     is_ = "is" if nouns.word in table else f"without a {nouns.word} is"
     others = " or ".join(f'{nouns.word} = "{kind}"' for kind in kinds)
-    return f'it is one of {others}, and this table {is_} "{own}"; correct the {nouns.word}, or remove the key'
+    return f'it is one of {others}, and this table {is_} "{own}"; set the {nouns.word}, or remove the key'
 
 
 def _remedy(key: tuple[str, ...]) -> str:
