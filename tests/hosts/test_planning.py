@@ -137,7 +137,7 @@ def test_a_web_that_was_moved_knows_its_speed(tmp_path: Path) -> None:
     made = web(tmp_path / "web.vam", speed=0.9)
     moved = made.rename(tmp_path / "other name")
     assert float(plan(moved, read_rig("emulated")).schedule.speed) == pytest.approx(0.9)
-    with pytest.raises(BadInput, match="does not say how fast"):
+    with pytest.raises(BadInput, match="has no speed"):
         plan(web(tmp_path / "silent.vam"), read_rig("emulated"))
 
 

@@ -226,7 +226,7 @@ def test_a_stage_that_is_elsewhere_is_dark(
         fault(room.emulated)
 
     room.frames.happens = {600: happens}
-    with pytest.raises(InterlockOpen, match="from where it should be"):
+    with pytest.raises(InterlockOpen, match="off position"):
         room.run()
     assert 0 < room.dark_after(at[0]) <= within
     assert room.told.state is PrintState.HELD and room.emulated.stage.track.velocity(room.emulated.clock.now()) == 0

@@ -37,8 +37,8 @@ def reference() -> str:
     head = (
         "# Keys of job files\n\n"
         "Written by `vam keys`, which reads the library's own definitions. Quantities are text with a unit, such as\n"
-        '`"12.4 mm"`; Python and manifests use the unit shown. `--set table.key=value` replaces a value on the command\n'
-        "line, and `vam schema` writes a JSON Schema for editors.\n"
+        '`"12.4 mm"`; Python and manifests use the unit shown. `--set table.key=value` replaces a value on the\n'
+        "command line, and `vam schema` writes a JSON Schema for editors.\n"
     )
     return f"{head}\n{explain({HEADS[name]: file for name, file in FILES.items()})}"
 
