@@ -77,7 +77,7 @@ def job(tmp_path: Path) -> Attended:
 
 def test_a_print_is_paused_and_goes_on_by_its_buttons(job: Attended) -> None:
     def pause() -> None:
-        with pytest.raises(WrongState, match="only one that is paused"):
+        with pytest.raises(WrongState, match="only a paused"):
             job.press("resume")
         job.press("pause")
 

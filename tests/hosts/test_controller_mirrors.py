@@ -339,12 +339,12 @@ def test_what_cannot_be_resumed_is_told(run: Path) -> None:
     old.emulated.alps[0].disconnect()
     controller.go(5)
     controller.stop()
-    with pytest.raises(BadInput, match="another program let the controller play"):
+    with pytest.raises(BadInput, match="another program used the controller"):
         interrupted(run, old.emulated.machines(per_mm).controller, schedule)
     for zero in (0, old.emulated.controller.zero + 1):
         old.emulated.alps[0].disconnect()
         old.emulated.controller.zero = zero
-        with pytest.raises(BadInput, match="does not know the print.*lost its power"):
+        with pytest.raises(BadInput, match="has lost the print.*lost its power"):
             interrupted(run, old.emulated.machines(per_mm).controller, schedule)
     events = run / "events.jsonl"
     lines = [json.loads(line) for line in events.read_text().splitlines()]

@@ -74,7 +74,7 @@ def test_a_pwm_is_told_what_it_can_give(tmp_path: Path) -> None:
     assert (place / "enable").read_text() == "0\n"
     (place / "enable").unlink()
     (place / "enable").mkdir()
-    with pytest.raises(DeviceError, match="who may use the PWM"):
+    with pytest.raises(DeviceError, match="check its permissions"):
         pwm.rate(0.0)
 
 

@@ -112,7 +112,7 @@ def test_buttons_of_a_page_that_came_later_act_there_and_their_errors_come_back(
         lit(watch)
         with attached(job.parent / "run", board := Board()) as later:
             until(lambda: "resume" in board.buttons, later)
-            with pytest.raises(WrongState, match="only one that is paused or held"):
+            with pytest.raises(WrongState, match="only a paused or held"):
                 board.buttons["resume"]()
             board.buttons["pause"]()
             until(lambda: board.now.state is PrintState.PAUSED and board.now.deadline, later)

@@ -55,7 +55,7 @@ def test_a_turn_that_is_added_is_the_next_turn(images: Any) -> None:
 
 
 def test_the_nearest_angles_decide_how_fast_a_vial_may_turn() -> None:
-    with pytest.raises(TimingInfeasible, match="what takes most is the light") as refused:
+    with pytest.raises(TimingInfeasible, match="the slowest part is the light") as refused:
         turned(MEASURED, speed=1e4, engines=TIMING)
     most = refused.value.speed
     assert most == pytest.approx(13.0 / (1 / 266 + 3e-3), rel=1e-6), "from 350° on to 3°"
