@@ -105,7 +105,7 @@ def interrupted(
     run, segment, now = left.run, left.segment, controller.status()
     if now.zero != segment.get("zero"):
         raise BadInput(
-            f"the controller has lost the print of {str(path)!r}: it lost its power, was reset when its port opened, or "
+            f"the controller has lost the print of {str(path)!r}: it lost its power, was reset when its port opened or "
             "another print began, so the position of the motor is not known; start again with fresh resin"
         )
     slots = run.shown["slot"]

@@ -119,7 +119,7 @@ def job(tmp_path: Path) -> Path:
 def test_plans_want_a_rig_and_paths(job: Path) -> None:
     rig = read_rig("emulated")
     for other in (None, "lab.toml", rig.setup):
-        with pytest.raises(BadInput, match="expected what read_rig gives"):
+        with pytest.raises(BadInput, match="expected a rig from read_rig"):
             plan(job, other, turns=1)  # type: ignore[arg-type]
     for jobs in (None, 7, (job, None), [b"part"]):
         with pytest.raises(BadInput, match="expected"):

@@ -225,7 +225,7 @@ def test_a_trigger_that_the_mirrors_missed_ends_the_print_within_a_poll(run: Pat
         at.print.begin(0)
         at.steps(lambda: at.print.next >= 50)
         at.emulated.lose_triggers = 1
-        with pytest.raises(InterlockOpen, match="is on show; expected"):
+        with pytest.raises(InterlockOpen, match="is shown; expected"):
             at.steps(lambda: False)
         assert not at.emulated.controller.light
     assert np.flatnonzero(at.seconds(200)).max() <= 52

@@ -164,7 +164,7 @@ def test_two_colors_that_end_with_an_error(tmp_path: Path, filmed: Callable[...,
     board.at(PrintState.PRINTING, lambda: film.shot("printing-two", projectors=2), 30)
     board.at(PrintState.PRINTING, lambda: film.emulated.controller.lose_power(film.emulated.clock.now()), 31)
     film.print()
-    film.shot("error", "begin anew with fresh resin")
+    film.shot("error", "start again with fresh resin")
 
 
 def test_a_page_that_lost_its_server(tmp_path: Path, filmed: Callable[..., Film]) -> None:

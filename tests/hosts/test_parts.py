@@ -89,7 +89,7 @@ def test_a_lamp_behind_a_control_line() -> None:
     assert heard == [True, False]
     lamp.on(1.0)
     line.unplugged = True
-    with pytest.raises(DeviceLost, match="is gone"):
+    with pytest.raises(DeviceLost, match="is lost"):
         lamp.off()
     with pytest.raises(DeviceNotFound, match="/dev/none"):
         TtlLamp.open("/dev/none")

@@ -64,7 +64,7 @@ def test_light_needs_everything_and_says_what_is_missing() -> None:
     with held.guard as light:
         for change, why in (
             ({"armed": False}, "not armed"),
-            ({"motion": None}, "nobody has asked"),
+            ({"motion": None}, "has not been read"),
             ({"motion": 0.6}, "0.5 is allowed"),
             ({"motion": float("nan")}, "nan"),
             ({"shown": 2}, "frame 2 is on show; expected frame 3"),

@@ -148,7 +148,7 @@ def test_a_stage_that_stalls_or_slows_is_dark(job: Path, tmp_path: Path) -> None
     for speed in (0.0, 3.0):
         scene = Scene(job, tmp_path / f"run{speed}")
         scene.happens[9] = lambda scene=scene, speed=speed: scene.emulated.turn(speed)
-        scene.fails("from where it should be|expected frame")
+        scene.fails("off position|expected frame")
         assert scene.dark_within(0.5 / (4.0 - speed) + 0.05), "a poll after half a pose of error"
 
 
@@ -163,7 +163,7 @@ def test_a_stage_that_does_not_turn_gets_no_light(job: Path, tmp_path: Path) -> 
     scene = Scene(job, tmp_path / "run")
     run = scene.player._stage.run
     scene.player._stage.run = lambda speed: run(0.2 * speed)
-    scene.fails("from its speed|does not turn")
+    scene.fails("off its speed|does not turn")
     assert not scene.emulated.recorder.light
 
 

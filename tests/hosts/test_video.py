@@ -248,7 +248,7 @@ def test_a_lost_screen_is_dark(tmp_path: Path) -> None:
         room.emulated.screen.unplug()
 
     room.frames.happens = {600: pulled}
-    with pytest.raises(DeviceLost, match="screen is gone"):
+    with pytest.raises(DeviceLost, match="screen is lost"):
         room.run()
     assert room.dark_after(at[0]) <= FRAME and room.told.state is PrintState.HELD
     room.emulated.clock.sleep(SECOND)
