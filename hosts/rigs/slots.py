@@ -85,7 +85,7 @@ def whole_poses(schedule: Schedule, microsteps: float) -> None:
     turn, remedy = 180.0 * microsteps, "use another travel from pose to pose"
     if schedule.unit == "deg" and abs(turn - round(turn)) <= 1e-6 * turn:
         fits = [count for count in range(1, 10_000) if round(turn) % count == 0]
-        remedy = f"take {min(fits, key=lambda count: abs(count - schedule.frames))} images per turn"
+        remedy = f"use {min(fits, key=lambda count: abs(count - schedule.frames))} images per turn"
     raise BadInput(
         f"an angle is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}, or "
         "correct microsteps in [motion]"

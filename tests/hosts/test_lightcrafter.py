@@ -72,7 +72,7 @@ def test_a_projector_that_is_gone_is_told() -> None:
     with pytest.raises(DeviceLost, match="light on"):
         projector.on()
     device.unplugged = True
-    with pytest.raises(DeviceLost, match="gone"):
+    with pytest.raises(DeviceLost, match="lost"):
         projector.off()
     projector.close()
     assert device.closed

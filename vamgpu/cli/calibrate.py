@@ -148,8 +148,7 @@ def mtf(
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default. A job's beam.spread may name it
         at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
-        focused: result of vam calibrate focus, used to focus the lens on each position; without it the lens does not
-            move
+        focused: result of vam calibrate focus, which focuses the lens on each position; without it the lens stays
         angle: angle between the edge and the columns [deg]
         repeats: number of images that are averaged
         projector: number of the projector, from 0

@@ -35,16 +35,14 @@ def prove(
         job: the job folder, or the folder of a vial's run
         report: the HTML file; by default part.html for part.vam, and part.run.html for part.run
         device: where to compute; the best device here by default
-        bound: also bound the widest window that any patterns can have, with 1500 projector evaluations (per corner with
-            --tolerances)
+        bound: also bound the window of any patterns, with 1500 projector evaluations, for each corner with --tolerances
         tolerances: also prove the job at every corner of its [tolerances], with one threshold for all
         slices: first slice, and the one after the last, used for --bound; fewer slices are faster, and their bound
             holds for the whole print
         printed: new folder of a job that was moved after the run; one for each job that was moved
         memory: memory limit of the proof, such as 8GB; fields beyond it are kept in files in the folder TMPDIR, and a
             report that needs more is skipped
-        rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles at which the rig shows
-            it
+        rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles where it is shown
         speed: speed of the rig [deg/s], 40 by default
         check: exit with 3 if it does not print
     """

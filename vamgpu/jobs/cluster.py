@@ -106,9 +106,7 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
             raise
         except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
             if time.monotonic() > until and client.status != "running":
-                raise DeviceError(
-                    "the scheduler has stopped; restart it, and run the same command to continue"
-                ) from error
+                raise DeviceError("the scheduler has stopped; restart it, and run the command again") from error
             if time.monotonic() > until and not client.nthreads():
                 raise DeviceError("no worker is left; start some, and run the same command to continue") from error
             if time.monotonic() > until:

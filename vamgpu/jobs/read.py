@@ -47,8 +47,7 @@ class CheckedJob(Generic[File]):
         cls, text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job",
         files: bool = False,
     ) -> Self:  # fmt: skip
-        """A job from TOML text. files: whether the files that it names must exist. Raises `JobError` with every
-        invalid key."""
+        """A job from TOML text. files: whether named files must exist. Raises `JobError` with every invalid key."""
         file: Any
         file, given = checked(cls.model, text, settings, source=source, folder=folder, files=files)
         return cls(file, given, folder, name)

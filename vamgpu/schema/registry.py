@@ -178,8 +178,7 @@ def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
     """Register a component for job files, manifests and the list of keys.
 
     Args:
-        family: Name of the family, such as "vessel"; a new name creates a family, whose components implement
-            ``stands``.
+        family: Name such as "vessel"; a new one creates a family, whose components implement ``stands``.
         kind: Its name in files.
         path: "module:Class" of a class that `fields_of` can read.
         stands: "module:Type" of constructor arguments that accept any component of a new family.
