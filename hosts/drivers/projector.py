@@ -54,7 +54,7 @@ log: logging.Logger = logging.getLogger(__name__)
 
 @runtime_checkable
 class Window(Protocol):
-    """A full screen of rows and columns, refreshed ``rate_hz`` times a second."""
+    """A full screen of rows and columns, refreshed ``rate_hz`` times per second."""
 
     size: tuple[int, int]
     rate_hz: float

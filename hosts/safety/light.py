@@ -102,7 +102,7 @@ class LightGuard:
     def reason(self) -> str | None:
         """Why the light must be off now; None if it may be on."""
         if not self._entered:
-            return "nobody holds the light"
+            return "the light has no holder"
         if self._fault is not None:
             return self._fault
         return reason_dark(replace(self._seen, lease=self.lease.fresh()), self.tolerance)

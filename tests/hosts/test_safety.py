@@ -59,7 +59,7 @@ class Held:
 
 def test_light_needs_everything_and_says_what_is_missing() -> None:
     held = Held()
-    with pytest.raises(InterlockOpen, match="nobody holds"):
+    with pytest.raises(InterlockOpen, match="no holder"):
         held.guard.on(1.0)
     with held.guard as light:
         for change, why in (
