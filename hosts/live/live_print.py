@@ -55,10 +55,12 @@ class Watched:
     """A monitored print.
 
     Attributes:
-        state: Final state of the print.  folder: Folder of the run; `vamgpu.live.LiveRecord` reads ``live`` in it.
-        decisions: Recorded decision after each turn.  turns: Number of lit turns.  iou: Overlap of emulated resin with
-        the part, proved by independent rays; None for real resin.  conversion: Conversion of emulated resin, [x, y, z];
-        None for real resin.
+        state: Final state of the print.
+        folder: Folder of the run; `vamgpu.live.LiveRecord` reads ``live`` in it.
+        decisions: Recorded decision after each turn.
+        turns: Number of lit turns.
+        iou: Overlap of emulated resin with the part, proved by independent rays; None for real resin.
+        conversion: Conversion of emulated resin, [x, y, z]; None for real resin.
     """
 
     state: PrintState

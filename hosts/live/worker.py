@@ -23,8 +23,8 @@ class PlannerClient:
 
     Attributes:
         task: The print: ``print``, its number; ``jobs``, the folders; ``kind``, a vial or a web; ``turns`` of the vial,
-        or segments of the web; ``frames``, slots of one turn or segment; ``shape`` [frame, row, column] of one, and
-        ``bits``; ``projectors``; ``period`` of one [s]; ``folder`` of the run; ``settings`` of the order.
+            or segments of the web; ``frames``, slots of one turn or segment; ``shape`` [frame, row, column] of one, and
+            ``bits``; ``projectors``; ``period`` of one [s]; ``folder`` of the run; ``settings`` of the order.
     """
 
     task: dict[str, Any]

@@ -41,13 +41,17 @@ class PrintPlan:
     """Jobs on a rig, with the schedule that prints them.
 
     Attributes:
-        jobs: One `PrintJob` for each projector.  schedule: Time, position and frame of every slot.  mirrors: Rows and
-        columns of the mirrors of each projector.  rig: The rig.  focus: Power of the lens in each focus plane [dpt];
-        empty without a lens.  display: Timing of the video cable; None for mirrors behind a trigger.  rehearsed:
-        Whether the machines are emulated.  calibration: The rig's calibrations, as applied to frames and lens.  stop:
-        Scatter at which the print ends, see `vamgpu.hosts.rig.stopping`; None runs all turns.  dose: Dose of a vial
-        relative to the proved dose; None if it is not known.  proven: Proof from planning, for a vial on emulated
-        machines, else None.
+        jobs: One `PrintJob` for each projector.
+        schedule: Time, position and frame of every slot.
+        mirrors: Rows and columns of the mirrors of each projector.
+        rig: The rig.
+        focus: Power of the lens in each focus plane [dpt]; empty without a lens.
+        display: Timing of the video cable; None for mirrors behind a trigger.
+        rehearsed: Whether the machines are emulated.
+        calibration: The rig's calibrations, as applied to frames and lens.
+        stop: Scatter at which the print ends, see `vamgpu.hosts.rig.stopping`; None runs all turns.
+        dose: Dose of a vial relative to the proved dose; None if it is not known.
+        proven: Proof from planning, for a vial on emulated machines, else None.
     """
 
     jobs: tuple[PrintJob, ...]

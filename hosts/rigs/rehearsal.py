@@ -31,8 +31,9 @@ class Rehearsal:
     """Emulated machines of a plan.
 
     Attributes:
-        machines: Their drivers, like those from `opened`.  emulated: The emulated rig behind the drivers: its clock,
-        its faults, and the recorder of the dose.  monitor: Compares the dose in the resin with the frames.
+        machines: Their drivers, like those from `opened`.
+        emulated: The emulated rig behind the drivers: its clock, its faults, and the recorder of the dose.
+        monitor: Compares the dose in the resin with the frames.
     """
 
     machines: Machines

@@ -214,7 +214,7 @@ def test_a_source_that_stalls_too_long_lets_the_lease_run_out(run: Path) -> None
 def test_mirrors_that_count_wrongly_before_the_print_get_no_light(run: Path) -> None:
     at = stand(run, roll(100))
     at.emulated.lose_triggers = 1
-    with pytest.raises(InterlockOpen, match="frame 0 is on show; expected frame 1"):
+    with pytest.raises(InterlockOpen, match="frame 0 is shown; expected frame 1"):
         at.print.run()
     assert not at.emulated.recorder.light and at.read().shown.size == 0
 

@@ -285,7 +285,7 @@ def test_jobs_that_do_not_fit_the_rig_are_told(tmp_path: Path) -> None:
         (film, lab(ALP + LENS), {"speed": 0.8, "turns": 2}, BadInput, "turns is 2"),
         (part, lab(), {"speed": -4}, BadInput, "deg/s"),
         (cone, lab(), {"speed": 1e6}, TimingInfeasible, "mm/s"),
-        (tmp_path / "nothing", lab(), {}, StorageError, "is no job"),
+        (tmp_path / "nothing", lab(), {}, StorageError, "is not a job"),
         (part, lab(ALP + "size = [4, 4]\n"), {}, BadInput, "another projector"),
         (film, lab(HDMI), {"speed": 1}, BadInput, "prints vials"),
         (part, lab(HDMI), {"speed": 41}, TimingInfeasible, "whole number"),

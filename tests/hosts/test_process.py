@@ -208,7 +208,7 @@ def test_a_print_outlives_its_parent_and_is_found_again(job: Path) -> None:
 
 
 def test_errors_before_the_light_come_back_as_they_are(job: Path) -> None:
-    with started(order(job / "none"), Board()) as watch, pytest.raises(StorageError, match="is no job"):
+    with started(order(job / "none"), Board()) as watch, pytest.raises(StorageError, match="is not a job"):
         ended(watch)
 
 

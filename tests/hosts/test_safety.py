@@ -67,7 +67,7 @@ def test_light_needs_everything_and_says_what_is_missing() -> None:
             ({"motion": None}, "has not been read"),
             ({"motion": 0.6}, "0.5 is allowed"),
             ({"motion": float("nan")}, "nan"),
-            ({"shown": 2}, "frame 2 is on show; expected frame 3"),
+            ({"shown": 2}, "frame 2 is shown; expected frame 3"),
             ({"scheduled": None, "shown": None}, "expected frame None"),
             ({"fault": "the lens is silent"}, "lens is silent"),
         ):

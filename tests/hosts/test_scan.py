@@ -81,7 +81,7 @@ def test_angles_that_a_vial_cannot_meet_are_refused(motion: vam.Turntable, said:
 def test_video_cables_want_even_angles() -> None:
     display = HdmiTiming()
     for motion in (MEASURED, ARC, vam.Turntable(4, dwell=[1, 2, 1, 1])):
-        with pytest.raises(BadInput, match=r"a video cable got .* expected even ones .*triggered mirrors"):
+        with pytest.raises(BadInput, match=r"a video cable got .* expected equal steps .*triggered mirrors"):
             vial(motion, speed=40, display=display)
     speed = Fraction(360) * display.slot_rate / 40 / 6
     assert len(vial(vam.Turntable(40), speed=speed, display=display)) == 40

@@ -132,7 +132,7 @@ def test_a_pause_is_resumed_where_it_was(job: Path, tmp_path: Path) -> None:
 def test_a_lost_trigger_is_dark(job: Path, tmp_path: Path) -> None:
     lost = Scene(job, tmp_path / "lost")
     lost.happens[9] = lambda: setattr(lost.emulated, "lose_triggers", 1)
-    lost.fails("frame 45 is on show; expected frame 46")
+    lost.fails("frame 45 is shown; expected frame 46")
     assert lost.dark_within(0.25 + 0.03), "a poll after the next pose"
 
 
