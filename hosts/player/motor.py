@@ -72,8 +72,7 @@ class SpeedMonitor:
 
 
 class Approach:
-    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, to keep its resin
-    still."""
+    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, to rest its resin."""
 
     def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
         self._schedule, self._controller, self._clock = schedule, controller, clock

@@ -55,8 +55,7 @@ class SlotCounter:
         self.begins: int | None = None
 
     def saw(self, slots: float, since: int) -> None:
-        """Update from the stage's reported position. slots: at the last refresh.  since: refreshes after the last
-        frame's."""
+        """Update from the reported position. slots: at the last refresh.  since: refreshes after the last frame's."""
         nearest = floor(slots + 0.5)
         expected = nearest if self.begins is None else self.begins + self._patterns
         self.begins = expected if abs(slots - expected) <= ASIDE else nearest

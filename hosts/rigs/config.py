@@ -91,8 +91,7 @@ class CalibrationSection(Section):
 
 
 class CameraStageSection(Section):
-    """The stage that moves the camera along the light. microsteps: microsteps per millimeter; Standa's have 256 per
-    step.
+    """The stage that moves the camera along the light. microsteps: number per millimeter; Standa's have 256 per step.
 
     middle: its position [mm] on the axis of rotation, from which positions are counted.
     """
@@ -179,8 +178,7 @@ class RigFile(Section):
         real, emulated = ([name for name, one in parts if one is which] for which in (False, True))
         if real and emulated:
             raise Misplaced(
-                f"is emulated and {real[0]} is real; expected all machines of one kind, because they share a clock",
-                emulated[0],
+                f"is emulated and {real[0]} is real; expected all machines of one kind, with one clock", emulated[0]
             )
         if (wrong := refusal(self)) is not None:  # type: ignore[arg-type]
             raise wrong

@@ -21,8 +21,7 @@ def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) ->
     Args:
         rig: The rig, from `read_rig`.
         camera: Also open the camera that watches the resin.
-        focus: Lens powers of the plan [dpt]; a lens that the host controls is set to the only one, or to that of the
-            axis.
+        focus: Lens powers of the plan [dpt]; a lens controlled by the host gets the only one, or that of the axis.
 
     Returns:
         The machines; release them with `close`.

@@ -46,9 +46,8 @@ class EncoderFeedback(FeedbackPart):
 class IndexFeedback(FeedbackPart):
     """A mark that a sensor detects once per turn, at an input of the controller or of a computer.
 
-    pin: input pin of the computer, for a stepper that the computer steps.  distance: distance from mark to mark [mm] or
-    [deg]; by default a turn.  tolerance: allowed error of the motor at the mark [mm] or [deg]; beyond it the light goes
-    off.
+    pin: input pin of the computer, for its stepper.  distance: distance from mark to mark [mm] or [deg]; by default a
+    turn.  tolerance: allowed error of the motor at the mark [mm] or [deg]; beyond it the light goes off.
     """
 
     sees: ClassVar[Sees] = "motion"
@@ -67,8 +66,8 @@ class CameraFeedback(FeedbackPart):
     producer: file of its maker's GenICam driver.  serial: serial number of that camera.  config: Micro-Manager's
     configuration file.  label: label of the camera in it.  exposure: exposure time of an image.  gain: gain in the
     camera's unit, mostly dB.  format: pixel format, such as Mono8.  trigger: input whose edge takes an image, "" for
-    none.  pixel: edge of a pixel in the plane that the camera sees.  bits: bits per pixel.  discard: number of images
-    to discard after mirrors or lens have changed.
+    none.  pixel: edge of a pixel in the plane that it sees.  bits: bits per pixel.  discard: images to discard after a
+    change of mirrors or lens.
     """
 
     sees: ClassVar[Sees] = "resin"

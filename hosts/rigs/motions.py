@@ -54,8 +54,7 @@ class ZaberMotion(StagePart):
 class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
-    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree; each has 256
-    microsteps.
+    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, of 256 each.
     """
 
     port: str
@@ -81,8 +80,7 @@ class ThorlabsMotion(StagePart):
 class MicroManagerMotion(StagePart):
     """A stage that Micro-Manager drives, through pymmcore-plus; it only moves to positions, so it cannot run prints.
 
-    config: configuration file of Micro-Manager.  label: label of the stage in it.  speed_property: property with its
-    speed [mm/s].
+    config: its configuration file.  label: label of the stage in it.  speed_property: property with its speed [mm/s].
     """
 
     runs: ClassVar[bool] = False

@@ -230,8 +230,7 @@ def preflight(
         raise TimingInfeasible(
             f"{planes} planes do not fit into {free}, and the wire carries {1e-6 * measured:.4g} MB/s; expected "
             f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s: move at most at {most:.4g} {schedule.unit}/s, or show "
-            "frames of 1 bit",
-            "data link", most, f"{schedule.unit}/s",
+            "frames of 1 bit", "data link", most, f"{schedule.unit}/s",
         )  # fmt: skip
     freeze = batch / schedule.rate  # one of the two sequences may just have ended
     found = Preflight(Residence.STREAMED, planes, free, demand, measured, freeze * (1 + depth), freeze)

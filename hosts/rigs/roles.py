@@ -106,9 +106,9 @@ class CablePart(DisplayPart):
     """A projector on a video cable.
 
     refresh: refresh rate of the cable.  bits: bits per pixel of a frame, 7 or 8.  screen: number of the output.  order:
-    color channels of a video frame in the order in which they are shown.  slots: 1 for a projector that shows the
-    colors of a video frame at once.  latency: delay from cable to mirrors in video frames.  tolerance: error of the
-    clock that sets the refresh [ppm].
+    color channels of a video frame in the order in which they are shown.  slots: 1 if the projector shows all colors at
+    once.  latency: delay from cable to mirrors in video frames.  tolerance: error of the clock that sets the refresh
+    [ppm].
     """
 
     triggered: ClassVar[bool] = False
