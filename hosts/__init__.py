@@ -1,1 +1,1 @@
-"""Hosts: what drives the machines of a print; the real devices and, for tests and rehearsals, their emulators."""
+"""Hosts drive the machines of a print: real devices or, for tests and dry runs, their emulators."""

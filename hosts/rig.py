@@ -1,4 +1,4 @@
-"""Jobs on rigs, as programs use them: read a rig, plan, open or rehearse the machines, check them, and print."""
+"""Jobs on rigs, for programs: read a rig, plan, open or emulate the machines, check them, and print."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Draw the README's picture: the mesh of the demo's boat, and beside it the print that its frames make.
 
-    python profiling/print_picture.py docs/print.png
+python profiling/print_picture.py docs/print.png
 """
 
 from __future__ import annotations

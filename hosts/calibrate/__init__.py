@@ -1,1 +1,1 @@
-"""Calibrations measure a rig: machines move, mirrors show patterns, and a camera or photodiode reads."""
+"""Calibrations measure a rig: machines move, mirrors show patterns, and a camera or photodiode measures."""

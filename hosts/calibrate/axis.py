@@ -1,4 +1,4 @@
-"""Where the roller's axis lies: one column of mirrors after another is lit, and a photodiode sees its shadow."""
+"""Position of the roller's axis: columns of mirrors are lit one after another, and a photodiode sees the shadow."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.hosts.calibrate import patterns
 from vamgpu.hosts.calibrate.machines import CalibrationMachines, Progress, over_patterns, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-TABLES = ("photodiode",)  # what it needs of a rig's file
+TABLES = ("photodiode",)  # tables of a rig's file that it needs
 DARK = 8  # readings without light
 
 
@@ -21,13 +21,13 @@ def axis(
     radius: float | None = None, flip_r: bool = False, projector: int = 0,
     progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Find the roller's axis and radius [columns]; BadInput for a scan that sees no edge of its shadow."""
+    """Find the roller's axis and radius [columns]; BadInput if the scan finds no edge of its shadow."""
     screen = machines.screen(projector)
     last = screen.shape[1] if stop is None else stop
     if every < 1 or repeats < 1 or not 0 <= first < last <= screen.shape[1]:
         raise BadInput(
             f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; expected columns within "
-            f"0 to {screen.shape[1]}, and 1 or more of both others"
+            f"0 to {screen.shape[1]}, and at least 1 for the other two"
         )
     columns = np.arange(first, last, every)
     lit = (patterns.line(screen.shape, int(column)) for column in columns)

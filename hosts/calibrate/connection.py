@@ -1,4 +1,4 @@
-"""Machines of calibrations: those of a rig's file, or emulated ones before emulated optics."""
+"""Machines of calibrations: those of a rig's file, or emulated ones with emulated optics."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from vamgpu.hosts.rigs.config import RigConfig, RigFile
 from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.schedules.clock import Clock, RealClock
 
-STANDA_FRACTION = 256  # microsteps of a full step
+STANDA_FRACTION = 256  # microsteps per full step
 ATTRIBUTES = {"lens": "lens", "camera": "camera", "camera_stage": "stage", "photodiode": "meter"}
 """Table of a rig's file → attribute of `CalibrationMachines`."""
 
 
 def checked(rig: RigFile, tables: Collection[str]) -> None:
-    """Raises `JobError` naming the first of the tables that the rig has not, before any machine is opened."""
+    """Raises `JobError`, which names the first missing table, before any machine is opened."""
     for table in tables:
         need(getattr(rig, table), table)
 
@@ -36,7 +36,7 @@ def opened(config: RigConfig, tables: Collection[str]) -> CalibrationMachines:
     checked(rig, tables)
     if rig.video or rig.controller is None:
         raise BadInput(
-            "calibrations show patterns on mirrors with a trigger, behind a controller; expected displays with driver "
+            "calibrations show patterns on triggered mirrors with a controller; expected displays with driver "
             '"alp", and a table [controller]'
         )
     microsteps = rig.motion.microsteps if driver_of(rig.motion) == "controller" else 1.0
@@ -50,7 +50,7 @@ def opened(config: RigConfig, tables: Collection[str]) -> CalibrationMachines:
 def rehearsal(
     config: RigConfig, tables: Collection[str], truth: Any = None, *, kind: str = "axis"
 ) -> tuple[CalibrationMachines, Any]:
-    """Emulate a rig's machines before their optics, which are those of a kind unless a truth is given."""
+    """Emulate a rig's machines and their optics, which are the usual ones of a kind unless a truth is given."""
     rig = config.setup
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}))
@@ -65,7 +65,7 @@ def _assembled(
     rig: RigFile, tables: Collection[str], clock: Clock, controller: Controller, mirrors: Iterable[Dmd],
     openers: Mapping[str, Callable[[], Any]],
 ) -> CalibrationMachines:  # fmt: skip
-    """Open mirrors and the machines of the tables, each to be closed with those before it."""
+    """Open mirrors and the machines of the tables, which are closed together."""
     channels = tuple(range(len(rig.display)))
     machines = CalibrationMachines(rig, clock, controller, (), channels, closers=[controller.close])
     with closed_on_error(machines):

@@ -1,4 +1,4 @@
-"""Flat field of each projector: one block of mirrors after another is lit."""
+"""Flat field of each projector: blocks of mirrors are lit one after another."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.hosts.calibrate import patterns
 from vamgpu.hosts.calibrate.machines import CalibrationMachines, Progress, over_patterns, part_of, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-TABLES = ("photodiode",)  # what it needs of a rig's file
+TABLES = ("photodiode",)  # tables of a rig's file that it needs
 BLOCKS = (8, 12)
 
 
@@ -20,9 +20,9 @@ def flat(
     machines: CalibrationMachines, blocks: tuple[int, int] = BLOCKS, *, repeats: int = 4,
     progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure each projector's flat field with a photodiode that takes in all of its light, past no roller."""
+    """Measure each projector's flat field with a photodiode that collects all of its light, without a roller."""
     if repeats < 2:
-        raise BadInput(f"{repeats} readings of each block; expected 2 or more, which tell their error")
+        raise BadInput(f"{repeats} readings of each block; expected 2 or more, to estimate their error")
     found: list[FlatReading] = []
     readings: dict[str, np.ndarray] = {}
     for projector, screen in enumerate(machines.screens):
@@ -32,7 +32,7 @@ def flat(
             for row, column in np.ndindex(*blocks)
         )
         part = part_of(progress, projector, len(machines.screens))
-        black = patterns.block(screen.shape, (0, 0), (0, 0))  # mirrors that are off leave some light to the meter
+        black = patterns.block(screen.shape, (0, 0), (0, 0))  # some light of mirrors that are off reaches the meter
         dark, read = over_patterns(
             machines, projector, lit, blocks[0] * blocks[1], machines.read, repeats, part, black=black
         )
@@ -58,4 +58,4 @@ def _draw(axes: Any, field: np.ndarray) -> None:
     shown = axes.imshow(field, cmap="viridis", aspect="equal")
     axes.grid(False)
     axes.figure.colorbar(shown, ax=axes, shrink=0.7)
-    axes.set(title="Light of full-on mirrors over that of the brightest", xlabel="column", ylabel="row")
+    axes.set(title="Light of full-on mirrors / brightest", xlabel="column", ylabel="row")

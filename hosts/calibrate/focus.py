@@ -1,4 +1,4 @@
-"""Where the lens focuses: a camera steps along the light, and at each place the lens through its powers."""
+"""Focus of the lens: a camera steps along the light, and at each position the lens steps through its powers."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from vamgpu.hosts.calibrate import patterns
 from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, Progress, over_positions, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-TABLES = ("lens", "camera", "camera_stage")  # what it needs of a rig's file
+TABLES = ("lens", "camera", "camera_stage")  # tables of a rig's file that it needs
 
 
 def steps(reach: float, step: float) -> tuple[float, ...]:
-    """Positions [mm] from −reach to reach, a step apart."""
+    """Positions [mm] from −reach to reach, ``step`` apart."""
     if not (step > 0 and reach >= step):
         raise BadInput(f"steps of {step:g} mm from {-reach:g} to {reach:g} mm; expected a step > 0, and two or more")
     count = int(reach / step + 1e-9)
@@ -25,7 +25,7 @@ def steps(reach: float, step: float) -> tuple[float, ...]:
 
 
 def sweep(low: float, high: float, count: int) -> tuple[float, ...]:
-    """Lens powers [dpt] from low to high, evenly."""
+    """Equally spaced lens powers [dpt] from low to high."""
     if not (low < high and count >= LEAST_POWERS):
         raise BadInput(f"{count} powers from {low:g} to {high:g} dpt; expected {LEAST_POWERS} or more, rising")
     return tuple(np.linspace(low, high, count).tolist())
@@ -35,7 +35,7 @@ def focus(
     machines: CalibrationMachines, positions: Sequence[float], powers: Sequence[float], *, half_period: int = 10,
     projector: int = 0, progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the line of focus over lens powers [dpt] at camera positions [mm] with a Ronchi grating."""
+    """Measure the line of focus against lens powers [dpt] at camera positions [mm] with a Ronchi grating."""
 
     def swept(light: CalibrationLight, place: float) -> tuple[Peak, float, np.ndarray, np.ndarray, np.ndarray]:
         true, sharp, best = [], [], np.zeros((0, 0))

@@ -1,4 +1,4 @@
-"""Gray curve of each projector: all mirrors show one level after another."""
+"""Gray curve of each projector: all mirrors show the levels one after another."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vamgpu.printing.gray import GrayCurve
 
 
 def levels(every: int) -> tuple[int, ...]:
-    """Levels from 0 to 255, ``every`` apart, both ends among them."""
+    """Levels from 0 to 255, ``every`` apart, with both ends."""
     if not 1 <= every <= TOP:
         raise BadInput(f"every is {every}; expected 1 to {TOP}")
     return tuple(sorted({*range(0, TOP + 1, every), TOP}))
@@ -36,14 +36,14 @@ def gray(
 ) -> CalibrationResult:  # fmt: skip
     """Measure the gray curve of each projector's light, with the photodiode or the camera's mean."""
     if repeats < 2:
-        raise BadInput(f"{repeats} readings of each level; expected 2 or more, which tell their error")
+        raise BadInput(f"{repeats} readings of each level; expected 2 or more, to estimate their error")
     curves, readings = [], {"levels": np.asarray(steps)}
 
     def mean(light: CalibrationLight, count: int) -> np.ndarray:
         return np.array([float(machines.image(light).mean()) for _ in range(count)])
 
     for projector, screen in enumerate(machines.screens):
-        if camera:  # for a whole number of frames, as levels are made of planes one after the other
+        if camera:  # for a whole number of frames, because planes make a level one after another
             frames = max(1, round(need(machines.rig.camera, "camera").exposure / screen.period))
             need(machines.camera, "camera").expose(1e6 * frames * screen.period)
         lit = (patterns.flat(screen.shape, level) for level in (TOP, *steps))
@@ -51,7 +51,7 @@ def gray(
         dark, (before, *read) = over_patterns(
             machines, projector, lit, len(steps) + 1, mean if camera else machines.read, repeats, part
         )
-        drift = float((read[-1].mean() - dark.mean()) / (before.mean() - dark.mean()) - 1.0)  # of full light
+        drift = float((read[-1].mean() - dark.mean()) / (before.mean() - dark.mean()) - 1.0)  # share of full light
         curves.append((fit_gray(steps, np.array(read), dark), drift))
         readings |= {f"dark_{projector}": dark, f"readings_{projector}": np.array(read), f"before_{projector}": before}
     return _found(curves, readings)
@@ -82,4 +82,4 @@ def _draw(axes: Any, curves: list[tuple[GrayReading, float]]) -> None:
         axes.plot(curve.levels, light, ".-", lw=0.8, ms=4, label=f"projector {number}")
     axes.plot([0, TOP], [0, 1], color="#9aa5b4", lw=0.8, ls=":")
     axes.legend(frameon=False)
-    axes.set(title="Light over gray level", xlabel="level", ylabel="light over that of 255")
+    axes.set(title="Light against gray level", xlabel="level", ylabel="light / light of level 255")

@@ -22,30 +22,30 @@ from vamgpu.hosts.safety.light import LampGate, LightGuard
 from vamgpu.hosts.schedules.clock import Clock
 
 T = TypeVar("T")
-SATURATED = 1e-3  # share of pixels at the camera's top from which an image is overexposed
-SETTLINGS = 4.0  # Times of settling that a calibration waits for the lens
-POLL = 5_000_000  # between two questions to the turntable [ns]
-PATIENCE = 30.0  # for it to change its speed [s]
-STEPS = 8  # signs of work in a lease
-ARRIVED = 0.005  # how near the camera's stage must come to where it was sent [mm]
+SATURATED = 1e-3  # share of saturated pixels above which an image is overexposed
+SETTLINGS = 4.0  # settling times that a calibration waits for the lens
+POLL = 5_000_000  # time between two queries to the turntable [ns]
+PATIENCE = 30.0  # time for it to change its speed [s]
+STEPS = 8  # signs of work per lease
+ARRIVED = 0.005  # allowed position error of the camera's stage [mm]
 
 
 class Turning(Protocol):
-    """A turntable, by angles [deg]; stages are one."""
+    """A turntable that moves to angles [deg]; stages also do."""
 
-    def move(self, position: float, speed: float) -> None: ...  # begin to move
-    def wait(self) -> None: ...  # return when it rests
-    def position(self) -> float: ...  # where it is
+    def move(self, position: float, speed: float) -> None: ...  # start moving
+    def wait(self) -> None: ...  # return when it is at rest
+    def position(self) -> float: ...  # its angle
 
 
 class SteppedTurntable:
-    """The turntable that the controller steps. It runs on a little past each angle, as its ramp wants."""
+    """The turntable that the controller steps. Its ramp takes it a little past each angle."""
 
     def __init__(self, controller: Controller, clock: Clock) -> None:
         self._controller, self._clock = controller, clock
 
     def move(self, position: float, speed: float) -> None:
-        """Turn forward to an angle, or just past it."""
+        """Turn forwards to an angle, or just past it."""
         self._controller.move(speed)
         end = self._clock.now() + round(1e9 * (PATIENCE + (position - self.position()) / speed))
         try:
@@ -55,18 +55,18 @@ class SteppedTurntable:
             self._controller.move(0.0)
 
     def wait(self) -> None:
-        """Return when it rests."""
+        """Return when it is at rest."""
         end = self._clock.now() + round(1e9 * PATIENCE)
         while self._controller.status().speed:
             self._pause(end)
 
     def position(self) -> float:
-        """Where it is, by its steps."""
+        """Its angle, from its steps."""
         return self._controller.position_mm()
 
     def _pause(self, end: int) -> None:
         if self._clock.now() > end:
-            raise DeviceError("the turntable does not come to where it was sent; check its motor, power and ramp")
+            raise DeviceError("the turntable does not reach its target; check its motor, power and ramp")
         self._clock.sleep_until(self._clock.now() + POLL)
 
 
@@ -93,36 +93,36 @@ class CalibrationMachines:
         return self.screens[projector]
 
     def move(self, position: float) -> float:
-        """Bring the camera to a position [mm] from the middle, in the dark; where it says it is."""
+        """Move the camera to a position [mm] from the middle, in the dark; the position that it reports."""
         section, stage = need(self.rig.camera_stage, "camera_stage"), need(self.stage, "camera_stage")
         stage.move(section.middle + position, section.speed)
         stage.wait()
         found = stage.position() - section.middle
         if abs(found - position) > ARRIVED:
-            raise BadInput(f"the camera's stage went to {found:g} mm, {position:g} mm was asked; check its travel")
+            raise BadInput(f"the camera's stage went to {found:g} mm instead of {position:g} mm; check its travel")
         return found
 
     def turn(self, angle: float, speed: float) -> float:
-        """Turn forward to an angle [deg] or past it, in the dark; where it says it is then."""
+        """Turn forwards to an angle [deg] or past it, in the dark; the angle that it reports."""
         table = need(self.turntable, "motion")
         table.move(angle, speed)
         table.wait()
         return table.position()
 
     def focus(self, power: float, light: CalibrationLight) -> float:
-        """Set the lens's power [dpt] and wait for it; the power it has, which is a whole number of its steps."""
+        """Set the lens's power [dpt] and wait for it; its actual power, a whole number of its steps."""
         section, lens = need(self.rig.lens, "lens"), need(self.lens, "lens")
         if not section.lowest <= power <= section.highest:
             raise BadInput(
-                f"a lens power of {power:g} dpt; expected {section.lowest:g} to {section.highest:g} dpt, as the rig "
-                "says"
+                f"a lens power of {power:g} dpt; expected {section.lowest:g} to {section.highest:g} dpt, the "
+                "limits of the rig"
             )
         lens.set_power(power)
         light.wait(SETTLINGS * section.settle)
         return lens.power()
 
     def image(self, light: CalibrationLight) -> np.ndarray:
-        """An image of the camera that began after now. Raises `BadInput` where it is overexposed."""
+        """An image of the camera that starts after now. Raises `BadInput` if it is overexposed."""
         section, camera = need(self.rig.camera, "camera"), need(self.camera, "camera")
         for _ in range(section.discard):
             camera.grab()
@@ -132,13 +132,13 @@ class CalibrationMachines:
         over = float((image >= 2**section.bits - 1).mean())
         if over > SATURATED:
             raise BadInput(
-                f"{100 * over:.1f} % of the camera's pixels are saturated; expected {100 * SATURATED:g} % at most: "
+                f"{100 * over:.1f} % of the camera's pixels are saturated; expected at most {100 * SATURATED:g} %: "
                 "lower the camera's exposure in [[feedback]] or power in [light]"
             )
         return image
 
     def read(self, light: CalibrationLight, repeats: int) -> np.ndarray:
-        """Readings of the photodiode [mW] after it has followed the light; shape (repeats,)."""
+        """Readings of the photodiode [mW] after it has settled; shape (repeats,)."""
         section, meter = need(self.rig.photodiode, "photodiode"), need(self.meter, "photodiode")
         light.wait(section.settle)
         found = np.empty(repeats)
@@ -148,13 +148,13 @@ class CalibrationMachines:
         return found
 
     def close(self) -> None:
-        """Let go of all machines, the last opened first; raises what went wrong first."""
+        """Release all machines, the last opened first; raises the first error."""
         closers, self.closers = self.closers, []
         close_all(closers)
 
 
 def need(part: T | None, table: str) -> T:
-    """A machine that a run cannot do without. Raises `JobError` naming the table of the rig's file."""
+    """A machine that a run needs. Raises `JobError`, which names the table of the rig's file."""
     if part is None:
         driver = {"photodiode": "power meter", "camera": "camera"}.get(table)
         entry = f"[{table}]" if driver is None else f'[[feedback]] with driver = "{driver}"'
@@ -165,7 +165,7 @@ def need(part: T | None, table: str) -> T:
 
 
 class CalibrationLight:
-    """The light of one projector, dark while a stage moves; a wait renews its lease."""
+    """The light of one projector, off while a stage moves; a wait renews its lease."""
 
     clock: Clock
     controller: Controller
@@ -181,7 +181,7 @@ class CalibrationLight:
         if camera is not None and camera.exposure > 0.5 * safety.lease:
             raise BadInput(
                 f"the camera exposes {1e3 * camera.exposure:g} ms, and a lease of the light is "
-                f"{1e3 * safety.lease:g} ms; expected half of it at most: expose shorter"
+                f"{1e3 * safety.lease:g} ms; expected at most half of it: expose shorter"
             )
 
     def __enter__(self) -> Self:
@@ -192,18 +192,18 @@ class CalibrationLight:
         self.guard.__exit__(kind, error, trace)
 
     def on(self) -> None:
-        """Make light."""
+        """Turn the light on."""
         self.lease.beat()
         self.lease.keep(force=True)
         self.guard.observe(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self.guard.on(self._power)
 
     def off(self) -> None:
-        """Make it dark."""
+        """Turn the light off."""
         self.guard.off("between readings")
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, and see that the light still may be on. Raises `InterlockOpen`."""
+        """Wait, and check that the light may still be on. Raises `InterlockOpen`."""
         end, step = self.clock.now() + round(seconds * 1e9), self.lease.length // STEPS
         self.alive()
         while (now := self.clock.now()) < end:
@@ -211,7 +211,7 @@ class CalibrationLight:
             self.alive()
 
     def alive(self) -> None:
-        """A sign of work. Raises `InterlockOpen` where the controller has closed the light."""
+        """Give a sign of work. Raises `InterlockOpen` if the controller has closed the light."""
         if self.guard.lit:
             status = self.controller.status()
             if status.state == "fault":
@@ -222,15 +222,15 @@ class CalibrationLight:
 
 
 Progress = Callable[[float], None]
-Read = Callable[[CalibrationLight, int], np.ndarray]  # Takes so many readings under a light
+Read = Callable[[CalibrationLight, int], np.ndarray]  # takes a number of readings under a light
 
 
 def silent(share: float) -> None:
-    """Progress that nobody follows."""
+    """Progress without a display."""
 
 
 def part_of(progress: Progress, number: int, count: int) -> Progress:
-    """The progress of one of so many measurements that are made one after the other."""
+    """The progress of one of several successive measurements."""
     return lambda share: progress((number + share) / count)
 
 
@@ -238,7 +238,7 @@ def over_patterns(
     machines: CalibrationMachines, projector: int, patterns: Iterable[np.ndarray], count: int, read: Read,
     repeats: int, progress: Progress, *, darks: int | None = None, black: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Readings in the dark, or under a black pattern, and those of each of so many patterns [pattern, repeat]."""
+    """Readings in the dark, or under a black pattern, and those of each pattern [pattern, repeat]."""
     screen, found = machines.screen(projector), []
     with CalibrationLight(machines, projector) as light:
         if black is None:
@@ -259,7 +259,7 @@ def over_positions(
     machines: CalibrationMachines, projector: int, positions: Sequence[float], pattern: np.ndarray,
     act: Callable[[CalibrationLight, float], T], progress: Progress,
 ) -> list[T]:  # fmt: skip
-    """What ``act`` returns under a lit pattern at each of the camera's positions [mm], reached in the dark."""
+    """Results of ``act`` under a lit pattern at each camera position [mm], reached in the dark."""
     screen, found = machines.screen(projector), []
     with CalibrationLight(machines, projector) as light:
         for number, position in enumerate(positions):

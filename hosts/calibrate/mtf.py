@@ -1,4 +1,4 @@
-"""Modulation along the light: a slanted edge, seen at several positions."""
+"""Modulation along the light, from images of a slanted edge at several positions."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from vamgpu.hosts.calibrate.machines import (
 )
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-TABLES = ("camera", "camera_stage")  # what it needs of a rig's file; the lens too, where its power is set
-POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)  # places along the light [mm], from the middle of the camera's stage
+TABLES = ("camera", "camera_stage")  # tables of a rig's file that it needs, with [lens] if its power is set
+POSITIONS = (-15.0, -6.0, 0.0, 6.0, 15.0)  # positions along the light [mm], from the middle of the camera's stage
 
 
 def mtf(
     machines: CalibrationMachines, positions: Sequence[float] = POSITIONS, *, powers: Sequence[float] | None = None,
     angle: float = 5.0, repeats: int = 4, projector: int = 0, progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the modulation at camera positions [mm] and lens powers [dpt] by an edge slanted by an angle [deg]."""
+    """Measure the modulation at camera positions [mm] and lens powers [dpt] with an edge slanted by an angle [deg]."""
     pixel = need(machines.rig.camera, "camera").pixel
     if pixel is None:
         raise JobError(
-            'the rig\'s table [camera] has no pixel; expected pixel = "3.45 um", as in the plane that it sees'
+            'the rig\'s table [camera] has no pixel; expected pixel = "3.45 um", in the plane that the camera sees'
         )
     if repeats < 1 or (powers is not None and len(powers) != len(positions)):
         raise BadInput(f"{repeats} images and {powers!r} for {len(positions)} positions; expected one power for each")

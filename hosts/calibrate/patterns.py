@@ -1,4 +1,4 @@
-"""Patterns for calibrations, and mirrors that show one for as long as it is needed."""
+"""Patterns for calibrations, and mirrors that repeat one pattern."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Shape = tuple[int, int]
 
 
 def grating(shape: Shape, half_period: int = 10) -> np.ndarray:
-    """A Ronchi grating: columns on and off, ``half_period`` of each in turn."""
+    """A Ronchi grating: ``half_period`` columns on and off by turns."""
     wide = counts("half period [columns]", (half_period,), 1)[0]
     if not 2 * wide <= shape[1]:
-        raise BadInput(f"half a period of {wide} columns; expected at most half the {shape[1]} that the mirrors have")
+        raise BadInput(f"half a period of {wide} columns; expected at most half of the mirrors' {shape[1]}")
     return np.broadcast_to(np.arange(shape[1]) // wide % 2 == 0, shape)
 
 
@@ -30,7 +30,7 @@ def line(shape: Shape, column: int) -> np.ndarray:
 
 
 def slanted(shape: Shape, angle: float = 5.0) -> np.ndarray:
-    """An edge through the middle, ``angle`` [deg] from the columns; light is at its right."""
+    """An edge through the middle, ``angle`` [deg] from the columns; its right side is lit."""
     if not 1.0 <= abs(angle) <= 40.0:
         raise BadInput(f"an edge slanted by {angle:g}°; expected 1° to 40° from the columns")
     row, column = (np.arange(length) - 0.5 * (length - 1) for length in shape)
@@ -38,7 +38,7 @@ def slanted(shape: Shape, angle: float = 5.0) -> np.ndarray:
 
 
 def block(shape: Shape, rows: Sequence[int] | np.ndarray, columns: Sequence[int] | np.ndarray) -> np.ndarray:
-    """A block of mirrors on: from a row up to another, and so with columns."""
+    """A block of mirrors on, between rows and between columns."""
     lit = np.zeros(shape, bool)
     lit[rows[0] : rows[1], columns[0] : columns[1]] = True
     return lit
@@ -52,7 +52,7 @@ def flat(shape: Shape, level: int) -> np.ndarray:
 
 
 class PatternScreen:
-    """An array of mirrors that repeats one pattern, whose gray levels take a time [s]; `off` makes it dark."""
+    """An array of mirrors that repeats one pattern, with a time [s] for gray levels; `off` turns it dark."""
 
     def __init__(self, dmd: Dmd, pattern: float) -> None:
         self.dmd = dmd

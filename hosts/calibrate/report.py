@@ -1,4 +1,4 @@
-"""Results of calibrations on the disk: numbers that are read back, all readings, and a figure."""
+"""Results of calibrations on disk: numbers for prints, all readings, and a figure."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class CalibrationResult:
     kind: str  # focus, axis, gray, flat, mtf or runout
     numbers: Mapping[str, Any]  # plain values by name
     readings: Mapping[str, np.ndarray]
-    lines: tuple[Line, ...]  # name and value, for people
-    draw: Callable[[Any], None]  # draws a figure on axes of matplotlib
+    lines: tuple[Line, ...]  # names and values to show
+    draw: Callable[[Any], None]  # draws a figure on matplotlib axes
     tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # further plain values
 
 
 def save(
     found: CalibrationResult, folder: str | Path, rig: str, *, overwrite: bool = False, taken: datetime | None = None
 ) -> Path:
-    """Write ``result.toml``, ``readings.npz``, ``figure.png`` and the rig's file into a new folder, or nothing."""
+    """Write ``result.toml``, ``readings.npz``, ``figure.png`` and the rig's file into a new folder, atomically."""
     tables = {MEASURED: found.numbers, **found.tables}
     text = f'calibration = "{found.kind}"\ntaken = {(taken or datetime.now()).isoformat(timespec="seconds")}\n'
     for name, table in tables.items():
@@ -50,7 +50,7 @@ def save(
 
 
 def keep(found: CalibrationResult, rig: RigConfig, now: datetime | None = None) -> Calibration:
-    """Add a measurement to those of a rig; none is ever replaced. Raises `BadInput` for a rig without a file."""
+    """Add a measurement to those of a rig, without replacing any. Raises `BadInput` for a rig without a file."""
     place = place_of(rig)
     taken = (now or datetime.now()).replace(microsecond=0)
     name, again = f"{found.kind}-{taken.strftime(STAMP)}", 1
@@ -62,13 +62,13 @@ def keep(found: CalibrationResult, rig: RigConfig, now: datetime | None = None) 
 
 
 def free(folder: str | Path, overwrite: bool) -> None:
-    """Raises `StorageError` where a result may not be written, before anything is measured."""
+    """Raises `StorageError` if a result may not be written, before the measurement."""
     if Path(folder).exists() and not overwrite:
         raise StorageError(f"{str(folder)!r} exists; choose another path, or allow overwriting it")
 
 
 def focused_at(folder: str | Path, positions: Sequence[float]) -> tuple[float, ...]:
-    """Lens powers [dpt] that focus at positions [mm], by a calibration of the focus. Raises as `read` does."""
+    """Lens powers [dpt] that focus at positions [mm], from a calibration of the focus. Raises as `read` does."""
     found = read(folder, "focus")[MEASURED]
     return tuple((position - found["intercept_mm"]) / found["slope_mm_dpt"] for position in positions)
 
@@ -83,7 +83,7 @@ def _plain(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, int | float):
         return repr(value)
-    raise BadInput(f"{value!r} is no plain value; expected numbers, text, or lists of them")
+    raise BadInput(f"{value!r} is not a plain value; expected numbers, text, or lists of them")
 
 
 def _figure(found: CalibrationResult, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Runout of a vial: a camera sees the shadow of a pin on the turntable over a turn."""
+"""Runout of a vial: a camera follows the shadow of a pin on the turntable over one turn."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from vamgpu.hosts.calibrate import patterns
 from vamgpu.hosts.calibrate.machines import CalibrationLight, CalibrationMachines, Progress, need, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-TABLES = ("camera", "camera_stage", "motion")  # what it needs of a rig's file
-LINES = 24  # columns, and rows, of mirrors that are lit alone, to find them in the camera's images
+TABLES = ("camera", "camera_stage", "motion")  # tables of a rig's file that it needs
+LINES = 24  # single columns and rows of mirrors that are lit, to find them in the camera's images
 
 
 def runout(
     machines: CalibrationMachines, *, poses: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
     progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure how far a pin on the turntable runs out over a turn, apart from where the axis is."""
+    """Measure the runout of a pin on the turntable over one turn, and the axis."""
     if poses < LEAST_POSES or repeats < 1 or not speed > 0:
         raise BadInput(
             f"{poses} angles, {repeats} images of each, at {speed:g} deg/s; expected {LEAST_POSES} angles or more, an "
@@ -54,7 +54,7 @@ def runout(
 
 
 def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int) -> CameraMap:
-    """Where mirrors lie in the camera's images; lines that the pin hides are left out by themselves."""
+    """Positions of mirrors in the camera's images; lines that the pin hides are left out."""
     screen = machines.screen(projector)
     rows, columns = screen.shape
     screen.show(patterns.block(screen.shape, (0, 0), (0, 0)))
@@ -83,7 +83,7 @@ def _found(
         ("lean of the axis", f"{edge * found.lean:+.3f} ± {edge * found.lean_error:.2g} columns at the last row"),
         ("eccentricity", f"{found.eccentricity:.3f} ± {found.across_error:.2g} columns"),
         ("wobble", f"{edge * found.wobble:.3f} ± {edge * found.tilt_error:.2g} columns at the last row"),
-        ("left", f"{found.left:.2g} columns about the sine"),
+        ("left", f"{found.left:.2g} columns, deviation from the sine"),
     )
     return CalibrationResult(
         "runout", numbers, readings, lines,
@@ -96,4 +96,4 @@ def _draw(axes: Any, found: Runout, angles: np.ndarray, columns: np.ndarray) -> 
     axes.plot(angles % 360.0, columns, ".", color="#2563a8", ms=4)
     axes.plot(np.degrees(turn), found.axis + found.columns(turn, 1)[:, 0], color="#1f2733", lw=0.8)
     axes.axhline(found.axis, color="#9aa5b4", lw=0.8, ls=":")
-    axes.set(title=f"The pin runs out by {found.eccentricity:.2f} columns", xlabel="angle [deg]", ylabel="column")
+    axes.set(title=f"Runout of the pin: {found.eccentricity:.2f} columns", xlabel="angle [deg]", ylabel="column")

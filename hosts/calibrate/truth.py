@@ -1,4 +1,4 @@
-"""Calibrations of emulated optics beside their truth."""
+"""Calibrations of emulated optics compared with their truth."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from vamgpu.hosts.calibrate.machines import CalibrationMachines
 from vamgpu.hosts.calibrate.report import CalibrationResult
 
-HIGHEST = 100.0  # frequency up to which the truth is looked at [1/mm]
+HIGHEST = 100.0  # greatest frequency of the truth [1/mm]
 USUAL: dict[str, dict[str, float]] = {
     "flat": {"radius": 0.0, "tilt": 0.03, "falloff": 0.1}, "runout": {"radius": 0.0, "pin": 9.0},
 }  # fmt: skip
-"""Kind of a calibration → optics that show its effect, where the usual ones do not."""
-Truth = tuple[dict[str, Any], str]  # Of emulated optics: numbers of a result's table, and a line for people
+"""Kind of a calibration → optics that show its effect, if the usual ones do not."""
+Truth = tuple[dict[str, Any], str]  # from emulated optics: numbers of a result's table, and a line to show
 
 
 def compared(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> CalibrationResult:

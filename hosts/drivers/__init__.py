@@ -1,4 +1,4 @@
-"""Drivers: thin, one machine each; what they need beyond the library is imported when a machine is opened.
+"""Thin drivers, each for one machine; packages beyond the library are imported when a machine is opened.
 
-A ``*_protocol`` is the bytes of a machine's line as values: it opens no port and knows no time. Emulators speak it too.
+A ``*_protocol`` turns the bytes of a machine's line into values, without ports and times. Emulators also use it.
 """

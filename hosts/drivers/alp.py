@@ -1,4 +1,4 @@
-"""Vialux's ALP-4 library as it is called: numbers, structures, and calls that raise; its ``long`` has 32 bits."""
+"""The interface of Vialux's ALP-4 library: numbers, structures, and calls that raise; its ``long`` has 32 bits."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ REASONS = {
     NOT_IDLE: "the device is showing frames: halt it first",
     NOT_AVAILABLE: "the number of the device is not valid",
     NOT_READY: "another program has the device: close it",
-    INVALID: "a value is outside what the device can do",
+    INVALID: "a value is outside the range of the device",
     BAD_ADDRESS: "the library could not read the data",
     MEMORY_FULL: "the device's memory is full",
-    IN_USE: "the sequence is being shown or waits to be",
+    IN_USE: "the sequence is being shown or is waiting",
     HALTED: "the device was halted during the transfer",
     INIT_FAILED: "the device did not start: switch it off and on",
     COMMUNICATION: "the transfer failed: check the cable",
@@ -47,7 +47,7 @@ KINDS: dict[int, type[VamError]] = {
 
 
 class Progress(Structure):
-    """Where the queue is: nine numbers of 32 bits."""
+    """Progress of the queue: nine numbers of 32 bits."""
 
     _fields_ = [
         (name, c_uint32)
@@ -79,7 +79,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
 
 
 def load(path: str | Path) -> Any:
-    """The maker's library at a path, or by its name where the system finds it; DeviceNotFound if there is none."""
+    """The maker's library at a path, or found by the system; DeviceNotFound if there is none."""
     try:
         if sys.platform == "win32":
             return ctypes.WinDLL(str(path))
@@ -104,7 +104,7 @@ class Alp:
             self._functions[name] = function
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call a function; DeviceRefused (``code`` is the library's number) and its relatives on failure."""
+        """Call a function; DeviceRefused (``code`` is the library's number) or a related error on failure."""
         result = int(self._functions[name](*arguments))
         if result == 0:
             return
@@ -114,7 +114,7 @@ class Alp:
         raise DeviceRefused(text, str(result))
 
     def number(self, name: str, *arguments: Any) -> int:
-        """Call a function whose last argument takes its answer, and return that."""
+        """Call a function whose last argument receives the answer, and return the answer."""
         kind = c_uint32 if name.endswith("Alloc") else c_int32
         answer = kind(0)
         self.call(name, *arguments, byref(answer))

@@ -18,15 +18,15 @@ log: logging.Logger = logging.getLogger(__name__)
 class CameraDriver(Protocol):
     """Takes images ``[row, column]`` of whole numbers, row 0 at the top."""
 
-    def expose(self, exposure_us: float) -> None: ...  # set the time of exposure [us]
+    def expose(self, exposure_us: float) -> None: ...  # set the exposure time [us]
     def grab(self) -> np.ndarray: ...  # take an image
-    def close(self) -> None: ...  # let go of the camera
+    def close(self) -> None: ...  # release the camera
 
 
 class GenicamCamera(Closing):
     """A camera behind a maker's GenTL producer (a ``.cti`` file), driven by the harvesters package."""
 
-    exposure_us: float | None = None  # as the camera reads it back
+    exposure_us: float | None = None  # as read back from the camera
     gain: float | None = None
 
     def __init__(
@@ -59,34 +59,34 @@ class GenicamCamera(Closing):
         return cls(harvester, serial, **settings)
 
     def _set(self, name: str, value: float | str) -> float | str:
-        """Set a feature and return what it reads back as."""
+        """Set a feature and return its value, read back."""
         try:
             node = getattr(self._acquirer.remote_device.node_map, name)
             node.value = value
             return node.value
         except Exception as error:
             raise DeviceRefused(
-                f"the camera does not take {value!r} for its {name} ({error}); see what its maker's viewer offers", name
+                f"the camera does not take {value!r} for its {name} ({error}); check its maker's viewer", name
             ) from error
 
     def _choose(self, name: str, value: str) -> None:
         found = self._set(name, value)
         if found != value:
-            raise DeviceRefused(f"the camera's {name} is {found!r} after {value!r} was set; give one that it has", name)
+            raise DeviceRefused(f"the camera's {name} is {found!r} after {value!r} was set; give another value", name)
 
     def _number(self, name: str, value: float) -> float:
         """Set a number; cameras round it to their own steps, DeviceRefused beyond 2 %."""
         found = float(self._set(name, float(value)))
         if abs(found - value) > 0.02 * max(abs(value), 1.0):
-            raise DeviceRefused(f"the camera's {name} is {found:g} after {value:g} was set; give what it can do", name)
+            raise DeviceRefused(f"the camera's {name} is {found:g} after {value:g} was set; give another value", name)
         return found
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us]; DeviceRefused where the camera keeps another, more than 2 % off."""
+        """Set the exposure time [us]; DeviceRefused if the camera's differs by more than 2 %."""
         self.exposure_us = self._number("ExposureTime", exposure_us)
 
     def _settle(self, exposure_us: float | None, gain: float | None, pixels: str | None, trigger: str | None) -> None:
-        """Set what was asked for, in the order that cameras accept it: automatics are off before values are set."""
+        """Apply the settings in the order that cameras accept: automatics are off before values are set."""
         if pixels is not None:
             self._choose("PixelFormat", pixels)
         if exposure_us is not None:
@@ -102,7 +102,7 @@ class GenicamCamera(Closing):
             self._choose("TriggerMode", "On" if trigger else "Off")
 
     def _turn_off(self, name: str) -> None:
-        """Turn an automatic off, where the camera has one."""
+        """Turn an automatic off, if the camera has it."""
         if hasattr(self._acquirer.remote_device.node_map, name):
             self._choose(name, "Off")
 
@@ -116,12 +116,12 @@ class GenicamCamera(Closing):
             raise DeviceLost(f"the camera gave no image in {self._timeout} s ({error}); check its cable") from error
 
     def close(self) -> None:
-        """Let go of the camera; more than once does no harm."""
+        """Release the camera; may be called more than once."""
         acquirer, self._acquirer = self._acquirer, None
         harvester, self._harvester = self._harvester, None
         for part, name in ((acquirer, "stop"), (acquirer, "destroy"), (harvester, "reset")):
             if part is not None:
                 try:
                     getattr(part, name)()
-                except Exception as error:  # a camera that is gone must not keep the rest from closing
+                except Exception as error:  # a lost camera must not keep the rest from closing
                     log.warning("closing the camera: %s", error)

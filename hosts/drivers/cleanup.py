@@ -1,4 +1,4 @@
-"""How machines are let go: acts that must all be tried, contexts that close, and packages that are missing."""
+"""Release of machines: acts that must all be tried, contexts that close, and missing packages."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Protocol, Self
 from vamgpu.errors import DeviceNotFound
 
 log: logging.Logger = logging.getLogger(__name__)
-TRIES = 3  # how often an act is begun that somebody interrupts; who presses the keys more often than that means it
+TRIES = 3  # how often an interrupted act is started again; the next Ctrl-C ends it
 
 
 def run_all(*acts: Callable[[], object]) -> list[BaseException]:
-    """Do all of them; returns what went wrong."""
+    """Do all of them; returns the errors."""
     failed: list[BaseException] = []
     for act in acts:
         for _ in range(TRIES):
@@ -30,16 +30,16 @@ def run_all(*acts: Callable[[], object]) -> list[BaseException]:
 
 
 def close_all(closers: Sequence[Callable[[], None]]) -> None:
-    """Call all, the last first; then raise what went wrong first."""
+    """Call all, the last first; then raise the first error."""
     if failed := run_all(*reversed(closers)):
         raise failed[0]
 
 
 class Closing:
-    """Closes itself at the end of its context."""
+    """A context that closes itself at its end."""
 
     def close(self) -> None:
-        """Let go; more than once does no harm."""
+        """Release it; may be called more than once."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -52,12 +52,12 @@ class Closing:
 class Closable(Protocol):
     """Something that holds a port, a device or a file."""
 
-    def close(self) -> object: ...  # let go of it
+    def close(self) -> object: ...  # release it
 
 
 @contextmanager
 def closed_on_error(opened: Closable) -> Iterator[None]:
-    """Close what was opened where the context fails."""
+    """Close what was opened if the context fails."""
     try:
         yield
     except BaseException:
@@ -67,7 +67,7 @@ def closed_on_error(opened: Closable) -> Iterator[None]:
 
 @contextmanager
 def extra(name: str, need: str) -> Iterator[None]:
-    """Raise `DeviceNotFound` where the packages of an extra cannot be imported."""
+    """Raise `DeviceNotFound` if the packages of an extra cannot be imported."""
     try:
         yield
     except ImportError as error:
@@ -75,17 +75,17 @@ def extra(name: str, need: str) -> Iterator[None]:
 
 
 class ClosedOnce(Closing):
-    """A machine that is brought to rest and let go of once; what fails of that is logged, and the rest is done."""
+    """A machine that is stopped and released once; failures are logged, and the rest is still done."""
 
-    called: str  # in the log
+    called: str  # its name in the log
     _open = True
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Acts that bring it to rest and let go of it, in order."""
+        """Acts that stop it and release it, in order."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Bring it to rest, and let go of it; more than once does no harm."""
+        """Stop it and release it; may be called more than once."""
         failed = run_all(*self.endings()) if self._open else []
         self._open = False
         for error in failed:

@@ -18,20 +18,20 @@ from vamgpu.hosts.schedules.timing import exact, fraction
 
 log: logging.Logger = logging.getLogger(__name__)
 TRIES = 3
-CLOSE = Fraction(1, 10**9)  # how far, relatively, a ratio may be from what was asked for: a microstep in 10^9
+CLOSE = Fraction(1, 10**9)  # allowed relative error of a ratio: one microstep in 10^9
 LONGEST_BABBLE = 100
-"""Lines that are listened to for one answer, so that a machine which never falls silent is given up."""
+"""Most lines read for one answer, so that a machine that never stops sending is given up."""
 REASONS = {
     "lease": "its lease has run out: renew it before arming",
     "interlock": "its interlock is open: close the enclosure",
     "armed": "it is not armed",
     "full": "its queue of rows is full",
-    "order": "rows must come one after the other",
-    "range": "a value is outside what it can do",
-    "state": "it is not in a state to do so",
+    "order": "rows must come in order",
+    "range": "a value is outside its range",
+    "state": "it cannot do so in its present state",
     "verb": "it does not know the command: check its firmware",
-    "stall": "its encoder is not where the motor was stepped to: check motor and load, then home it or begin anew",
-    "index": "its index mark was not where it should be: check motor and belt, then home it or begin anew",
+    "stall": "its encoder differs from the motor's steps: check motor and load, then home it or start again",
+    "index": "its index mark was off position: check motor and belt, then home it or start again",
 }
 
 
@@ -39,8 +39,8 @@ REASONS = {
 class Encoder:
     """An encoder that measures the motion; beyond its tolerance the controller closes the light."""
 
-    counts: float  # quadrature edges a mm or degree, below 0 where it counts down
-    tolerance: float  # from where the motor was stepped to [mm] or [deg]
+    counts: float  # quadrature edges per mm or degree, negative if it counts down
+    tolerance: float  # allowed difference from the motor's steps [mm] or [deg]
 
     def __post_init__(self) -> None:
         exact("counts", abs(fraction("counts", self.counts)))
@@ -49,10 +49,10 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Index:
-    """A mark that comes round; where it is off its place the controller closes the light."""
+    """A mark that recurs; if it is off position, the controller closes the light."""
 
-    distance: float  # from mark to mark [mm] or [deg]
-    tolerance: float  # from its place [mm] or [deg]
+    distance: float  # distance from mark to mark [mm] or [deg]
+    tolerance: float  # allowed position error [mm] or [deg]
 
     def __post_init__(self) -> None:
         exact("distance", self.distance)
@@ -60,14 +60,14 @@ class Index:
 
 
 def _in_range(ratio: Fraction) -> Fraction:
-    """The nearest ratio of numbers that the controller takes."""
+    """The nearest ratio of numbers that the controller accepts."""
     if abs(ratio) <= 1:
         return ratio.limit_denominator(protocol.LONGEST_RATIO)
     return 1 / (1 / ratio).limit_denominator(protocol.LONGEST_RATIO)
 
 
 class Controller(Closing):
-    """The controller: it answers every command, and is asked again where its answer is lost or malformed."""
+    """The controller: it answers every command; a command is repeated if its answer is lost or malformed."""
 
     capacity: int
     longest_lease_ms: int
@@ -75,7 +75,7 @@ class Controller(Closing):
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
         if not microsteps_per_mm > 0:
-            raise BadInput(f"{microsteps_per_mm} microsteps per mm drive no web; give what motor and roller make")
+            raise BadInput(f"{microsteps_per_mm} microsteps per mm drive no web; give those of motor and roller")
         self._wire = wire
         self._number = 0
         self.microsteps_per_mm = microsteps_per_mm
@@ -99,16 +99,16 @@ class Controller(Closing):
             words = self.ask("hello")
             name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
         except (DeviceLost, DeviceRefused, ProtocolError, ValueError, IndexError) as error:
-            raise WrongDevice(f"{self._wire.name} does not answer as one: {error}") from error
+            raise WrongDevice(f"{self._wire.name} does not answer as a controller: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
             raise WrongDevice(
                 f"{self._wire.name} is {name} version {version}; expected {protocol.NAME} version {protocol.VERSION}, "
-                "which measures where the motion is: load the sketch that comes with this library (hosts/firmware)"
+                "which measures the position: load the sketch of this library (hosts/firmware)"
             )
         self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
 
     def revive(self) -> None:
-        """Open the port again where the controller does not answer, as when it was unplugged and is back."""
+        """Open the port again if the controller does not answer, as after it was unplugged."""
         try:
             self.status()
         except DeviceLost:
@@ -135,7 +135,7 @@ class Controller(Closing):
         raise DeviceLost(f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power")
 
     def _answer(self) -> Reply | None:
-        """The reply to the last number; None when it does not come or must be asked for again."""
+        """The reply to the last number; None if it is missing, or the command must be repeated."""
         for _ in range(LONGEST_BABBLE):
             line = self._wire.line(protocol.LONGEST_LINE)
             if not line:
@@ -165,7 +165,7 @@ class Controller(Closing):
         raise DeviceRefused(f"the controller refused {verb!r}: {REASONS.get(reason, reason)}", reason)
 
     def poll(self) -> tuple[tuple[str, ...], ...]:
-        """Take what the controller has said by itself since the last call."""
+        """Return the controller's events since the last call."""
         with self._wire.lock:
             for _ in range(LONGEST_BABBLE):
                 if not self._wire.waiting():
@@ -182,7 +182,7 @@ class Controller(Closing):
         return taken
 
     def lease(self, milliseconds: int) -> None:
-        """Allow the light for so long from now; renew it well before."""
+        """Allow the light for a time from now; renew it well before its end."""
         self.ask("lease", int(milliseconds))
 
     def arm(self) -> None:
@@ -198,32 +198,32 @@ class Controller(Closing):
         self.ask("light", int(channels))
 
     def power(self, channel: int, fraction: float) -> None:
-        """The drive of a channel of light, of full."""
+        """Set the drive of a channel of light, as a share of full."""
         if not 0 <= fraction <= 1:
             raise BadInput(f"a light cannot be driven at {fraction} of full; give 0..1")
         self.ask("power", channel, round(fraction * 65535))
 
     def mode(self, mode: str) -> None:
-        """Set what rows count: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
+        """Set the unit of rows: ``time`` (microseconds since ``go``) or ``steps`` (microsteps of the web)."""
         self.ask("mode", mode)
 
     def row(self, row: ControllerRow) -> int:
-        """Queue one slot; how many more fit."""
+        """Queue one slot; returns how many more fit."""
         return int(self.ask("row", *row.words())[0])
 
     def load(self, rows: Iterable[ControllerRow]) -> int:
-        """Queue slots one after the other while they fit; how many more fit after the last."""
+        """Queue slots in order while they fit; returns how many more fit."""
         free = self.capacity
         for row in rows:
             free = self.row(row)
         return free
 
     def end(self, count: int) -> None:
-        """Tell how many rows the print has."""
+        """Set the number of rows of the print."""
         self.ask("end", count)
 
     def go(self, number: int) -> None:
-        """Begin to play the rows. number: 1 to 65535, by which a later host knows this play again."""
+        """Start to play the rows. number: 1 to 65535, by which a later host recognizes this play."""
         self.ask("go", number)
 
     def stop(self) -> None:
@@ -231,15 +231,15 @@ class Controller(Closing):
         self.ask("stop")
 
     def move(self, speed_mm_s: float) -> None:
-        """Run the web at a speed [mm/s]; 0 brings it to rest."""
+        """Run the web at a speed [mm/s]; 0 stops it."""
         self._within("speed", speed_mm_s, "mm/s", protocol.FASTEST)
         self.ask("move", round(speed_mm_s * self.microsteps_per_mm * 1000))
 
     def ramp(self, acceleration_mm_s2: float) -> None:
-        """Set how fast the web changes its speed [mm/s2]."""
+        """Set the acceleration of the web [mm/s2]."""
         if not acceleration_mm_s2 > 0:
-            raise BadInput(f"the web changes its speed by {acceleration_mm_s2:g} mm/s2; expected more than 0")
-        self._within("change of speed", acceleration_mm_s2, "mm/s2", protocol.STEEPEST)
+            raise BadInput(f"the acceleration is {acceleration_mm_s2:g} mm/s2; expected more than 0")
+        self._within("acceleration", acceleration_mm_s2, "mm/s2", protocol.STEEPEST)
         self._ramp = acceleration_mm_s2
         self.ask("ramp", max(round(acceleration_mm_s2 * self.microsteps_per_mm), 1))
 
@@ -247,15 +247,15 @@ class Controller(Closing):
         if not abs(value) * self.microsteps_per_mm <= most:
             raise BadInput(
                 f"a {what} of {value:g} {unit} is {abs(value) * self.microsteps_per_mm:.4g} microsteps; the controller "
-                f"steps {most:.4g} at most: go slower, or take fewer microsteps"
+                f"steps at most {most:.4g}: go slower, or use fewer microsteps"
             )
 
     def zero(self, number: int) -> None:
-        """Call this position of the web 0. number: 1 to 65535, by which a later host knows this zero again."""
+        """Call this position of the web 0. number: 1 to 65535, by which a later host recognizes this zero."""
         self.ask("zero", number)
 
     def feedback(self, encoder: Encoder | None = None, index: Index | None = None) -> None:
-        """Tell what measures the motion; None: nothing does. Its present position is taken to be right."""
+        """Set the sensor of the motion; None for no sensor. The present position counts as correct."""
         per_unit = fraction("microsteps", self.microsteps_per_mm)
         edges = Fraction(0) if encoder is None else fraction("counts", encoder.counts) / per_unit
         marks = Fraction(0) if index is None else 1 / (fraction("distance", index.distance) * per_unit)
@@ -264,12 +264,12 @@ class Controller(Closing):
             limit = 0 if found is None else int(fraction("tolerance", found.tolerance) * per_unit)
             if abs(ratio - per_step) > CLOSE * abs(per_step) or limit > protocol.LONGEST_RATIO:
                 raise BadInput(
-                    f"{found} is {float(per_step):.6g} a microstep, {limit} microsteps allowed; the controller takes "
+                    f"{found} is {float(per_step):.6g} per microstep, {limit} microsteps allowed; expected "
                     f"ratios of whole numbers up to {protocol.LONGEST_RATIO}: check counts, distance and microsteps"
                 )
             if found is not None and (limit < 1 or (found is encoder and limit * abs(ratio) < 2)):
                 raise BadInput(
-                    f"the {verb}'s tolerance of {found.tolerance:g} is {limit} microsteps, less than it tells apart; "
+                    f"the {verb}'s tolerance of {found.tolerance:g} is {limit} microsteps, less than it resolves; "
                     "expected two counts of an encoder and one microstep, or more"
                 )
             self.ask(verb, ratio.numerator, ratio.denominator, limit)
@@ -281,7 +281,7 @@ class Controller(Closing):
         return self._measuring[1]
 
     def home(self, number: int, speed_mm_s: float) -> None:
-        """Run up to the next index mark, call it 0 under a number, and come to rest; `status` tells ``homing``."""
+        """Run up to the next index mark, set 0 there under a number, and stop; `status` has ``homing`` meanwhile."""
         self._within("speed", speed_mm_s, "mm/s", protocol.FASTEST)
         self.ask("home", number, round(speed_mm_s * self.microsteps_per_mm * 1000))
 
@@ -294,5 +294,5 @@ class Controller(Closing):
         return self.status().position / self.microsteps_per_mm
 
     def close(self) -> None:
-        """Let go of the port; the lease runs out and closes the light if it was on."""
+        """Release the port; the lease runs out and closes the light if it was on."""
         self._wire.close()

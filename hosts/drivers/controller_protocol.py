@@ -1,4 +1,4 @@
-"""The controller's open line protocol, as `hosts/firmware/controller/PROTOCOL.md` tells it: lines, rows and status."""
+"""The controller's open line protocol, as in `hosts/firmware/controller/PROTOCOL.md`: lines, rows and status."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LONGEST_LINE = 160
 NUMBERS = 65536
 FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
 LONGEST_RATIO = 1_000_000  # the greatest number of counts, marks or microsteps in a ratio
-STEEPEST = 100_000_000  # the greatest change of its speed [microsteps/s2]
+STEEPEST = 100_000_000  # the greatest acceleration [microsteps/s2]
 LONGEST_LEASE_MS = 1000
 
 
@@ -45,15 +45,15 @@ class ControllerRow:
 
 @dataclass(frozen=True)
 class Status:
-    """State of the controller, as ``stat`` tells it."""
+    """State of the controller, from ``stat``."""
 
     state: str  # idle, armed, running, done or fault
-    row: int  # the next to act
-    shown: int  # rows that acted
-    late: int  # rows that stayed dark as they came late
+    row: int  # the next row
+    shown: int  # rows that were shown
+    late: int  # rows that stayed dark because they were late
     free: int  # rows that still fit
-    position: int  # of the web [microsteps]
-    speed: int  # [thousandths of microsteps/s]
+    position: int  # position of the web [microsteps]
+    speed: int  # speed [thousandths of microsteps/s]
     zero: int  # number under which position 0 was set; 0 since power came
     play: int  # number of the last ``go``; 0 since power came
     lease_ms: int
@@ -61,14 +61,14 @@ class Status:
     armed: bool
     interlock_closed: bool
     fault: str
-    measured: int | None = None  # by the encoder [microsteps]; None without one
+    measured: int | None = None  # position of the encoder [microsteps]; None without one
     marks: int | None = None  # index marks passed; None without one
-    homing: bool = False  # it looks for the mark
-    astray: bool = False  # the mark was not where it should be
+    homing: bool = False  # it searches for the mark
+    astray: bool = False  # the mark was off position
 
     @property
     def at(self) -> int:
-        """Where the motion is [microsteps]: as measured, else as stepped."""
+        """Position of the motion [microsteps]: measured, or else stepped."""
         return self.position if self.measured is None else self.measured
 
 
@@ -87,7 +87,7 @@ def encode(*words: object) -> bytes:
 
 
 def check(line: bytes) -> tuple[str, ...]:
-    """The words of a line whose check sum is right; ProtocolError otherwise."""
+    """The words of a line with a correct check sum; ProtocolError otherwise."""
     body, star, given = line.rstrip(b"\r\n").rpartition(b"*")
     if not star or given != f"{line_check(body):04X}".encode("ascii"):
         raise ProtocolError(f"{line!r} fails its check sum; check the cable and that no other program uses the port")
@@ -101,7 +101,7 @@ def parse(line: bytes) -> Reply:
         return Reply(words[0], None, words[1:])
     if len(words) >= 2 and words[0].isdigit() and words[1] in ("ok", "no"):
         return Reply(words[1], int(words[0]), words[2:])
-    raise ProtocolError(f"{line!r} is no line of a controller; check which device is on the port")
+    raise ProtocolError(f"{line!r} is not a line of a controller; check which device is on the port")
 
 
 def parse_status(words: tuple[str, ...]) -> Status:
@@ -111,7 +111,7 @@ def parse_status(words: tuple[str, ...]) -> Status:
         row, shown, late, free, *web, lease, light, armed, closed, senses, measured, marks = map(int, numbers)
         position, speed, zero, play = web
     except ValueError:
-        raise ProtocolError(f"the controller's status {words} has not the 17 values of version {VERSION}") from None
+        raise ProtocolError(f"the controller's status {words} lacks the 17 values of version {VERSION}") from None
     seen = (measured if senses & 1 else None, marks if senses & 2 else None, bool(senses & 4), bool(senses & 8))
     stands = (position, speed, zero, play, lease, light)
     return Status(state, row, shown, late, free, *stands, bool(armed), bool(closed), fault, *seen)

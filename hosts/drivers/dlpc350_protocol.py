@@ -12,8 +12,8 @@ TIMES, SEQUENCE, MAILBOX_PLACE, MAILBOX, MAILBOX_DATA = 0x1A29, 0x1A31, 0x1A32, 
 VALIDATE, LED_ENABLE, LED_CURRENTS = 0x1A1A, 0x1A07, 0x0B01
 SHORTEST_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}  # by bits
 DARK_US = 230  # between exposure and period, unless they are equal
-COLORS = ("red", "green", "blue")  # bits 0..2 of a choice of LEDs
-CHANNELS = {1: 0, 0: 1, 2: 2}  # the channel of a video frame (0 red, 1 green, 2 blue) to its place among patterns
+COLORS = ("red", "green", "blue")  # bits 0..2 of a set of LEDs
+CHANNELS = {1: 0, 0: 1, 2: 2}  # channel of a video frame (0 red, 1 green, 2 blue) → its place among patterns
 BUSY = 0x80
 INVALID = (
     "exposure or period",
@@ -25,7 +25,7 @@ INVALID = (
 
 
 def frame(command: int, data: bytes = b"", sequence: int = 0, read: bool = False) -> bytes:
-    """The reports of a command that asks for a reply."""
+    """The reports of a command with a reply."""
     size = len(data) + 2
     head = bytes([REPLY | (READ if read else 0), sequence & 0xFF, size & 0xFF, size >> 8])
     body = head + bytes([command & 0xFF, command >> 8]) + data
@@ -33,17 +33,17 @@ def frame(command: int, data: bytes = b"", sequence: int = 0, read: bool = False
 
 
 def parse_reply(raw: bytes, sequence: int, what: str) -> bytes:
-    """Return a reply's data; DeviceRefused where the controller refused ``what``."""
+    """Return a reply's data; DeviceRefused if the controller rejected ``what``."""
     size = int.from_bytes(raw[2:4], "little") if len(raw) >= 4 else REPORT
     if size > len(raw) - 4 or raw[1] != sequence & 0xFF:
-        raise ProtocolError(f"{bytes(raw[:8])!r} is no answer to {what}; unplug the projector, and plug it in again")
+        raise ProtocolError(f"{bytes(raw[:8])!r} is not an answer to {what}; unplug and replug the projector")
     if raw[0] & REFUSED:
         raise DeviceRefused(f"the projector refused {what}", "nack")
     return bytes(raw[4 : 4 + size])
 
 
 def times(bits: int, count: int, exposure_us: int, period_us: int, refresh_us: int) -> bytes:
-    """Exposure and period of ``count`` patterns in a video frame; BadInput where they cannot be shown."""
+    """Exposure and period of ``count`` patterns in a video frame; BadInput if they cannot be shown."""
     if bits not in SHORTEST_US or exposure_us < SHORTEST_US[bits]:
         raise BadInput(f"patterns of {bits} bits cannot be shown for {exposure_us} us; shortest: {SHORTEST_US}")
     if exposure_us != period_us and exposure_us > period_us - DARK_US:

@@ -1,4 +1,4 @@
-"""Mirror arrays on Vialux's ALP controllers: sequences of packed bit planes, shown one a trigger."""
+"""Mirror arrays on Vialux's ALP controllers: sequences of packed bit planes, shown one per trigger."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ log: logging.Logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SlotTiming:
-    """The times of a frame [us]: from frame to frame, and lit (0: as long as possible)."""
+    """The times of a frame [us]: period, and lit time (0: as long as possible)."""
 
     picture_us: int = 0
     illuminate_us: int = 0
@@ -67,7 +67,7 @@ class Dmd(ClosedOnce):
 
     @property
     def plane_shape(self) -> tuple[int, int]:
-        """Rows, and bytes a row, of a packed plane; bit 7 of a byte is the leftmost of its eight mirrors."""
+        """Rows, and bytes per row, of a packed plane; bit 7 of a byte is the leftmost of its eight mirrors."""
         return self.height, self.row_bytes
 
     def call(self, name: str, *arguments: Any) -> None:
@@ -83,7 +83,7 @@ class Dmd(ClosedOnce):
         return self.inquire(alp.AVAILABLE_MEMORY)
 
     def slave(self) -> None:
-        """Show the next frame at each edge of the trigger, however long that takes to come, in a queue."""
+        """Show the next frame of the queue at each edge of the trigger, without a timeout."""
         self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING)
         self.call("AlpDevControl", alp.TRIGGER_TIME_OUT, alp.TIME_OUT_DISABLE)
         self.call("AlpProjControl", alp.PROJECTION_MODE, alp.SLAVE)
@@ -95,13 +95,13 @@ class Dmd(ClosedOnce):
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
 
     def progress(self) -> Progress:
-        """Where the queue is."""
+        """Progress of the queue."""
         answer = Progress()
         self.call("AlpProjInquireEx", alp.PROGRESS, byref(answer))
         return answer
 
     def queue_places(self) -> int:
-        """Sequences that the queue takes now."""
+        """Sequences that fit in the queue now."""
         return self.number("AlpProjInquire", alp.QUEUE_AVAILABLE)
 
     def sequence(self, count: int, bits: int, timing: SlotTiming = SlotTiming()) -> PlaneSequence:
@@ -115,7 +115,7 @@ class Dmd(ClosedOnce):
         return PlaneSequence(self, count, bits, timing)
 
     def number(self, name: str, *arguments: Any) -> int:
-        """Call the library for this device and return the number it answers."""
+        """Call the library for this device and return its number."""
         return self._alp.number(name, self.device, *arguments)
 
     def halt(self) -> None:
@@ -124,7 +124,7 @@ class Dmd(ClosedOnce):
         self.call("AlpDevHalt")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Halt, rest the mirrors and let go of the device."""
+        """Halt, rest the mirrors and release the device."""
         return (
             partial(self.call, "AlpProjHalt"),
             partial(self.call, "AlpDevHalt"),
@@ -142,7 +142,7 @@ class PlaneSequence:
 
     def __init__(self, dmd: Dmd, count: int, bits: int, timing: SlotTiming) -> None:
         if not 1 <= bits <= 8 or count < 1:
-            raise BadInput(f"a sequence of {count} frames of {bits} bits is none; give 1..8 bits and 1 or more")
+            raise BadInput(f"a sequence of {count} frames of {bits} bits is impossible; give 1..8 bits and 1 or more")
         self.dmd, self.count, self.bits = dmd, count, bits
         self.id: int = dmd.number("AlpSeqAlloc", bits, count)
         self._control(alp.DATA_FORMAT, alp.DATA_BINARY_TOPDOWN)
@@ -158,12 +158,12 @@ class PlaneSequence:
         return self.dmd.number("AlpSeqInquire", self.id, kind)
 
     def limits(self) -> SequenceLimits:
-        """The device's limits for these frames, and how long each is lit now."""
+        """The device's limits for these frames, and their present lit time."""
         kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.MIN_ILLUMINATE_TIME, alp.ON_TIME)
         return SequenceLimits(*(self.inquire(kind) for kind in kinds))
 
     def retime(self, timing: SlotTiming) -> None:
-        """Set the times; DeviceRefused with the device's limits where they do not fit."""
+        """Set the times; DeviceRefused with the device's limits if they do not fit."""
         try:
             self.dmd.call("AlpSeqTiming", self.id, timing.illuminate_us, timing.picture_us, 0, 0, 0)
         except DeviceRefused as error:
@@ -182,17 +182,17 @@ class PlaneSequence:
         self.dmd.call("AlpSeqPut", self.id, first, len(planes), planes.ctypes.data)
 
     def start(self, shown: int | None = None, forever: bool = False) -> None:
-        """Put the first ``shown`` frames (None: all) at the end of the queue; `DeviceRefused` where it is full."""
+        """Put the first ``shown`` frames (None: all) at the end of the queue; `DeviceRefused` if it is full."""
         self._control(alp.LAST_FRAME, (self.count if shown is None else shown) - 1)
         try:
             self.dmd.call("AlpProjStartCont" if forever else "AlpProjStart", self.id)
-        except DeviceBusy as error:  # the library has one number for this and for a device that another program has
+        except DeviceBusy as error:  # the library has one number for this and for a device in use by another program
             raise DeviceRefused(
-                f"the mirrors' queue takes no sequence ({self.dmd.queue_places()} places are free): ask for free "
-                "places before each start, and halt whatever shows frames without end",
+                f"the mirrors' queue is full ({self.dmd.queue_places()} places are free): check for free "
+                "places before each start, and halt endless sequences",
                 str(alp.NOT_READY),
             ) from error
 
     def free(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         self.dmd.call("AlpSeqFree", self.id)

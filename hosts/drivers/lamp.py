@@ -13,7 +13,7 @@ LINES = ("rts", "dtr")
 
 
 class TtlLamp(ClosedOnce):
-    """A laser's TTL input on a serial port's RTS or DTR, dark while low; invert it where low is light."""
+    """A laser's TTL input on a serial port's RTS or DTR, off while low; invert the line if low is on."""
 
     name: str
     called = "the lamp"
@@ -36,16 +36,16 @@ class TtlLamp(ClosedOnce):
         try:
             setattr(self._port, self._line, level)
         except OSError as error:
-            raise DeviceLost(f"{self.name} is gone ({error}); check its plug: its light may be on") from error
+            raise DeviceLost(f"{self.name} is lost ({error}); check its plug: its light may be on") from error
 
     def on(self, power: float = 1.0) -> None:
-        """Light on; its power is what its driver was set to."""
+        """Turn the light on; its driver sets the power."""
         self._set(True)
 
     def off(self) -> None:
-        """Light off."""
+        """Turn the light off."""
         self._set(False)
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Light off, and let go of the port."""
+        """Turn the light off, and release the port."""
         return self.off, self._port.close

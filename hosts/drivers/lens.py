@@ -31,7 +31,7 @@ class LensDriver(Closing):
         return cls(open_wire(url, "the lens driver", baud, timeout_s), firmware)
 
     def _start(self, expected: str | None) -> None:
-        """Shake hands, drop what some units send after it, and read who answers."""
+        """Do the handshake, drop what some units send after it, and read the identity."""
         self._wire.drain()
         self._wire.send(ld4.HANDSHAKE.frame)
         answer = self._wire.receive(ld4.HANDSHAKE.reply_length)
@@ -51,7 +51,7 @@ class LensDriver(Closing):
         log.info("lens driver: firmware %s %s, %.2f mA", self.firmware, self.version, self.full_current_ma)
 
     def ask(self, request: ld4.Request) -> bytes:
-        """Send a request that is answered, and return what the answer carries."""
+        """Send a request, and return the data of its answer."""
         with self._wire.lock:
             self._wire.send(request.frame)
             received = b""
@@ -67,14 +67,14 @@ class LensDriver(Closing):
                 raise ProtocolError(f"{self._wire.name}: {error}") from error
 
     def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
-        """Set the temperature window, then the focal power mode; the range [1/m] the driver guarantees."""
+        """Set the temperature window, then the focal power mode; returns the guaranteed range [1/m]."""
         self._power_range(ld4.set_window(low_celsius, high_celsius))
         found = self._power_range(ld4.FOCAL_POWER_MODE)
         self._power_mode = True
         return found
 
     def _power_range(self, request: ld4.Request) -> ld4.PowerRange:
-        """The range a request is answered with; DeviceRefused where its status says that no focal power is held."""
+        """The range in the answer to a request; DeviceRefused if its status reports that no focal power is held."""
         found = ld4.power_range(self.ask(request), self.firmware)
         blocking = found.status & 0b111
         if blocking:
@@ -83,13 +83,13 @@ class LensDriver(Closing):
         return found
 
     def set_power(self, diopters: float) -> None:
-        """Set the focal power [1/m]; returns when the bytes are with the port, not when the lens has settled."""
+        """Set the focal power [1/m]; returns when the bytes are sent, not when the lens has settled."""
         if not self._power_mode:
-            raise DeviceError("the lens driver obeys focal powers in focal power mode only; call focal_power_mode()")
+            raise DeviceError("the lens driver accepts focal powers only in focal power mode; call focal_power_mode()")
         self._wire.send(ld4.set_power(diopters, self.firmware).frame)
 
     def code(self, diopters: float) -> int:
-        """The code of a focal power [1/m], for a controller that sends it by itself."""
+        """The code of a focal power [1/m], for a controller that sends it."""
         return ld4.power_code(diopters, self.firmware)
 
     def power(self) -> float:
@@ -97,18 +97,18 @@ class LensDriver(Closing):
         return ld4.power_of(ld4.signed(self.ask(ld4.GET_POWER)), self.firmware)
 
     def temperature(self) -> float:
-        """The lens's temperature [degC]; DeviceRefused where it has no sensor."""
+        """The lens's temperature [degC]; DeviceRefused without a sensor."""
         raw = ld4.signed(self.ask(ld4.GET_TEMPERATURE))
         if raw == ld4.NO_SENSOR:
             raise DeviceRefused("the lens has no temperature sensor; check that a lens is plugged in", "sensor")
         return raw / 16
 
     def status(self) -> tuple[str, ...]:
-        """Faults of the lens; empty when all is well."""
+        """Faults of the lens; empty if there are none."""
         answer = self.ask(ld4.GET_STATUS)
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
 
     def close(self) -> None:
-        """Let go of the port; the lens keeps its last setting."""
+        """Release the port; the lens keeps its last setting."""
         self._wire.close()

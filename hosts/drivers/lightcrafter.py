@@ -47,10 +47,10 @@ class LightCrafter(ClosedOnce):
         try:
             for start in range(0, len(raw), dlpc350.REPORT):
                 if self._device.write(b"\0" + raw[start : start + dlpc350.REPORT]) < 0:
-                    raise OSError("the report was not taken")
+                    raise OSError("the report was not accepted")
             answer = bytes(self._device.read(dlpc350.REPORT, self._timeout))
         except (OSError, ValueError) as error:
-            raise DeviceLost(f"the projector is gone ({error}); check its plug and its power") from error
+            raise DeviceLost(f"the projector is lost ({error}); check its plug and its power") from error
         if not answer:
             raise DeviceLost(f"the projector does not answer {what}; check its plug and its power")
         return dlpc350.parse_reply(answer, self._number, what)
@@ -95,34 +95,34 @@ class LightCrafter(ClosedOnce):
         return data[0]
 
     def drive(self, red: float = 0.0, green: float = 0.0, blue: float = 0.0) -> None:
-        """Set the LEDs' currents as shares of their greatest; the code of a current falls as the current grows."""
+        """Set the LEDs' currents as shares of the greatest; the code decreases with the current."""
         if not all(0 <= each <= 1 for each in (red, green, blue)):
             raise BadInput(f"LEDs cannot be driven at {red}, {green}, {blue} of their greatest current; give 0..1")
         codes = bytes(255 - round(each * 255) for each in (red, green, blue))
         self._ask(dlpc350.LED_CURRENTS, codes, "the LEDs' currents")
 
     def on(self, power: float = 1.0) -> None:
-        """Light: the patterns' LEDs follow the patterns; again does no harm."""
+        """Turn the light on: the LEDs follow the patterns; may be called again."""
         self._ask(dlpc350.LED_ENABLE, bytes([0b1000]), "light on")
         self._lit = True
 
     def off(self) -> None:
-        """Dark: no LED is enabled; again does no harm."""
+        """Turn the light off: no LED is enabled; may be called again."""
         self._ask(dlpc350.LED_ENABLE, b"\0", "light off")
         self._lit = False
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Dark, stop, and let go."""
+        """Turn the light off, stop, and release."""
         return self.off, partial(self._ask, dlpc350.DISPLAY, b"\0", "the stop"), self._device.close
 
 
 class LightCrafterScreen(HdmiProjector):
-    """A screen that a LightCrafter shows. lamp: the LightCrafter, whose LEDs are the light; it is let go of too."""
+    """The screen of a LightCrafter. lamp: the LightCrafter, whose LEDs are the light; it is also released."""
 
     def __init__(self, window: Window, layout: SlotLayout, latency_refreshes: int, lamp: LightCrafter) -> None:
         super().__init__(window, layout, latency_refreshes)
         self.lamp = lamp
 
     def close(self) -> None:
-        """LEDs off, black, and away; more than once does no harm."""
+        """Turn the LEDs off, show black, and close; may be called more than once."""
         close_all([super().close, self.lamp.close])

@@ -1,4 +1,4 @@
-"""The mirrors' memory: sequences in turn, filled by one thread while another asks, so that frames never run out."""
+"""The mirrors' memory: sequences by turns, filled by one thread and read by another, so that frames never run out."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from vamgpu.errors import BadInput, DeviceError
 from vamgpu.hosts.drivers import alp
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SlotTiming
 
-PIECE = 2**21  # bytes of one call that uploads: some milliseconds of a wire
+PIECE = 2**21  # bytes per upload call: some milliseconds on the wire
 
 
 class FairLock:
-    """A lock that is handed on in the order of asking: who takes it again and again holds nobody up."""
+    """A fair lock, granted in the order of requests: a thread that takes it repeatedly does not block others."""
 
     def __init__(self) -> None:
         self._lock, self._held = threading.Lock(), False
@@ -40,7 +40,7 @@ class FairLock:
             raise
 
     def _leave(self, ticket: threading.Lock) -> None:
-        """Wait no more; a turn that was given meanwhile goes to the next."""
+        """Stop waiting; a turn granted in the meantime goes to the next."""
         with self._lock:
             waits = ticket in self._waiting
             if waits:
@@ -61,16 +61,16 @@ class _Stored:
     """A sequence of the device."""
 
     sequence: PlaneSequence
-    home: deque[_Stored]  # where it waits, those shown longest ago first
-    name: bytes | None = None  # of its frames, which may be shown again
-    promised: int = 0  # how often they will be
+    home: deque[_Stored]  # where it waits, the least recently shown first
+    name: bytes | None = None  # names of its frames, which may be shown again
+    promised: int = 0  # how often they will be shown
 
 
 class MirrorMemory:
-    """Sequences in turn, one shown while others are filled; spares hold one frame each."""
+    """Sequences by turns, one shown while others are filled; spares hold one frame each."""
 
-    # One thread may put while another asks: uploads go in pieces of `PIECE` bytes. `shown` follows the device's own
-    # progress; whether it counts a frame at its begin or end is the device's: compare with the triggers in the dark.
+    # One thread may put while another reads: uploads go in pieces of `PIECE` bytes. `shown` follows the device's own
+    # progress; the device decides whether it counts a frame at its begin or end: compare with triggers in the dark.
 
     dmd: Dmd
     length: int
@@ -87,31 +87,31 @@ class MirrorMemory:
         for home, count, frames in ((self._free, sequences, length), (self._spare, spares, 1)):
             home.extend(_Stored(dmd.sequence(frames, bits, timing), home) for _ in range(count))
         self._all: tuple[_Stored, ...] = (*self._free, *self._spare)
-        self._queue: deque[tuple[_Stored, int]] = deque()  # and how many of its frames are shown
+        self._queue: deque[tuple[_Stored, int]] = deque()  # and number of its shown frames
         self.queued: int = 0
         self._turns = FairLock()
         self._piece = max(1, PIECE // (bits * dmd.height * dmd.row_bytes))
         self._cancelled = False
 
     def room(self, frames: int = 2, name: bytes | None = None) -> bool:
-        """Whether so many frames can be put now, or those of a name that was kept be shown again."""
+        """Whether ``frames`` can be put now, or those of a stored name be shown again."""
         with self._turns:
             self._progress()
             found = self._idle(frames) if name is None else self._named(name, idle=True)
             return found is not None and self.dmd.queue_places() > 0
 
     def _idle(self, frames: int) -> _Stored | None:
-        """A sequence for so many frames, none of which is to be shown again."""
+        """A sequence with room for the frames, none of whose frames will be shown again."""
         home = self._spare if frames == 1 and self._spare else self._free
         return next((stored for stored in home if not stored.promised), None)
 
     def _named(self, name: bytes, idle: bool = False) -> _Stored | None:
-        """The sequence that begins with the frames of a name."""
+        """The sequence that starts with the frames of a name."""
         among = self._free if idle else self._all
         return next((stored for stored in among if stored.name is not None and stored.name.startswith(name)), None)
 
     def keep(self, name: bytes) -> bool:
-        """Promise to show the frames of a name again; False where they are not at the mirrors any more."""
+        """Reserve the frames of a name to show them again; False if they are no longer at the mirrors."""
         with self._turns:
             stored = self._named(name)
             if stored is not None:
@@ -119,11 +119,11 @@ class MirrorMemory:
             return stored is not None
 
     def again(self, name: bytes, frames: int) -> None:
-        """Queue the frames of a name that was kept; they are not uploaded. Needs `room` for the name."""
+        """Queue the stored frames of a name without an upload. Needs `room` for the name."""
         with self._turns:
             stored = self._named(name, idle=True)
             if stored is None or not stored.promised:
-                raise DeviceError("these frames were not kept, or are being shown; wait for room() before showing them")
+                raise DeviceError("frames that are not stored, or are being shown; wait for room() before them")
             stored.promised -= 1
             stored.home.remove(stored)
             self._show(stored, frames)
@@ -154,7 +154,7 @@ class MirrorMemory:
         self.queued += frames
 
     def shown(self) -> int:
-        """Frames that have begun to show since the start."""
+        """Frames shown since the start."""
         with self._turns:
             return self._progress()
 
@@ -168,11 +168,11 @@ class MirrorMemory:
         return self.queued - waiting - (0 if idle else progress.frames_left)
 
     def cancel(self) -> None:
-        """Upload no further piece, so that who uploads may end soon; waits for nobody."""
+        """Upload no further piece, so that the uploading thread ends soon; does not wait."""
         self._cancelled = True
 
     def close(self, hung: bool = False) -> None:
-        """Halt, and give the memory back; not where an upload hangs in it."""
+        """Halt, and free the memory, unless an upload hangs in it."""
         self.dmd.halt()
         if hung:
             return

@@ -30,7 +30,7 @@ def open_core(configuration: str | Path) -> Any:
     except Exception as error:
         raise DeviceNotFound(
             f"the devices of {configuration} do not start ({error}); check plugs and power, and that the adapters "
-            "are there: mmcore install"
+            "are installed: mmcore install"
         ) from error
     return core
 
@@ -63,7 +63,7 @@ class _Device(Closing):
 
 
 class MicroManagerStage(_Device, PolledStage):
-    """A stage of one axis of length; it goes to positions and cannot run at a speed."""
+    """A linear stage of one axis; it moves to positions and cannot run at a speed."""
 
     def __init__(
         self, core: Any, label: str, speed_property: str | None = None, patience_s: float = 60.0,
@@ -79,21 +79,21 @@ class MicroManagerStage(_Device, PolledStage):
         return cls(open_core(configuration), label, speed_property, owned=True)
 
     def position(self) -> float:
-        """Where the axis says it is [mm]."""
+        """Reported position of the axis [mm]."""
         return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
 
     def move(self, position: float, speed: float) -> None:
-        """Begin to move to a position [mm]."""
+        """Start moving to a position [mm]."""
         above_zero(speed)
         if self._speed_property is not None:
             self._call("setProperty", self.label, self._speed_property, speed)
         self._call("setPosition", self.label, position * UM_IN_MM)
 
     def run(self, speed: float) -> None:
-        """Come to rest at speed 0; any other is refused."""
+        """Stop at speed 0; any other speed is rejected."""
         if speed != 0:
             raise DeviceRefused(
-                f"{self.label} cannot run at {speed} mm/s: Micro-Manager knows moves to places only; use a driver of "
+                f"{self.label} cannot run at {speed} mm/s: Micro-Manager only moves to positions; use the driver of "
                 "the stage's maker for motion at a speed",
                 "run",
             )
@@ -104,7 +104,7 @@ class MicroManagerStage(_Device, PolledStage):
         return self._call("deviceBusy", self.label, lost=DeviceLost)
 
     def stop(self) -> None:
-        """Begin to come to rest."""
+        """Start to stop the axis."""
         self._call("stop", self.label)
 
 
@@ -125,7 +125,7 @@ class MicroManagerCamera(_Device):
         return cls(open_core(configuration), label, owned=True)
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us]; DeviceRefused where the camera keeps another, more than 2 % off."""
+        """Set the exposure time [us]; DeviceRefused if the camera's differs by more than 2 %."""
         self._call("setExposure", self.label, exposure_us / 1000)
         found = self._call("getExposure", self.label) * 1000
         if abs(found - exposure_us) > 0.02 * exposure_us:
@@ -140,5 +140,5 @@ class MicroManagerCamera(_Device):
         return image
 
     def close(self) -> None:
-        """Let go of the core; more than once does no harm."""
+        """Release the core; may be called more than once."""
         self.release()

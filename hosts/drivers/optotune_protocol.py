@@ -1,7 +1,7 @@
 """Optotune lens drivers LD4 and 4i: requests as bytes, replies by their length, as these may hold CR and LF.
 
-A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. Good settings are not answered. Commands
-that wear the driver's memory, or reset it for new firmware, are left out on purpose.
+A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. Valid settings are not answered. Commands
+that wear out the driver's memory, or reset it for new firmware, are left out on purpose.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def crc16_arc(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Request:
-    """One command: the bytes to send, and the start and length of its reply (0: none when all is well)."""
+    """One command: the bytes to send, and the start and length of its reply (0: none without an error)."""
 
     payload: bytes
     prefix: bytes = b""
@@ -83,19 +83,19 @@ def power_of(code: int, firmware: str) -> float:
 
 
 def set_power(diopters: float, firmware: str) -> Request:
-    """Set the focal power [1/m]; it takes effect in focal power mode only, and is not answered."""
+    """Set the focal power [1/m]; it takes effect only in focal power mode, and is not answered."""
     return Request(b"PwDA" + struct.pack(">hh", power_code(diopters, firmware), 0))
 
 
 def set_window(low_celsius: float, high_celsius: float) -> Request:
-    """Set the temperatures the lens will stay between; a narrow window guarantees a wide range of focal power."""
+    """Set the temperature window of the lens; a narrow window guarantees a wide range of focal power."""
     if not low_celsius < high_celsius:
         raise BadInput(f"a temperature window from {low_celsius} to {high_celsius} degC is empty")
     return Request(b"PwTA" + struct.pack(">hh", round(high_celsius * 16), round(low_celsius * 16)), b"PT", 11)
 
 
 def missing(request: Request, received: bytes) -> int:
-    """Bytes that are missing from a whole reply or refusal."""
+    """Missing bytes of a reply or rejection."""
     if received[:1] == b"E" and not request.prefix.startswith(b"E"):
         return 6 - len(received)
     if received[:1] == b"N" and not request.prefix.startswith(b"N"):
@@ -104,7 +104,7 @@ def missing(request: Request, received: bytes) -> int:
 
 
 def parse(request: Request, received: bytes) -> bytes:
-    """Return what a whole reply carries after its prefix; DeviceRefused where the device refused."""
+    """Return the data of a whole reply after its prefix; DeviceRefused if the device rejected the request."""
     if not received:
         raise ProtocolError(f"the lens driver did not answer {request.payload!r}; check its power and the port")
     if received == b"N" + ENDING:
@@ -143,7 +143,7 @@ def status_texts(flags: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class PowerRange:
-    """Status bits of a lens driver, and the least and greatest focal power [1/m] it guarantees."""
+    """Status bits of a lens driver, and the least and greatest guaranteed focal power [1/m]."""
 
     status: int
     least: float
@@ -157,5 +157,5 @@ def power_range(body: bytes, firmware: str) -> PowerRange:
 
 
 def signed(body: bytes) -> int:
-    """The signed number a body of two bytes holds."""
+    """The signed number in a body of two bytes."""
     return struct.unpack(">h", body)[0]

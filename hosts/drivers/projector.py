@@ -1,4 +1,4 @@
-"""Projectors that are a screen: a window that covers it, and frames in the slots of its video frames."""
+"""Projectors used as a screen: a full-screen window, and frames in the slots of its video frames."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error, extra
 
 @dataclass(frozen=True)
 class SlotLayout:
-    """Which channel of a video frame carries which frame, in the order they are shown."""
+    """Channels of a video frame for the frames, in the order in which they are shown."""
 
     channels: tuple[int, ...]  # 0 red, 1 green, 2 blue
-    bits: int  # fewer than 8 lie in the high bits
+    bits: int  # fewer than 8 use the high bits
     gray: bool = False  # all channels carry the one frame
 
     @property
     def slots(self) -> int:
-        """Frames a video frame."""
+        """Frames per video frame."""
         return len(self.channels)
 
 
@@ -32,7 +32,7 @@ ONE_GRAY = SlotLayout((1,), 8, gray=True)
 
 
 def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
-    """Compose a video frame ``[row, column, 3]`` of 8-bit frames; level 255 becomes 127 where it holds 7 bits."""
+    """Compose a video frame ``[row, column, 3]`` of 8-bit frames; level 255 becomes 127 for 7 bits."""
     if len(frames) != layout.slots:
         raise BadInput(f"{len(frames)} frames for the {layout.slots} slots of a video frame")
     shape = frames[0].shape
@@ -54,14 +54,14 @@ log: logging.Logger = logging.getLogger(__name__)
 
 @runtime_checkable
 class Window(Protocol):
-    """A full screen of rows and columns, refreshed ``rate_hz`` times a second."""
+    """A full screen of rows and columns, refreshed ``rate_hz`` times per second."""
 
     size: tuple[int, int]
     rate_hz: float
 
     # show ``[row, column, 3]`` (uint8) from the next refresh on; returns the number of that refresh
     def show(self, video_frame: np.ndarray, /) -> int: ...
-    def close(self) -> None: ...  # go dark, and away
+    def close(self) -> None: ...  # show black, and close
 
 
 class PygletWindow:
@@ -89,7 +89,7 @@ class PygletWindow:
             )
         rate = rate_hz or getattr(found.get_mode(), "rate", None)
         if not rate:
-            raise WrongDevice(f"the system does not tell how often screen {screen} is refreshed; configure its rate_hz")
+            raise WrongDevice(f"the system does not report the refresh rate of screen {screen}; set its rate_hz")
         self.size, self.rate_hz = size, float(rate)
         self._pyglet: Any = pyglet
         self._window: Any = pyglet.window.Window(fullscreen=True, screen=found, vsync=True)
@@ -112,7 +112,7 @@ class PygletWindow:
         return self._refresh
 
     def close(self) -> None:
-        """Go dark, and away, which it does though it cannot go dark."""
+        """Show black and close; closes even if it cannot show black."""
         try:
             self.show(np.zeros((*self.size, 3), np.uint8))
         finally:
@@ -120,7 +120,7 @@ class PygletWindow:
 
 
 class HdmiProjector(Closing):
-    """A projector that shows several frames of each video frame, so many refreshes after it was sent."""
+    """A projector that shows several frames of each video frame, ``latency`` refreshes after it was sent."""
 
     window: Window
     layout: SlotLayout
@@ -137,18 +137,18 @@ class HdmiProjector(Closing):
 
     @property
     def slots_per_s(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
         return self.layout.slots * self.window.rate_hz
 
     def show(self, frames: list[np.ndarray]) -> int:
-        """Show the next video frame's frames ``[row, column]``; the number of the first slot they are lit in."""
+        """Show the next video frame's frames ``[row, column]``; returns the number of their first slot."""
         if any(frame.shape != self.size for frame in frames):
             raise BadInput(f"frames must have {self.size[0]} x {self.size[1]} pixels, as the projector has")
         refresh = self._send(compose(frames, self.layout))
         return (refresh + self.latency) * self.layout.slots
 
     def black(self) -> None:
-        """Show black; light ends some refreshes later, so switch the lamp off where that is too late."""
+        """Show black; light ends some refreshes later, so switch the lamp off if that is too late."""
         self._send(np.zeros((*self.size, 3), np.uint8))
 
     def _send(self, video_frame: np.ndarray) -> int:
@@ -156,15 +156,15 @@ class HdmiProjector(Closing):
             return self.window.show(video_frame)
         except VamError:
             raise
-        except Exception as error:  # whatever a system raises for a screen that was pulled out
-            raise DeviceLost(f"the projector's screen is gone ({error}); check its cable and its power") from error
+        except Exception as error:  # systems raise various errors for an unplugged screen
+            raise DeviceLost(f"the projector's screen is lost ({error}); check its cable and its power") from error
 
     def close(self) -> None:
-        """Go dark, and away; more than once does no harm. That a screen is lost is logged: it is dark."""
+        """Show black and close; may be called more than once. A lost screen is only logged, because it is dark."""
         if self._closed:
             return
         self._closed = True
         try:
             self.window.close()
-        except Exception as error:  # raised, it would hide why a print ended
+        except Exception as error:  # an error here would hide why a print ended
             log.warning("closing the projector's window: %s; check its cable and its power", error)

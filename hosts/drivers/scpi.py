@@ -27,24 +27,24 @@ class PowerMeter(Closing):
         return cls(open_wire(url, "the power meter", baud, timeout_s))
 
     def _identify(self) -> str:
-        """Maker, model, serial number and version, as every such instrument answers."""
+        """Maker, model, serial number and version."""
         try:
             identity = self.ask("*IDN?")
         except (DeviceLost, ProtocolError) as error:
-            raise WrongDevice(f"{self._wire.name} does not say what it is: {error}") from error
+            raise WrongDevice(f"{self._wire.name} does not identify itself: {error}") from error
         if not identity.isascii() or not identity.isprintable() or identity.count(",") not in (2, 3):
-            raise WrongDevice(f"{identity!r} answers at {self._wire.name}, which is no instrument; check the port")
+            raise WrongDevice(f"{identity!r} answers at {self._wire.name}, which is not an instrument; check the port")
         return identity
 
     def tell(self, text: str) -> None:
-        """Send a command that is not answered."""
+        """Send a command without an answer."""
         with self._wire.lock:
             self._wire.send(text.encode("ascii") + b"\n")
 
     def ask(self, text: str) -> str:
-        """Send a question and return the answer."""
+        """Send a query and return the answer."""
         with self._wire.lock:
-            self._wire.drain()  # an answer that came too late is not the next question's
+            self._wire.drain()  # a late answer does not belong to the next query
             self._wire.send(text.encode("ascii") + b"\n")
             answer = self._wire.line()
         if not answer:
@@ -54,39 +54,39 @@ class PowerMeter(Closing):
         return answer.decode("ascii", "replace").strip()
 
     def number(self, text: str) -> float:
-        """Ask for a number."""
+        """Query a number."""
         answer = self.ask(text)
         try:
             value = float(answer)
         except ValueError:
-            raise ProtocolError(f"{self._wire.name} answered {answer!r} to {text!r}, a number was expected") from None
+            raise ProtocolError(f"{self._wire.name} answered {answer!r} to {text!r}, expected a number") from None
         if not math.isfinite(value) or abs(value) >= 9e37:
             raise DeviceRefused(f"{self._wire.name} has no value ({answer}) for {text!r}; check its sensor", "range")
         return value
 
     def check(self) -> None:
-        """Raise DeviceRefused if a command since the last check was not good."""
+        """Raise DeviceRefused if a command since the last check failed."""
         answer = self.ask("SYST:ERR?")
         code, _, text = answer.partition(",")
         if code.strip().lstrip("+") != "0":
             raise DeviceRefused(f"{self._wire.name} refused a command: {text.strip()}", code.strip())
 
     def wavelength(self, nanometers: float) -> None:
-        """Set the wavelength the reading is corrected for [nm]."""
+        """Set the wavelength for the correction of readings [nm]."""
         if not 100 < nanometers < 3000:
-            raise BadInput(f"a wavelength of {nanometers} nm is no light a photodiode sees; give nanometers")
+            raise BadInput(f"a wavelength of {nanometers} nm is outside the range of photodiodes; give nanometers")
         self.tell(f"SENS:CORR:WAV {nanometers:g}")
         self.check()
 
     def average(self, count: int) -> None:
-        """Set how many samples make a reading."""
+        """Set the number of samples per reading."""
         self.tell(f"SENS:AVER:COUN {count}")
         self.check()
 
     def power_mw(self) -> float:
-        """The optical power now [mW]."""
+        """The present optical power [mW]."""
         return self.number("MEAS:POW?") * MILLI
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         self._wire.close()

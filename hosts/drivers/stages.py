@@ -18,24 +18,24 @@ from vamgpu.hosts.drivers.wire import Wire
 
 @runtime_checkable
 class Stage(Protocol):
-    """One axis; positions in its ``unit``, ``mm`` or ``deg``, and speeds in that a second."""
+    """One axis; positions in its ``unit``, ``mm`` or ``deg``, and speeds in ``unit`` per second."""
 
     unit: str
 
-    def position(self) -> float: ...  # where the axis says it is
-    def move(self, position: float, speed: float) -> None: ...  # begin to move to a position
-    def run(self, speed: float) -> None: ...  # begin to move at a speed, for good; 0 brings the axis to rest
-    def wait(self) -> None: ...  # return when the axis rests
-    def stop(self) -> None: ...  # begin to come to rest
-    def close(self) -> None: ...  # stop, and let go of the axis
+    def position(self) -> float: ...  # the reported position
+    def move(self, position: float, speed: float) -> None: ...  # start moving to a position
+    def run(self, speed: float) -> None: ...  # start moving at a constant speed; 0 stops the axis
+    def wait(self) -> None: ...  # return when the axis is at rest
+    def stop(self) -> None: ...  # start to stop the axis
+    def close(self) -> None: ...  # stop, and release the axis
 
 
 log: logging.Logger = logging.getLogger(__name__)
-POLL = 0.02  # between two questions whether an axis moves [s]
+POLL = 0.02  # time between two queries whether an axis moves [s]
 
 
 class PolledStage(ClosedOnce):
-    """An axis that is asked whether it still moves; closed, it stops and lets go of its line."""
+    """An axis whose motion is polled; when closed, it stops and releases its line."""
 
     unit: str
     called = "a stage"
@@ -48,24 +48,24 @@ class PolledStage(ClosedOnce):
         raise NotImplementedError
 
     def stop(self) -> None:
-        """Begin to come to rest."""
+        """Start to stop the axis."""
         raise NotImplementedError
 
     def release(self) -> None:
-        """Let go of the line."""
+        """Release the line."""
         raise NotImplementedError
 
     def wait(self) -> None:
-        """Return when the axis rests; DeviceError if it does not within the stage's patience."""
+        """Return when the axis is at rest; DeviceError if that exceeds the stage's patience."""
         waited = 0.0
         while self.busy():
             if waited > self._patience:
-                raise DeviceError(f"{self._name} still moves after {self._patience} s; check what it should do")
+                raise DeviceError(f"{self._name} still moves after {self._patience} s; check its commands")
             self._pause(POLL)
             waited += POLL
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and let go of the line."""
+        """Stop, and release the line."""
         return self.stop, self.release
 
 
@@ -82,11 +82,11 @@ class ZaberLink(Protocol):
 
     # send a command and return the reply; ``axis`` 0 means the device
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message: ...
-    def close(self) -> None: ...  # let go of the port
+    def close(self) -> None: ...  # release the port
 
 
 class ZaberLines:
-    """Zaber's commands as lines on a wire, on whose clock they wait: the link of emulated stages."""
+    """Zaber's commands as lines on a wire, with the wire's clock: the link of emulated stages."""
 
     name: str
 
@@ -107,7 +107,7 @@ class ZaberLines:
         raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number")
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         self._wire.close()
 
 
@@ -128,7 +128,7 @@ class ZaberConnection:
             else:
                 self._connection = Connection.open_serial_port(url)
         except ValueError as error:
-            raise BadInput(f"{url!r} is no address of {name}; give a serial port or socket://host:port") from error
+            raise BadInput(f"{url!r} is not an address of {name}; give a serial port or socket://host:port") from error
         except zaber_motion.SerialPortBusyException as error:
             raise DeviceBusy(f"{self.name} is used by another program ({error.message}); close that program") from error
         except zaber_motion.MotionLibException as error:
@@ -143,19 +143,19 @@ class ZaberConnection:
         except self._library.RequestTimeoutException as error:
             raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number") from error
         except (self._library.ConnectionFailedException, self._library.ConnectionClosedException) as error:
-            raise DeviceLost(f"{self.name} is gone ({error.message}); check its plug and power") from error
+            raise DeviceLost(f"{self.name} is lost ({error.message}); check its plug and power") from error
         except self._library.MotionLibException as error:
-            raise ProtocolError(f"{self.name} answered {text!r} wrongly ({error.message}); check the port") from error
+            raise ProtocolError(f"{self.name} answered {text!r} badly ({error.message}); check the port") from error
         accepted, busy = found.reply_flag == "OK", found.status == "BUSY"
         return zaber.Message("@", device, axis, None, accepted, busy, found.warning_flag, found.data)
 
     def close(self) -> None:
-        """Let go of the port; more than once does no harm."""
+        """Release the port; may be called more than once."""
         self._connection.close()
 
 
 class ZaberStage(PolledStage):
-    """One axis of one Zaber device, with so many microsteps a unit, ``mm`` or ``deg``."""
+    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``."""
 
     microsteps: float
 
@@ -165,7 +165,7 @@ class ZaberStage(PolledStage):
     ) -> None:  # fmt: skip
         if not microsteps > 0 or unit not in ("mm", "deg"):
             link.close()
-            raise BadInput(f"{microsteps} microsteps a {unit!r} are no stage; give what its gear makes, in mm or deg")
+            raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
         super().__init__(f"stage {device}", unit, patience_s, pause)
         self.microsteps, self._device, self._axis = microsteps, device, axis
         with closed_on_error(link):
@@ -190,30 +190,30 @@ class ZaberStage(PolledStage):
         return zaber.accept(self._exchange(text), text)
 
     def _whole(self, text: str) -> int:
-        """The whole number a question is answered with."""
+        """The whole number in the answer to a query."""
         data = self.ask(text)
         try:
             return int(data)
         except ValueError:
             raise ProtocolError(
-                f"{self._link.name} answered {data!r} to {text!r}, a number was expected; check the number of its axis"
+                f"{self._link.name} answered {data!r} to {text!r}, expected a number; check the number of its axis"
             ) from None
 
     def _exchange(self, text: str, axis: int | None = None) -> zaber.Message:
         return self._link.exchange(self._device, self._axis if axis is None else axis, text)
 
     def position(self) -> float:
-        """Where the axis says it is."""
+        """Reported position of the axis."""
         return self._whole("get pos") / self.microsteps
 
     def move(self, position: float, speed: float) -> None:
-        """Begin to move to a position at most at a speed."""
+        """Start moving to a position, at most at a speed."""
         above_zero(speed)
         self.ask(f"set maxspeed {self._speed(speed)}")
         self.ask(f"move abs {round(position * self.microsteps)}")
 
     def run(self, speed: float) -> None:
-        """Begin to move at a speed, for good."""
+        """Start moving at a constant speed."""
         self.ask("stop" if speed == 0 else f"move vel {self._speed(speed)}")
 
     def _speed(self, speed: float) -> int:
@@ -226,20 +226,20 @@ class ZaberStage(PolledStage):
         return message.busy
 
     def stop(self) -> None:
-        """Begin to come to rest."""
+        """Start to stop the axis."""
         self.ask("stop")
 
     def trigger_every(self, distance: float, output: int = 1) -> None:
-        """Raise a digital output each time the axis has travelled a distance, first after half of it; 0 ends it."""
+        """Raise a digital output each time the axis has traveled a distance, first after half of it; 0 ends it."""
         half = round(distance * self.microsteps / 2)
         if distance != 0 and half < 1:
             raise BadInput(
-                f"a trigger each {distance} {self.unit} is finer than two microsteps; give a longer distance"
+                f"a trigger every {distance} {self.unit} is finer than two microsteps; give a longer distance"
             )
         if abs(distance * self.microsteps / 2 - half) > 1e-6:
             raise BadInput(
                 f"{distance} {self.unit} are {distance * self.microsteps:g} microsteps, which drifts; expected an even "
-                "whole number, so that each edge keeps its place"
+                "whole number"
             )
         texts = [f"trigger {output} disable", f"io set do {output} 0"]
         if half:
@@ -250,34 +250,34 @@ class ZaberStage(PolledStage):
             zaber.accept(self._exchange(text, axis=0), text)
 
     def release(self) -> None:
-        """Let go of the line."""
+        """Release the line."""
         self._link.close()
 
 
 def _axis(uri: str) -> Any:
     """The maker's axis at an address such as ``xi-com:///dev/ttyACM0``."""
     stands_in = sys.platform != "win32" and "winreg" not in sys.modules
-    if stands_in:  # some releases of the package import this Windows module everywhere, and use it on Windows alone
+    if stands_in:  # some releases of the package import this Windows module everywhere, but use it only on Windows
         sys.modules["winreg"] = types.ModuleType("winreg")
     try:
         from libximc import highlevel  # type: ignore[import-not-found]
     except ImportError as error:
         raise DeviceNotFound('Standa stages need libximc: pip install "vamgpu[standa]"') from error
     finally:
-        if stands_in:  # the standard library asks whether there is one
+        if stands_in:  # for checks by the standard library
             del sys.modules["winreg"]
     return highlevel.Axis(uri)
 
 
 class StandaStage(ClosedOnce):
-    """One axis of libximc's ``highlevel.Axis``, with so many full steps a unit, each of ``fraction`` microsteps."""
+    """One axis of libximc's ``highlevel.Axis``, with ``steps`` full steps per unit, each of ``fraction`` microsteps."""
 
     steps: float
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
         if not steps > 0 or unit not in ("mm", "deg"):
-            raise BadInput(f"{steps} steps a {unit!r} are no stage; give what screw or gear make, in mm or deg")
+            raise BadInput(f"{steps} steps per {unit!r} are impossible; give those of screw or gear, in mm or deg")
         self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
         self._call("open_device")
 
@@ -305,18 +305,18 @@ class StandaStage(ClosedOnce):
         self._call("set_move_settings", settings)
 
     def position(self) -> float:
-        """Where the axis says it is."""
+        """Reported position of the axis."""
         found = self._call("get_position")
         return (found.Position + found.uPosition / self._fraction) / self.steps
 
     def move(self, position: float, speed: float) -> None:
-        """Begin to move to a position."""
+        """Start moving to a position."""
         above_zero(speed)
         self._speed(speed)
         self._call("command_move", *self._split(position))
 
     def run(self, speed: float) -> None:
-        """Begin to move at a speed, for good."""
+        """Start moving at a constant speed."""
         if speed == 0:
             self.stop()
             return
@@ -324,13 +324,13 @@ class StandaStage(ClosedOnce):
         self._call("command_right" if speed > 0 else "command_left")
 
     def wait(self) -> None:
-        """Return when the axis rests."""
+        """Return when the axis is at rest."""
         self._call("command_wait_for_stop", 10)
 
     def stop(self) -> None:
-        """Begin to come to rest."""
+        """Start to stop the axis."""
         self._call("command_sstp")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and let go of the axis."""
+        """Stop, and release the axis."""
         return self.stop, partial(self._call, "close_device")

@@ -1,4 +1,4 @@
-"""A stepper that a computer gives pulses by hardware PWM, counted and not measured, and an index at one of its pins."""
+"""A stepper with pulses from a computer's hardware PWM, which are counted, and an index at an input pin."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from vamgpu.hosts.drivers.cleanup import Closing, extra
 from vamgpu.hosts.schedules.clock import Clock, RealClock
 from vamgpu.hosts.schedules.timing import SECOND
 
-STEP = SECOND // 100  # between two rates of a ramp [ns]
-CREDIBLE = 0.01  # share of a turn by which clocks may differ; more is a slip
-OVERDUE = 1.2  # turns without an index after which the motion is not believed
+STEP = SECOND // 100  # time between two rates of a ramp [ns]
+CREDIBLE = 0.01  # share of a turn by which clocks may differ; more means lost steps
+OVERDUE = 1.2  # turns without an index after which the motion counts as lost
 
 
 class PulseOutput(Protocol):
     """An output of evenly spaced pulses."""
 
-    # give so many pulses a second, 0 for none; returns how many it gives in truth, by its own clock
+    # set the pulses per second, 0 for none; returns the actual rate by its own clock
     def rate(self, hz: float) -> float: ...
-    def close(self) -> None: ...  # no pulses, and let go of it
+    def close(self) -> None: ...  # stop the pulses, and release it
 
 
 class IndexInput(Protocol):
-    """An input that notes when a mark passed."""
+    """An input that records when a mark passed."""
 
-    def edges(self) -> tuple[int, ...]: ...  # times of the edges since it was asked last [ns of the rig's clock]
-    def close(self) -> None: ...  # let go of the input
+    def edges(self) -> tuple[int, ...]: ...  # times of the edges since the last call [ns of the rig's clock]
+    def close(self) -> None: ...  # release the input
 
 
 class SysfsPwm(Closing):
@@ -48,27 +48,27 @@ class SysfsPwm(Closing):
         try:
             file.write_text(f"{value}\n", encoding="ascii")
         except OSError as error:
-            raise DeviceError(f"cannot write {str(file)!r}: {error.strerror}; check who may use the PWM") from error
+            raise DeviceError(f"cannot write {str(file)!r}: {error.strerror}; check its permissions") from error
 
     def rate(self, hz: float) -> float:
-        """Give so many pulses a second; returns how many it gives."""
+        """Set the pulses per second; returns the actual rate."""
         if hz == 0:
             self._write(self._place / "enable", 0)
             return 0.0
         period = round(SECOND / hz)
-        self._write(self._place / "duty_cycle", 0)  # a period shorter than the pulse is refused
+        self._write(self._place / "duty_cycle", 0)  # a period shorter than the pulse is rejected
         self._write(self._place / "period", period)
         self._write(self._place / "duty_cycle", period // 2)
         self._write(self._place / "enable", 1)
         return SECOND / period
 
     def close(self) -> None:
-        """No more pulses."""
+        """Stop the pulses."""
         self.rate(0.0)
 
 
 class StepperStage(Closing):
-    """A `Stage` by so many pulses a unit, forward only; an index, at 0 each turn, corrects position and rate."""
+    """A `Stage` that only moves forwards by pulses; an index at 0 of each turn corrects position and rate."""
 
     microsteps: float
 
@@ -77,7 +77,7 @@ class StepperStage(Closing):
         index: IndexInput | None = None,
     ) -> None:  # fmt: skip
         if not microsteps > 0 or not ramp > 0 or unit not in ("mm", "deg"):
-            raise BadInput(f"{microsteps} pulses a {unit!r}, ramp {ramp} are no stepper; expected numbers above 0")
+            raise BadInput(f"{microsteps} pulses per {unit!r}, ramp {ramp} are not possible; expected numbers above 0")
         self.unit, self.microsteps = unit, microsteps
         self._pulses, self._clock, self._ramp, self._index = pulses, clock, ramp, index
         self._at, self._since, self._speed = 0.0, clock.now(), 0.0
@@ -88,7 +88,7 @@ class StepperStage(Closing):
         return self._at + self._speed * (now - self._since) / SECOND
 
     def position(self) -> float:
-        """The pulses that were given, corrected by the index."""
+        """The pulses so far, corrected by the index."""
         for edge in () if self._index is None else self._index.edges():
             self._marked(edge)
         here = self._position(self._clock.now())
@@ -97,8 +97,8 @@ class StepperStage(Closing):
         return here
 
     def _marked(self, edge: int) -> None:
-        """Take the mark's word for where it was, and for how far a turn's pulses went."""
-        if edge < self._since:  # it had another speed then: the mark was seen, and tells no angle
+        """Correct the position and the pulses per turn by the mark."""
+        if edge < self._since:  # at another speed, the mark shows motion but gives no angle
             self._seen = self._position(self._clock.now())
             return
         here = self._position(edge)
@@ -112,16 +112,16 @@ class StepperStage(Closing):
             self._set(self._speed)
 
     def move(self, position: float, speed: float) -> None:
-        """Move on to a position; returns when it is there."""
+        """Move forwards to a position; returns when it is reached."""
         if not speed > 0 or (way := position - self.position()) < 0:
-            raise BadInput(f"a move to {position:g} at {speed:g}; expected one forward, at a speed above 0")
+            raise BadInput(f"a move to {position:g} at {speed:g}; expected one forwards, at a speed above 0")
         self._clock.sleep_until(self._clock.now() + round(way / self._set(speed) * SECOND) if way else 0)
         self._set(0.0)
 
     def run(self, speed: float) -> None:
-        """Change to a speed, by the ramp, and keep it; 0 brings the axis to rest."""
+        """Change to a speed with the ramp, and keep it; 0 stops the axis."""
         if speed < 0:
-            raise BadInput(f"a speed of {speed:g} {self.unit}/s; a stepper by pulses turns forward only")
+            raise BadInput(f"a speed of {speed:g} {self.unit}/s; this stepper only turns forwards")
         while abs(speed - self._speed) > (change := self._ramp * STEP / SECOND):
             self._set(self._speed + (change if speed > self._speed else -change))
             self._clock.sleep_until(self._clock.now() + STEP)
@@ -134,14 +134,14 @@ class StepperStage(Closing):
         return self._speed
 
     def wait(self) -> None:
-        """It rests when `run` and `move` return."""
+        """It is at rest when `run` and `move` return."""
 
     def stop(self) -> None:
-        """Come to rest."""
+        """Stop."""
         self.run(0.0)
 
     def close(self) -> None:
-        """Stop, and let go of output and index."""
+        """Stop, and release output and index."""
         try:
             self._set(0.0)
             self._pulses.close()
@@ -150,11 +150,11 @@ class StepperStage(Closing):
                 self._index.close()
 
 
-MOST = 1000  # edges that wait to be asked for; a mark comes once a turn
+MOST = 1000  # edges that wait to be read; a mark comes once per turn
 
 
 class GpioIndex(Closing):
-    """An index mark at a pin. device: gpiozero's ``DigitalInputDevice``, which calls in a thread of its own."""
+    """An index mark at a pin. device: gpiozero's ``DigitalInputDevice``, which calls in a separate thread."""
 
     def __init__(self, device: Any, clock: Clock) -> None:
         self._device, self._clock = device, clock
@@ -168,9 +168,9 @@ class GpioIndex(Closing):
             from gpiozero import DigitalInputDevice  # type: ignore[import-not-found]
         try:
             device = DigitalInputDevice(pin)
-        except Exception as error:  # each of its ways to the pins has errors of its own
+        except Exception as error:  # its pin libraries raise different errors
             raise DeviceNotFound(
-                f"there is no pin {pin} ({error}); run on the computer that has it, and close what else uses it"
+                f"there is no pin {pin} ({error}); run on the computer that has it, and close other programs"
             ) from error
         return cls(device, clock or RealClock())
 
@@ -178,9 +178,9 @@ class GpioIndex(Closing):
         self._edges.append(self._clock.now())
 
     def edges(self) -> tuple[int, ...]:
-        """Times of the marks since it was asked last [ns]."""
+        """Times of the marks since the last call [ns]."""
         return tuple(self._edges.popleft() for _ in range(len(self._edges)))
 
     def close(self) -> None:
-        """Let go of the pin; more than once does no harm."""
+        """Release the pin; may be called more than once."""
         self._device.close()

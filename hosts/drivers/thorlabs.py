@@ -16,14 +16,14 @@ from vamgpu.hosts.drivers.wire import Wire, open_wire
 log: logging.Logger = logging.getLogger(__name__)
 UNIT, HOST, CHANNEL = 0x50, 0x01, 1
 FORWARD, REVERSE, PROFILED = 1, 2, 2
-MOST = 50  # messages that may come before an answer
-LARGEST = 2**31 - 1  # of a position or speed
+MOST = 50  # most messages before an answer
+LARGEST = 2**31 - 1  # greatest position or speed
 ENDED = ("mot_move_completed", "mot_move_stopped", "mot_move_homed")
 MOVING = ("moving_forward", "moving_reverse", "jogging_forward", "jogging_reverse", "homing")
 
 
 class Cube(NamedTuple):
-    """A family of cubes. speed: units of its speed in a count a second.  encoder: whether it counts one."""
+    """A family of cubes. speed: units of speed per count per second.  encoder: whether counts are of an encoder."""
 
     speed: float
     encoder: bool
@@ -34,7 +34,7 @@ CUBES = {"KDC": SERVO, "TDC": SERVO, "KBD": BRUSHLESS, "TBD": BRUSHLESS, "KST": 
 
 
 class ThorlabsStage(PolledStage):
-    """One axis, with so many counts a unit: of its encoder, or microsteps on a stepper's cube."""
+    """One axis, with ``counts`` per unit: of its encoder, or microsteps on a stepper's cube."""
 
     counts: float
 
@@ -46,12 +46,12 @@ class ThorlabsStage(PolledStage):
         self._wire, self.counts, self._ended = wire, counts, True
         with closed_on_error(wire):
             if not counts > 0 or unit not in ("mm", "deg"):
-                raise BadInput(f"{counts} counts a {unit!r} are no stage; give what its maker says, in mm or deg")
+                raise BadInput(f"{counts} counts per {unit!r} are not possible; give the maker's number, in mm or deg")
             self._start()
 
     @classmethod
     def open(cls, port: str, counts: float, unit: str = "deg", timeout_s: float = 0.5) -> Self:
-        """Open a stage and enable its motor; a PRM1-Z8 has 1919.6418578623391 counts a degree."""
+        """Open a stage and enable its motor; a PRM1-Z8 has 1919.6418578623391 counts per degree."""
         # cubes hold bytes back by RTS and CTS
         return cls(open_wire(port, "the Thorlabs stage", 115200, timeout_s, rtscts=True), counts, unit)
 
@@ -76,7 +76,7 @@ class ThorlabsStage(PolledStage):
         self._wire.send(getattr(self._apt, name)(UNIT, HOST, *arguments))
 
     def _ask(self, question: str, answer: str, *arguments: int) -> Any:
-        """Ask, and take messages up to the answer: a cube says by itself that a move has ended."""
+        """Send a query, and read messages up to the answer: cubes also report the end of a move."""
         with self._wire.lock:
             self._send(question, *arguments)
             for _, message in zip(range(MOST), self._messages, strict=False):
@@ -91,14 +91,14 @@ class ThorlabsStage(PolledStage):
         return self._ask(f"mot_req_{kind}", f"mot_get_{kind}", CHANNEL)
 
     def position(self) -> float:
-        """Where the axis says it is."""
+        """Reported position of the axis."""
         return self._status().position / self.counts
 
     def _speed(self, speed: float) -> None:
-        """Set the greatest speed, and leave the rest of its profile."""
+        """Set the greatest speed, and keep the rest of its profile."""
         units = self._whole(abs(speed) * self._cube.speed, "speed", speed)
         if units == 0:
-            raise BadInput(f"a speed of {speed:g} {self.unit}/s is below what the {self.kind} tells apart; go faster")
+            raise BadInput(f"a speed of {speed:g} {self.unit}/s is below the resolution of the {self.kind}; go faster")
         profile = self._ask("mot_req_velparams", "mot_get_velparams", CHANNEL)
         self._send("mot_set_velparams", CHANNEL, profile.min_velocity, profile.acceleration, units)
 
@@ -109,7 +109,7 @@ class ThorlabsStage(PolledStage):
         return found
 
     def move(self, position: float, speed: float) -> None:
-        """Begin to move to a position at most at a speed."""
+        """Start moving to a position, at most at a speed."""
         above_zero(speed)
         goal = self._whole(position, "position", position)
         self._speed(speed)
@@ -117,7 +117,7 @@ class ThorlabsStage(PolledStage):
         self._send("mot_move_absolute", CHANNEL, goal)
 
     def run(self, speed: float) -> None:
-        """Begin to move at a speed, for good."""
+        """Start moving at a constant speed."""
         if speed == 0:
             return self.stop()
         self._speed(speed)
@@ -130,10 +130,10 @@ class ThorlabsStage(PolledStage):
         return not self._ended or any(getattr(said, name) for name in MOVING)
 
     def stop(self) -> None:
-        """Begin to come to rest."""
+        """Start to stop the axis."""
         self._ended = True
         self._send("mot_move_stop", CHANNEL, PROFILED)
 
     def release(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         self._wire.close()

@@ -1,4 +1,4 @@
-"""A line to a machine: bytes out, bytes in, and errors that say what to check.
+"""A line to a machine: bytes out, bytes in, and errors with a remedy.
 
 Ports open by pyserial's ``serial_for_url``: ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port``. Instruments open by the
 kernel's ``usbtmc:/dev/usbtmc0``, or through PyVISA by a resource such as ``TCPIP::host::INSTR``.
@@ -24,42 +24,42 @@ class Port(Protocol):
     """An open port, such as pyserial's."""
 
     def write(self, data: bytes, /) -> Any: ...  # send
-    # receive ``size`` bytes, or fewer if they do not come in the port's own time
+    # receive ``size`` bytes, or fewer within the port's timeout
     def read(self, size: int = 1, /) -> bytes: ...
-    def reset_input_buffer(self) -> None: ...  # forget what has come in
-    def close(self) -> None: ...  # let go of the port
+    def reset_input_buffer(self) -> None: ...  # discard received bytes
+    def close(self) -> None: ...  # release the port
     @property
-    def in_waiting(self) -> int: ...  # how many bytes have come in
+    def in_waiting(self) -> int: ...  # number of received bytes
 
 
 class _MessagePort:
-    """A port that gives whole messages; what of one is not asked for at once waits."""
+    """A port of whole messages; the unread rest of a message is kept."""
 
     _pending = b""
 
     def _message(self) -> bytes:
-        """The next message; none where it does not come in time."""
+        """The next message; empty if it does not come in time."""
         raise NotImplementedError
 
     def read(self, size: int = 1, /) -> bytes:
-        """Receive from the message that is there, or the next."""
+        """Receive from the present message, or the next."""
         if not self._pending:
             self._pending = self._message()
         taken, self._pending = self._pending[:size], self._pending[size:]
         return taken
 
     def reset_input_buffer(self) -> None:
-        """Forget what has come in."""
+        """Discard received bytes."""
         self._pending = b""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes of the message that are left."""
+        """Unread bytes of the message."""
         return len(self._pending)
 
 
 class UsbtmcPort(_MessagePort):
-    """The kernel's character device of an instrument on USB, locked to one program: one message a read."""
+    """The kernel's character device of an instrument on USB, locked to one program: one message per read."""
 
     def __init__(self, path: str) -> None:
         import fcntl
@@ -79,12 +79,12 @@ class UsbtmcPort(_MessagePort):
         return os.read(self._file, 4096)
 
     def close(self) -> None:
-        """Let go of the instrument."""
+        """Release the instrument."""
         os.close(self._file)
 
 
 class VisaPort(_MessagePort):
-    """A message-based resource of PyVISA; one message a read."""
+    """A message-based resource of PyVISA; one message per read."""
 
     def __init__(self, resource: Any, timeout_s: float) -> None:
         self._resource = resource
@@ -107,7 +107,7 @@ class VisaPort(_MessagePort):
             raise OSError(errno.EIO, str(error)) from error
 
     def close(self) -> None:
-        """Let go of the instrument."""
+        """Release the instrument."""
         self._resource.close()
 
 
@@ -118,7 +118,7 @@ def _visa() -> Any:
 
 
 def _visa_port(url: str, name: str, timeout_s: float) -> VisaPort:
-    """The resource of a VISA address; the maker's library where one is installed, else pyvisa-py."""
+    """The resource of a VISA address; with the maker's library if it is installed, else pyvisa-py."""
     visa = _visa()
     try:
         return VisaPort(visa.ResourceManager().open_resource(url), timeout_s)
@@ -131,13 +131,13 @@ def _visa_port(url: str, name: str, timeout_s: float) -> VisaPort:
         raise DeviceNotFound(f"{name} is not at {url} ({error}); check the address, the plug and the power") from error
     except (visa.errors.Error, ValueError, OSError) as error:
         raise DeviceNotFound(
-            f"{name} cannot be opened at {url} ({error}); check the address, and that a VISA library is there: "
+            f"{name} cannot be opened at {url} ({error}); check the address, and that a VISA library is installed: "
             'pip install "vamgpu[visa]"'
         ) from error
 
 
 class Wire(Closing):
-    """An open port with a name, safe to use from several threads one exchange at a time."""
+    """An open port with a name, safe for several threads, one exchange at a time."""
 
     def __init__(self, port: Port, name: str) -> None:
         self.port = port
@@ -147,12 +147,12 @@ class Wire(Closing):
 
     @contextmanager
     def _used(self) -> Iterator[None]:
-        """Raise `DeviceLost` where the port fails."""
+        """Raise `DeviceLost` if the port fails."""
         try:
             yield
         except OSError as error:
             raise DeviceLost(
-                f"{self.name} is gone ({error}); check its plug and its power, then start again"
+                f"{self.name} is lost ({error}); check its plug and its power, then start again"
             ) from error
 
     def send(self, data: bytes) -> None:
@@ -187,18 +187,18 @@ class Wire(Closing):
         return taken
 
     def waiting(self) -> int:
-        """Bytes that have come in and are not read."""
+        """Received bytes that are not read."""
         with self._used():
             return len(self._ahead) + self.port.in_waiting
 
     def drain(self) -> None:
-        """Forget what has come in."""
+        """Discard received bytes."""
         self._ahead.clear()
         with self._used():
             self.port.reset_input_buffer()
 
     def reopen(self) -> None:
-        """Open the port again, of a machine that was unplugged. Raises DeviceLost where it is not back."""
+        """Open the port of an unplugged machine again. Raises DeviceLost if it is not back."""
         self.close()
         self._ahead.clear()
         with self._used():
@@ -207,7 +207,7 @@ class Wire(Closing):
             self.port.open()  # type: ignore[attr-defined]
 
     def close(self) -> None:
-        """Let go of the port; more than once does no harm."""
+        """Release the port; may be called more than once."""
         try:
             self.port.close()
         except OSError as error:
@@ -217,7 +217,7 @@ class Wire(Closing):
 def open_wire(
     url: str, name: str, baud: int = 115200, timeout_s: float = 0.25, lines_low: bool = False, rtscts: bool = False
 ) -> Wire:
-    """Open a machine's port; reads wait for ``timeout_s``. DeviceNotFound, or DeviceBusy where another has it."""
+    """Open a machine's port; reads wait for ``timeout_s``. DeviceNotFound, or DeviceBusy if another program uses it."""
     if "::" in url:
         return Wire(_visa_port(url, name, timeout_s), f"{name} at {url}")
     if url.startswith("usbtmc:"):
@@ -235,7 +235,7 @@ def open_wire(
             port.rts = port.dtr = False
         port.open()
     except ValueError as error:
-        raise BadInput(f"{url!r} is no address of a port for {name}: {error}") from error
+        raise BadInput(f"{url!r} is not the address of a port for {name}: {error}") from error
     except OSError as error:
         raise _unopened(url, name, error) from error
     return Wire(port, f"{name} at {url}")

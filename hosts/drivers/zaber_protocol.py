@@ -1,4 +1,4 @@
-"""Zaber's ASCII protocol: commands with message numbers and check sums, replies, and alerts that come by themselves."""
+"""Zaber's ASCII protocol: commands with message numbers and check sums, replies, and unsolicited alerts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SPEED_UNITS = 1.6384  # units of the device's speed in one microstep per second
 
 
 def lrc(data: bytes) -> int:
-    """The byte that brings the sum of all bytes to a multiple of 256."""
+    """The byte that makes the sum of all bytes a multiple of 256."""
     return -sum(data) & 0xFF
 
 
@@ -37,10 +37,10 @@ def command(device: int, axis: int, number: int, text: str) -> bytes:
 
 
 def parse(line: bytes) -> Message:
-    """The message of one line without its ending; ProtocolError where it is none."""
+    """The message of one line without its ending; ProtocolError if it is not one."""
     text = line.decode("ascii", "replace").strip("\r\n")
     if len(text) < 5 or text[0] not in "@!#":
-        raise ProtocolError(f"{line!r} is no message of a Zaber device; check the port and the baud rate")
+        raise ProtocolError(f"{line!r} is not a message of a Zaber device; check the port and the baud rate")
     kind, body = text[0], text[1:]
     if len(body) > 3 and body[-3] == ":":
         try:
@@ -72,11 +72,11 @@ def _fields(kind: str, words: list[str], line: bytes) -> Message:
             raise ValueError(rest[0])
         return Message(kind, device, axis, number, accepted, rest[0] == "BUSY", rest[1], " ".join(rest[2:]))
     except (ValueError, IndexError):
-        raise ProtocolError(f"{line!r} is no message of a Zaber device; check the port and the baud rate") from None
+        raise ProtocolError(f"{line!r} is not a message of a Zaber device; check the port and the baud rate") from None
 
 
 def accept(message: Message, text: str) -> str:
-    """The data of a reply to ``text``; DeviceRefused where the device rejected it or is in fault."""
+    """The data of a reply to ``text``; DeviceRefused if the device rejected it or is in fault."""
     if not message.accepted:
         raise DeviceRefused(f"stage {message.device} rejected {text!r}: {message.data}", message.data)
     if message.warning.startswith("F"):

@@ -1,1 +1,1 @@
-"""Emulators speak the protocols of real devices; only the rig that assembles them may import them."""
+"""Emulators use the protocols of real devices; only the rig that assembles them may import them."""

@@ -1,6 +1,6 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
-``EmulatedAlp.library`` has real C functions, so wrong widths of integers or bad pointers fail as they would there.
+``EmulatedAlp.library`` has real C functions, so wrong integer widths or bad pointers fail as on the device.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ class EmulatedAlp(EmulatedArray):
                 with self.clock.lock:
                     self.advance(self.clock.now())
                     return self._call(name, *arguments)
-            except BaseException as error:  # C code cannot pass it on, a key that was pressed as little
+            except BaseException as error:  # C code cannot pass on an exception or Ctrl-C
                 self.crash = error
                 return FAILED
 
         return ctypes.CFUNCTYPE(N, *types)(called)
 
     def _call(self, name: str, device: int, *arguments: Any) -> int:
-        """Call a method, with the sequence of a number where there is one, and answer inquiries by its table."""
+        """Call a method, with its sequence if there is one, and answer inquiries from its table."""
         if "Seq" in name and name != "AlpSeqAlloc":
             stored = self._stored.get(arguments[0])
             if stored is None:
@@ -159,7 +159,7 @@ class EmulatedAlp(EmulatedArray):
     # the device
 
     def disconnect(self) -> None:
-        """The process that held it is gone, and the system took it back: dark, and all frames forgotten."""
+        """The process that held it has ended, and the system released it: dark, without frames."""
         with self.clock.lock:
             self.advance(self.clock.now())
             self._queue.clear()

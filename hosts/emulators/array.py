@@ -1,4 +1,4 @@
-"""A mirror array: frames in its memory, a queue of them, triggers, and when which plane was lit."""
+"""A mirror array: frames in its memory, their queue, triggers, and the lit times of planes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class ArrayModel:
     height: int = 1080
     width: int = 1920
     planes: int = 31069  # bit planes that fit
-    load_us: int = 44  # of all rows
-    gray_us: int = 3760  # of 8 bits
-    dark_us: int = 0  # lost of every lit time
-    bytes_per_s: float = 0.0  # of uploads; 0: at once
+    load_us: int = 44  # load time of all rows
+    gray_us: int = 3760  # least time of 8 bits
+    dark_us: int = 0  # dark part of every lit time
+    bytes_per_s: float = 0.0  # speed of uploads; 0: instantaneous
     serial: int = 1001
     time_out_ns: int = 1_000_000_000
 
@@ -39,7 +39,7 @@ class ArrayModel:
 
 @dataclass(frozen=True)
 class DisplayedFrame:
-    """A displayed frame: planes ``[plane, row, byte]``, and when each began and ended [ns]."""
+    """A displayed frame: planes ``[plane, row, byte]``, and the begin and end of each [ns]."""
 
     number: int  # since the device was opened
     sequence: int  # where it was stored, with ``frame``
@@ -77,7 +77,7 @@ class Queued:
 
 
 class EmulatedArray:
-    """The mirrors: ``trigger`` is their input, ``on_shown`` gets each frame that is over."""
+    """The mirrors: ``trigger`` is their input, ``on_shown`` receives each finished frame."""
 
     clock: VirtualClock
     model: ArrayModel
@@ -109,7 +109,7 @@ class EmulatedArray:
             self._show(now + self._queue[0].stored.delay_us * MICRO)
 
     def _show(self, start: int) -> None:
-        """Begin the next frame of the queue at a time [ns]."""
+        """Start the next frame of the queue at a time [ns]."""
         head = self._queue[0]
         stored, frame = head.stored, head.next
         planes = stored.frames.get(frame)
@@ -134,7 +134,7 @@ class EmulatedArray:
         return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
 
     def _iterate(self, head: Queued) -> None:
-        """Begin a sequence again, or take it off the queue when its last frame is over."""
+        """Repeat a sequence, or remove it from the queue after its last frame."""
         if head.iterations is not None:
             head.iterations -= 1
         if head.iterations is None or head.iterations > 0:
@@ -152,7 +152,7 @@ class EmulatedArray:
             self.on_shown(shown)
 
     def due(self) -> int | None:
-        """When a frame ends."""
+        """End of a frame."""
         if self._current is not None:
             return self._current[1]
         if self.slave and self.time_out and self._queue:
@@ -160,7 +160,7 @@ class EmulatedArray:
         return None
 
     def advance(self, now: int) -> None:
-        """End frames that are over, and in master mode begin those that follow."""
+        """End finished frames, and in master mode start those that follow."""
         while self._current is not None and self._current[1] <= now:
             end = self._current[1]
             self._finish()
@@ -171,7 +171,7 @@ class EmulatedArray:
             self._queue.clear()
 
     def _cut(self) -> None:
-        """Stop the frame that shows, as a halt does: what was to come of it is not shown."""
+        """Stop the present frame, as a halt does: the rest of it is not shown."""
         if self._current is None:
             self._queue.clear()
             return

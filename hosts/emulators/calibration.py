@@ -26,7 +26,7 @@ from vamgpu.hosts.emulators.stage import EmulatedStage
 
 
 class EmulatedMeter(LineDevice):
-    """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; above its range it has no value."""
+    """A photodiode's meter that reads ``light(now)`` [mW], with noise [mW]; beyond its range it has no value."""
 
     wavelength: float
     count: int
@@ -41,7 +41,7 @@ class EmulatedMeter(LineDevice):
         self.wavelength, self.count = 405.0, 1
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
+        """Receive bytes."""
         for line in self.lines(data):
             if words := line.decode("ascii", "replace").upper().split():
                 answer = self._answer(words, now)
@@ -78,33 +78,33 @@ class EmulatedMeter(LineDevice):
 
 MICRO = 1000
 FAINT = 1e-15
-PARTS = 4  # of a column that a pin shades, each evenly
+PARTS = 4  # parts of a column that a pin shades, each uniform
 
 
 @dataclass(frozen=True)
 class Optics:
-    """The truth that calibrations look for; the focus is at middle + slope · power."""
+    """The truth for calibrations; the focus is at middle + slope · power."""
 
     slope: float = -40.6  # [mm/dpt]
     middle: float = 0.35  # [mm], from the middle of the camera's stage
     waist: float = 0.0138  # standard deviation of the blur in focus [mm]
-    depth: float = 3.8  # where it is √2 times as wide, end to end [mm]
+    depth: float = 3.8  # depth of focus, to a blur √2 times as wide, end to end [mm]
     mirrors: tuple[int, int] = (96, 192)  # rows and columns
-    pitch: float = 0.0144  # of a mirror in the image [mm]
+    pitch: float = 0.0144  # size of a mirror in the image [mm]
     view: tuple[int, int] = (104, 208)  # rows and columns of the camera
-    electrons: float = 4.0e6  # a pixel and second in full light
+    electrons: float = 4.0e6  # electrons per pixel and second in full light
     axis: float = 98.3  # of the roller [columns]
     radius: float = 55.2  # of the roller [columns]
     shadow: float = 1.3  # blur of the roller's edges [columns]
-    leak: float = 0.002  # light of a mirror that is off, over one that is on
-    turn: float = 4.0  # dark time at the begin of each plane [us]
+    leak: float = 0.002  # light of a mirror that is off, relative to one that is on
+    turn: float = 4.0  # dark time at the start of each plane [us]
     full: float = 20.0  # light of all mirrors on the photodiode [mW]
     pin: float = 0.0  # half the width of a pin on the turntable [columns]; 0 for none
-    across: tuple[float, float] = (2.4, -1.3)  # of the pin from the axis, times (cos, sin) of its angle [columns]
-    lean: float = 0.006  # slope of the pin [columns a row]
+    across: tuple[float, float] = (2.4, -1.3)  # pin from the axis, times (cos, sin) of its angle [columns]
+    lean: float = 0.006  # slope of the pin [columns per row]
     wobble: tuple[float, float] = (0.010, 0.014)  # added to it, times (cos, sin)
-    tilt: float = 0.0  # how much dimmer mirrors at the right edge are
-    falloff: float = 0.0  # how much dimmer those in the corners are
+    tilt: float = 0.0  # by how much mirrors at the right edge are dimmer
+    falloff: float = 0.0  # by how much those in the corners are dimmer
     ambient: float = 0.02  # [mW]
     noise: float = 0.001  # of the photodiode [mW]
     seed: int = 0
@@ -120,17 +120,17 @@ class Optics:
         return gauss * np.sinc(frequency * self.pitch) * np.sinc(frequency * pixel)
 
     def gray(self, level: int, lit: int) -> float:
-        """Light of a gray level over that of mirrors that always are on; ``lit``: time of a frame [us]."""
+        """Light of a gray level relative to mirrors that are always on; ``lit``: time of a frame [us]."""
         planes = [lit * (1 << bit) / 255.0 - self.turn for bit in range(8) if level >> bit & 1]
         return self.leak + (1.0 - self.leak) * sum(planes) / lit
 
     def flat(self) -> np.ndarray:
-        """Light of full-on mirrors [row, column] over that of one in the middle."""
+        """Light of full-on mirrors [row, column] relative to one in the middle."""
         down, across = (np.linspace(-1.0, 1.0, length) for length in self.mirrors)
         return 1.0 - self.tilt * across[None, :] - 0.5 * self.falloff * (down[:, None] ** 2 + across[None, :] ** 2)
 
     def passes(self) -> np.ndarray:
-        """Share of a column's light that the roller lets by."""
+        """Share of a column's light that passes the roller."""
         from scipy.special import ndtr
 
         column = np.arange(self.mirrors[1])
@@ -138,7 +138,7 @@ class Optics:
         return left + ndtr((column - self.axis - self.radius) / self.shadow)
 
     def pinned(self, light: np.ndarray, angle: float) -> np.ndarray:
-        """Light [row, part of a column], each column in `PARTS`, that a pin lets by at the turntable's angle [rad]."""
+        """Light [row, part of a column], each column in `PARTS`, that passes a pin at the turntable's angle [rad]."""
         wave = np.array([np.cos(angle), np.sin(angle)])
         row = np.arange(light.shape[0]) - 0.5 * (light.shape[0] - 1)
         center = self.axis + wave @ self.across + (self.lean + wave @ self.wobble) * row
@@ -147,12 +147,12 @@ class Optics:
         return np.repeat(light, PARTS, axis=1) * (1.0 - covered)
 
     def spread(self, mirrors: int, pixels: int, pixel: float, blur: float, parts: int = 1) -> np.ndarray:
-        """Weights [pixel, mirror] of one axis: a mirror's width, blurred, as a pixel's width sees it; exact."""
+        """Weights [pixel, mirror] of one axis: the overlap of a blurred mirror with a pixel; exact."""
         edge = (np.arange(mirrors + 1) - 0.5 * mirrors) * self.pitch / parts
         border = (np.arange(pixels + 1) - 0.5 * pixels) * pixel
         area = _ramp((border[:, None] - edge[None, :]) / blur) * blur
         weights = -np.diff(np.diff(area, axis=0), axis=1) / pixel
-        return np.where(weights > FAINT, weights, 0.0)  # subnormal numbers would cost more than all others
+        return np.where(weights > FAINT, weights, 0.0)  # subnormal numbers would take more time than all others
 
     def image(self, light: np.ndarray, pixel: float, blur: float, angle: float = 0.0) -> np.ndarray:
         """Image [electrons/s] of light on the mirrors [row, column], past the pin at an angle [rad]."""
@@ -171,21 +171,21 @@ def _ramp(u: np.ndarray) -> np.ndarray:
 
 
 def box(share: np.ndarray) -> np.ndarray:
-    """Weight, up to a share of an exposure, of what comes in it: all the same."""
+    """Cumulative weight of light up to a share of an exposure: uniform."""
     return share
 
 
 def smooth(share: np.ndarray) -> np.ndarray:
-    """Weight, up to a share of its memory, of what a slow meter has seen: rising and falling softly."""
+    """Cumulative weight of light up to a share of a slow meter's memory: it rises and falls smoothly."""
     return share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi)
 
 
-MEMORY = 100_000_000  # how far back the photodiode's reading reaches [ns]
+MEMORY = 100_000_000  # memory of the photodiode [ns]
 TRAVEL = 60.0  # of the camera's stage [mm]
 
 
 class RecordingAlp(EmulatedAlp):
-    """Mirrors that remember when each frame was shown, the one on show included."""
+    """Mirrors that record when each frame was shown, with the present one."""
 
     def __init__(self, clock: VirtualClock, model: ArrayModel) -> None:
         super().__init__(clock, model)
@@ -198,13 +198,13 @@ class RecordingAlp(EmulatedAlp):
             self.seen.append(self._current[0])
 
     def _over(self, shown: DisplayedFrame) -> None:
-        """A frame is over, perhaps before its time."""
+        """A frame has ended, perhaps early."""
         if self.seen and self.seen[-1].number == shown.number:
             self.seen[-1] = shown
 
 
 class ProjectedLight:
-    """The light of mirrors over a time: of one projector, behind one channel of the lamp."""
+    """The light of mirrors over a time, for one projector with one channel of the lamp."""
 
     alp: RecordingAlp
     channel: int
@@ -220,7 +220,7 @@ class ProjectedLight:
         self._lamp.append((now, drive if channels >> self.channel & 1 else 0.0))
 
     def light(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Mean light of each mirror [row, column] over a time [ns], 1 for one that is on; ``weight`` cumulates to 1."""
+        """Mean light of each mirror [row, column] over a time [ns], 1 if it is on; ``weight`` is cumulative."""
         optics = self.optics
         held: dict[tuple[int, int, int], tuple[DisplayedFrame, float]] = {}
         for shown in reversed(self.alp.seen):
@@ -254,7 +254,7 @@ class ProjectedLight:
 
 
 class RigCamera(EmulatedCamera):
-    """A camera on a stage, that looks into the projector's light."""
+    """A camera on a stage that faces the projector."""
 
     emulated: EmulatedCalibrationRig
     pixel: float
@@ -279,7 +279,7 @@ class RigCamera(EmulatedCamera):
 
 
 class EmulatedCalibrationRig:
-    """All machines, and the optics between them; each method opens the driver of one. numbers: lamps of projectors."""
+    """All machines, and the optics between them; each method opens a driver."""
 
     optics: Optics
     rig: Any  # what its file says

@@ -1,4 +1,4 @@
-"""An emulated camera: what a scene sends during the exposure, blurred, with noise, as whole numbers."""
+"""An emulated camera: the light of a scene during the exposure, with blur and noise, as whole numbers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.dose import DoseRecorder
 
 MICRO = 1000
-Scene = Callable[[int], np.ndarray]  # electrons a second ``[row, column]`` at a time [ns]
+Scene = Callable[[int], np.ndarray]  # electrons per second ``[row, column]`` at a time [ns]
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The camera's sensor: full well and noise of reading [electrons], bits, and an offset [levels]."""
+    """The camera's sensor: full well and read noise [electrons], bits, and an offset [levels]."""
 
     full_well: float = 30000.0
     read_noise: float = 7.0
@@ -26,7 +26,7 @@ class Sensor:
 
 @dataclass(eq=False)
 class EmulatedCamera:
-    """A camera of a scene, seen ``samples`` times in an exposure; repeatable noise by its seed."""
+    """A camera of a scene, sampled ``samples`` times per exposure; its seed makes the noise repeatable."""
 
     clock: VirtualClock
     scene: Scene
@@ -41,7 +41,7 @@ class EmulatedCamera:
         self._random = np.random.default_rng(self.seed)
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us]."""
+        """Set the exposure time [us]."""
         self.exposure_us = exposure_us
 
     def grab(self) -> np.ndarray:
@@ -76,11 +76,11 @@ class EmulatedCamera:
         return np.clip(levels, 0, top).astype(np.uint8 if sensor.bits <= 8 else np.uint16)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to release."""
 
 
 class RunningCamera(EmulatedCamera):
-    """A camera that takes an image each ``period`` [ns] by itself; `grab` waits for one that was not given yet."""
+    """A free-running camera with an image every ``period`` [ns]; `grab` waits for a new one."""
 
     grabbed: int
 
@@ -101,18 +101,18 @@ class RunningCamera(EmulatedCamera):
         self._electrons: np.ndarray | float = 0.0
 
     def expose(self, exposure_us: float) -> None:
-        """Set the time of exposure [us], from the next image on."""
+        """Set the exposure time [us], from the next image on."""
         with self.clock.lock:
             super().expose(exposure_us)
             self._ready = None
             self._begin(self.clock.now())
 
     def due(self) -> int | None:
-        """When it samples next, or has an image [ns]."""
+        """Time of its next sample or image [ns]."""
         return self._polls[0] if self._polls else self._end
 
     def advance(self, now: int) -> None:
-        """Sample, and begin again where the image is whole."""
+        """Sample, and start again if the image is complete."""
         if self._polls:
             part = self.exposure_us * MICRO * 1e-9 / self.samples
             self._electrons = self._electrons + self._sample(self._polls.pop(0)) * part
@@ -143,16 +143,16 @@ class ResinModel:
     critical: float = 50.0  # [mJ/mm3]
     width: float = 5.0  # [mJ/mm3]
     base: float = 1.0  # of liquid resin
-    gain: float = 8.0  # of gelled resin, beside base
+    gain: float = 8.0  # added by gelled resin
 
     def scattering(self, dose: np.ndarray | float) -> np.ndarray:
-        """Scattered light over that of liquid resin."""
+        """Scattered light relative to liquid resin."""
         gelled = 1 / (1 + np.exp(-(np.asarray(dose, float) - self.critical) / self.width))
         return self.base + self.gain * gelled
 
 
 class ResinScene:
-    """A scene of resin, whose collected dose [mJ/mm3] scatters the light of an observing lamp."""
+    """A scene of resin, which scatters the light of a lamp according to its dose [mJ/mm3]."""
 
     model: ResinModel
 
@@ -163,22 +163,22 @@ class ResinScene:
         self.dose: np.ndarray = np.zeros(size)
 
     def deposit(self, rate: np.ndarray | float, start: int, end: int) -> None:
-        """Add what came between two times."""
+        """Add the light between two times."""
         self.dose += np.asarray(rate) * ((end - start) * 1e-9)
 
     def __call__(self, now: int) -> np.ndarray:
-        """Electrons a second ``[row, column]``."""
+        """Electrons per second ``[row, column]``."""
         return self._electrons * self.model.scattering(self.dose)
 
 
-RATE = 5.0  # dose that full drive brings [mW/mm3]
-LIQUID = 1000.0  # electrons of an image's pixel where the resin is liquid: the lamp of the camera suits the exposure
+RATE = 5.0  # dose rate at full drive [mW/mm3]
+LIQUID = 1000.0  # electrons of an image's pixel in liquid resin: the lamp of the camera is adapted to the exposure
 
 
 def resin_camera(
     recorder: DoseRecorder, clock: VirtualClock, exposure: float = 0.01, bits: int = 8, rate: float = RATE
 ) -> RunningCamera:
-    """Watch the resin, a pixel for each mirror, which gets its mirror's light from all sides; exposure [s]."""
+    """Watch the resin with one pixel per mirror, which receives its mirror's light from all sides; exposure [s]."""
     scene = ResinScene(recorder.mirrors, electrons_per_s=LIQUID / exposure)
 
     def lit(mirrors: np.ndarray, start: int, end: int) -> None:

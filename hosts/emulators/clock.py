@@ -1,4 +1,4 @@
-"""Time that a program sets: an hour's print runs in seconds, and twice the same."""
+"""Simulated time: an hour's print runs in seconds, and repeats exactly."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from vamgpu.hosts.schedules.clock import RealClock
 
 @runtime_checkable
 class Timed(Protocol):
-    """An emulated machine whose state changes by itself."""
+    """An emulated machine whose state changes with time."""
 
-    def due(self) -> int | None: ...  # when something happens next [ns]; None while nothing is pending
-    # carry the state to ``now`` [ns]; never called with a time before an earlier one's
+    def due(self) -> int | None: ...  # time of its next event [ns]; None if there is none
+    # advance the state to ``now`` [ns]; times of calls never decrease
     def advance(self, now: int) -> None: ...
 
 
 class VirtualClock:
-    """A clock that jumps when somebody sleeps on it; attached machines act in order of time, under ``lock``."""
+    """A clock that jumps ahead on sleep; attached machines act in order of time, under ``lock``."""
 
     real = False
 
@@ -32,17 +32,17 @@ class VirtualClock:
         return self._now
 
     def attach(self, machine: Timed) -> None:
-        """Let a machine act when it is due."""
+        """Attach a machine, which acts when it is due."""
         with self.lock:
             self._machines.append(machine)
 
     def detach(self, machine: Timed) -> None:
-        """Let a machine act no more."""
+        """Detach a machine."""
         with self.lock:
             self._machines = [each for each in self._machines if each is not machine]
 
     def sleep_until(self, until: int) -> None:
-        """Jump to ``until`` [ns], through everything due before; a time that is past returns at once."""
+        """Jump to ``until`` [ns], through everything due before; returns at once for a past time."""
         with self.lock:
             while True:
                 pending = [(due, machine) for machine in self._machines if (due := machine.due()) is not None]
@@ -61,7 +61,7 @@ class VirtualClock:
 
 
 class PacedClock(VirtualClock):
-    """A virtual clock that keeps pace with real time, for people who watch, and for threads."""
+    """A virtual clock that keeps pace with real time, for viewers and for threads."""
 
     real = True
 
@@ -71,7 +71,7 @@ class PacedClock(VirtualClock):
         self._began = self._own.now()
 
     def now(self) -> int:
-        """The time [ns]; all that is due by then has happened."""
+        """The time [ns]; everything due by then has happened."""
         with self.lock:
             if not self._jumping:
                 self._jumping = True
@@ -82,7 +82,7 @@ class PacedClock(VirtualClock):
             return self._now
 
     def sleep_until(self, until: int) -> None:
-        """Return at ``until`` [ns] or soon after it. Machines that are due meanwhile act at their time or later."""
+        """Return at ``until`` [ns] or soon after. Machines due before act at their time or later."""
         self._own.sleep_until(self._began + until)
         self.now()
 

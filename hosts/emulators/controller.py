@@ -1,6 +1,6 @@
 """The emulated controller of web, trigger, lens and light: its line, and the timing of its rows.
 
-Its limits are its own: one that is wrong in the driver's protocol is refused here.
+It has separate limits, so that a wrong limit in the driver's protocol is rejected here.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from vamgpu.hosts.emulators.sensors import Senses
 from vamgpu.hosts.emulators.track import Track
 
 MICRO = 1000
-TRIGGER_GAP = 50 * MICRO  # from trigger to trigger at least [ns]
-RAMP = 200_000.0  # how fast the web changes its speed until a host tells it otherwise [microsteps/s2]
+TRIGGER_GAP = 50 * MICRO  # least time from trigger to trigger [ns]
+RAMP = 200_000.0  # acceleration of the web until a host sets it [microsteps/s2]
 
 
 class RowPlayer:
-    """Queue, web, lease and gate of the firmware; callbacks get the time [ns] last."""
+    """Queue, web, lease and gate of the firmware; the last argument of callbacks is the time [ns]."""
 
-    # ``intervals`` remembers when which channels were lit with which drive, ``row_times`` when each row acted.
+    # ``intervals`` records times, channels and drives of light, ``row_times`` the time of each row.
 
     armed: bool
     running: bool
@@ -48,7 +48,7 @@ class RowPlayer:
         self._begin()
 
     def _begin(self) -> None:
-        """As a board does when it gets its power."""
+        """Start as a board does at power-on."""
         self.web: Track = Track(acceleration=RAMP)
         self.senses: Senses = Senses()
         self.armed = self.running = self.done = False
@@ -66,10 +66,10 @@ class RowPlayer:
         self._steady = 0
 
     def say(self, now: int, *words: object) -> None:
-        """Tell the host something by itself."""
+        """Send an event to the host."""
 
     def due(self) -> int | None:
-        """When it acts next."""
+        """Time of its next event."""
         times = [self._judge_at, self._pulse_end, None if self._pulse is None else self._pulse[0], self._row_due()]
         if self.lease_end is not None and (self.light or self.armed):
             times.append(self.lease_end)
@@ -88,12 +88,12 @@ class RowPlayer:
         return self.total is not None and self.next_row >= self.total
 
     def microsteps(self, now: int) -> int:
-        """The whole microsteps the web has gone; a rounding short of one counts."""
+        """Whole microsteps of the web, with a tolerance for rounding."""
         position = self.web.position(now)
         return int(position + (1e-6 if position > 0 else -1e-6))
 
     def advance(self, now: int) -> None:
-        """Do all that is due."""
+        """Do everything that is due."""
         while (at := self.due()) is not None and at <= now:
             if self.senses.used and self._sense_at(at):
                 continue
@@ -112,7 +112,7 @@ class RowPlayer:
                 self._act_row(at)
 
     def _sense_at(self, at: int) -> bool:
-        """Compare encoder and mark; whether that closed the light, or was all that was due."""
+        """Compare encoder and mark; whether that closed the light, or was the only thing due."""
         only = at not in (self._judge_at, self._pulse_end, self.lease_end, self._row_due())
         only = only and (self._pulse is None or at < self._pulse[0])
         reason, homed = self.senses.compare(self.web, at, self.microsteps(at))
@@ -127,7 +127,7 @@ class RowPlayer:
         return only
 
     def call_position(self, now: int, there: int) -> None:
-        """Call where the web is so; encoder and mark are taken to agree."""
+        """Set the position of the web; encoder and mark then count as correct."""
         self.senses.call_position(now, self.microsteps(now), there)
         self.web.set_position(now, float(there))
 
@@ -172,7 +172,7 @@ class RowPlayer:
             self.on_light(channels, at)
 
     def set_power(self, channel: int, drive: int, at: int) -> None:
-        """Change a drive; light that is on stays on, and is remembered with the drives it had until now."""
+        """Change a drive; light that is on stays on, and is recorded with its drives until now."""
         if self.light:
             self.intervals.append((self._lit_at, at, self.light, tuple(self.powers)))
             self._lit_at = at
@@ -202,25 +202,25 @@ class RowPlayer:
         self.say(at, "light", "off", reason)
 
     def lose_power(self, now: int) -> None:
-        """It goes off and on again, and knows nothing any more."""
+        """Power off and on again; all state is lost."""
         self.advance(now)
         self.set_light(0, now)
         self._begin()
 
     def stall(self, now: int) -> None:
-        """The motor stands, though it is stepped on."""
+        """The motor stalls, while steps continue."""
         self.advance(now)
         self.senses.stall(now, self.microsteps(now))
 
     def slip(self, now: int, steps: int) -> None:
-        """The motor loses so many microsteps at once."""
+        """The motor loses a number of microsteps at once."""
         self.advance(now)
         self.senses.slip(now, self.microsteps(now), steps)
         if self.senses.used:
             self._sense_at(now)
 
     def open_interlock(self, now: int) -> None:
-        """Somebody opens the enclosure."""
+        """The enclosure is opened."""
         self.advance(now)
         self.interlock_closed = False
         self.close("interlock", now)
@@ -231,7 +231,7 @@ LONGEST_LEASE_MS = 1000
 CAPACITY = 256
 LONGEST_LINE = 160
 FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
-STEEPEST = 10**8  # the greatest change of its speed [microsteps/s2]
+STEEPEST = 10**8  # the greatest acceleration [microsteps/s2]
 GREATEST = 10**15  # the greatest count of microseconds or microsteps, some thirty years
 LONGEST_US = 2**31 - 1
 LONGEST_RATIO = 10**6
@@ -245,7 +245,7 @@ RANGES: dict[str, tuple[tuple[int, int], ...]] = {
     "index": ((0, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
 }  # fmt: skip
 """Least and greatest of each argument."""
-AT_REST = ("go", "zero", "encoder", "index", "home")  # refused while rows are played
+AT_REST = ("go", "zero", "encoder", "index", "home")  # rejected while rows are played
 
 
 class EmulatedController(RowPlayer, LineDevice):
@@ -276,7 +276,7 @@ class EmulatedController(RowPlayer, LineDevice):
         return line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
+        """Receive bytes."""
         self.advance(now)
         for line in self.lines(data):
             self.advance(now)

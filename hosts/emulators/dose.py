@@ -1,4 +1,4 @@
-"""Dose in the resin: recorded from mirrors, lamp, lens and motion as they truly were, and compared with the frames."""
+"""Dose in the resin: recorded from the true state of mirrors, lamp, lens and motion, and compared with the frames."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
-MARGIN = 0.005  # share of a pose by which light may come too early, from where the first light fell
-NEAR = 0.02  # within how much of a plane's power [1/m] the lens is at it
+MARGIN = 0.005  # share of a pose by which light may be early, from the position of the first light
+NEAR = 0.02  # largest difference from a plane's power [1/m] at which the lens is on it
 
 
 class DoseRecorder:
     """Light in the resin, by engine, plane and pose: seconds of full drive on each mirror."""
 
-    # position: of the motion [poses] at a time [ns]; power: of the lens [1/m]; first: where pose 0 begins, None for
-    # where the first light falls; drive: share of full of an engine's lamp; turn: poses come round again.
+    # position: of the motion [poses] at a time [ns]; power: of the lens [1/m]; first: begin of pose 0, None for the
+    # place of the first light; drive: share of full of an engine's lamp; turn: number of poses per turn.
 
     mirrors: tuple[int, int]
     engines: int
@@ -44,7 +44,7 @@ class DoseRecorder:
         self._times, self._channels, self._drives = [0], [0], [(1.0,) * engines]
 
     def scan(self, schedule: Schedule) -> None:
-        """Poses of a vial come round again. Each reaches to the next, wherever measured angles put it."""
+        """Set the poses of a vial, which repeat. Each reaches to the next, also at measured angles."""
         self.turn, turn = schedule.frames, schedule.position[: schedule.frames]
         if schedule.advance * schedule.frames != 360:
             self._begins = np.append(turn - turn[0], 360.0) / float(schedule.advance)
@@ -73,7 +73,7 @@ class DoseRecorder:
                 listen(light, begin, stop)
 
     def _lit(self, engine: int, start: int, end: int) -> list[tuple[int, int, float]]:
-        """When the engine's lamp shone between two times, and its drive."""
+        """When the engine's lamp was on between two times, and its drive."""
         times = self._times
         found, place = [], max(bisect_right(times, start) - 1, 0)
         while place < len(times) and times[place] < end:
@@ -85,7 +85,7 @@ class DoseRecorder:
         return found
 
     def pose(self, now: int) -> float:
-        """The pose that light goes to at a time [ns], turns running on."""
+        """The pose that light reaches at a time [ns], counted on over turns."""
         pose = self._position(now) - (self.first or 0.0) + MARGIN
         if self._begins is None:
             return pose
@@ -136,37 +136,37 @@ class DoseRecorder:
 
 
 def full_light(schedule: Schedule, engine: int) -> float:
-    """Seconds of full drive that a full-on pixel of a slot gets; machines light for whole microseconds."""
+    """Seconds of full drive for a full-on pixel of a slot; machines light for whole microseconds."""
     return int(schedule.on[0]) // 1000 * 1e-6 * float(schedule.power[0, engine])
 
 
-BEHIND = 2  # poses after which no light falls into one any more
+BEHIND = 2  # poses after which no more light reaches one
 FULL = 255
 
 
 class Leveled(Protocol):
-    """Frames that tell their levels."""
+    """Frames with levels."""
 
-    def levels(self, numbers: np.ndarray) -> np.ndarray: ...  # of frames, uint8 [frame, row, column], 255 full on
+    def levels(self, numbers: np.ndarray) -> np.ndarray: ...  # uint8 [frame, row, column], 255 full on
 
 
 @dataclass(frozen=True)
 class DoseComparison:
     """Dose in the resin against that of the frames."""
 
-    greatest: float  # difference of any pixel, over full on
-    frames: int  # that were compared
-    beside: float  # light outside of all frames, or while the lens moved [s of full-on pixels]
+    greatest: float  # greatest difference of a pixel, relative to full on
+    frames: int  # number of compared frames
+    beside: float  # light outside all frames, or while the lens moved [s of full-on pixels]
 
     def __str__(self) -> str:
         return (
-            f"{self.frames} frames differ in the resin from the job by {self.greatest:.2g} of full on at most; "
-            f"{self.beside:.2g} s of a pixel's light beside them"
+            f"{self.frames} frames differ in the resin from the job by at most {self.greatest:.2g} of full on; "
+            f"{self.beside:.2g} s of a pixel's light outside them"
         )
 
 
 class DoseMonitor:
-    """Watches a recorder; attached to its clock, it compares once a second. sources: of each engine.  planes: focus."""
+    """Watches a recorder; on its clock, it compares once per second. sources: per engine.  planes: focus planes."""
 
     def __init__(
         self, recorder: DoseRecorder, schedule: Schedule, sources: Sequence[Leveled], mirrors: MirrorArray,
@@ -181,18 +181,18 @@ class DoseMonitor:
         self._times, self._cut = np.full(self._poses, turns), set[int]()
 
     def due(self) -> int | None:
-        """When it compares next [ns]."""
+        """Time of its next comparison [ns]."""
         return None if self._turn else self._at
 
     def advance(self, now: int) -> None:
-        """Compare the poses that are over, and forget them."""
+        """Compare finished poses, and drop them."""
         self._at = now + SECOND
         if self._light:
             newest = max(pose for _, _, pose in self._light)
             self._compare(min(newest - BEHIND, self._poses))
 
     def verdict(self, shown: Sequence[int] | None = None) -> DoseComparison:
-        """Compare what is left, once the print is over. shown: frames of a vial that was stopped, in order."""
+        """Compare the rest after the print. shown: frames of a stopped vial, in order."""
         if shown is not None:
             self._times = np.bincount(np.asarray(shown, int), minlength=self._poses)
             last = int(shown[-1]) if len(shown) else 0

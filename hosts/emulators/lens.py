@@ -1,6 +1,6 @@
 """An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
 
-Lengths and check sums are of its own, so that a mistake in the driver's coding cannot hide in both.
+It has separate lengths and check sums, so that a mistake in the driver's coding cannot hide in both.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vamgpu.hosts.emulators.line import SECOND, LineDevice
 
 @dataclass(frozen=True)
 class LensModel:
-    """The lens: a damped oscillator, a power a milliampere, and a drift with temperature."""
+    """The lens: a damped oscillator, a power per milliampere, and a drift with temperature."""
 
     natural_hz: float = 300.0
     damping: float = 0.9
@@ -29,14 +29,14 @@ class LensModel:
 
 
 class LensDynamics:
-    """Focal power over time after steps of what is asked of it, in closed form."""
+    """Focal power over time after steps of its target, in closed form."""
 
     def __init__(self, model: LensModel) -> None:
         self.model = model
         self._steps: deque[tuple[int, float, float, float]] = deque([(0, 0.0, 0.0, 0.0)], maxlen=4096)
 
     def step(self, now: int, target: float) -> None:
-        """Ask for another power [1/m]."""
+        """Set another target power [1/m]."""
         power, rate = self.state(now)
         while len(self._steps) > 1 and self._steps[-1][0] >= now:
             self._steps.pop()
@@ -62,14 +62,14 @@ LENGTHS = {
     b"H": 3, b"V": 3, b"Aw": 6, b"Ar": 6, b"CrMA": 8, b"MwCA": 6, b"MMA": 5,
     b"PwTA": 10, b"PwDA": 10, b"PrDA": 10, b"TCA": 5, b"TA": 4, b"Sr": 4, b"Start": 5,
 }  # fmt: skip
-"""Bytes of each command with its check sum, by what it starts with."""
+"""Start of each command → its bytes with the check sum."""
 LONGEST_NAME = max(map(len, LENGTHS))
 BEGINNINGS = {name[:size] for name in LENGTHS for size in range(1, len(name))}
 CURRENT, FOCAL_POWER = 1, 5  # modes
 CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
 CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
 FULL_MA, FULL_CODE = 292.84, 4095  # the full current, and its code
-PATIENCE = 20_000_000  # how long the driver waits for the rest of a command [ns]
+PATIENCE = 20_000_000  # time that the driver waits for the rest of a command [ns]
 
 
 def check_sum(data: bytes) -> int:
@@ -83,7 +83,7 @@ def check_sum(data: bytes) -> int:
 
 @dataclass(eq=False)
 class EmulatedLens(LineDevice):
-    """The driver's firmware and the lens behind it."""
+    """The driver's firmware and its lens."""
 
     model: LensModel = LensModel()
     firmware: str = "A"
@@ -109,7 +109,7 @@ class EmulatedLens(LineDevice):
     # the line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
+        """Receive bytes."""
         self.advance(now)
         self._buffer += data
         self._heard = now
@@ -117,17 +117,17 @@ class EmulatedLens(LineDevice):
             pass
 
     def due(self) -> int | None:
-        """When patience with half a command ends."""
+        """Time limit of an incomplete command."""
         return self._heard + PATIENCE if self._buffer else None
 
     def advance(self, now: int) -> None:
-        """Give up half a command that is not continued."""
+        """Drop an incomplete command after its time limit."""
         if self._buffer and now >= self._heard + PATIENCE:
             self._buffer.clear()
             self._refuse(1, now)
 
     def _one(self, now: int) -> bool:
-        """Act on the first command in the buffer if it is whole."""
+        """Execute the first command in the buffer if it is complete."""
         starts = [bytes(self._buffer[:size]) for size in range(min(len(self._buffer), LONGEST_NAME), 0, -1)]
         name = next((start for start in starts if start in LENGTHS), None)
         if name is None:
@@ -231,7 +231,7 @@ class EmulatedLens(LineDevice):
     # the lens
 
     def _obey(self, now: int) -> None:
-        """Ask of the lens what mode, codes and temperature make."""
+        """Set the lens's target from mode, codes and temperature."""
         if self.mode == FOCAL_POWER:
             target = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
         else:
@@ -246,5 +246,5 @@ class EmulatedLens(LineDevice):
         self._obey(now)
 
     def power(self, now: int) -> float:
-        """The focal power [1/m] at a time [ns], also in the midst of settling; the past is remembered."""
+        """The focal power [1/m] at a time [ns], also in the past or while it settles."""
         return self._glass.state(now)[0]

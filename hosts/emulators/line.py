@@ -1,4 +1,4 @@
-"""Lines to emulated machines, which ``receive`` bytes and give what one may ``take``: cables, and faults on them."""
+"""Lines to emulated machines, which ``receive`` bytes and give bytes to ``take``: cables, and their faults."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SECOND = 1_000_000_000
 
 
 class LineDevice:
-    """An emulated machine on a line, with bytes that came in and bytes on their way out."""
+    """An emulated machine on a line, with received and outgoing bytes."""
 
     _buffer: bytearray
 
@@ -22,7 +22,7 @@ class LineDevice:
         self._out = Outbox(byte_ns, round(latency_us * 1000))
 
     def lines(self, data: bytes) -> Iterator[bytes]:
-        """The lines that are whole once bytes have come in, without their ends."""
+        """The lines that are complete after bytes were received, without their ends."""
         self._buffer += data
         while (end := self._buffer.find(b"\n")) >= 0:
             line = bytes(self._buffer[:end]).replace(b"\r", b"")
@@ -31,45 +31,45 @@ class LineDevice:
                 yield line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes that have arrived."""
+        """Receive bytes."""
         raise NotImplementedError
 
     def take(self, now: int) -> bytes:
-        """Give the bytes that have left by now."""
+        """Return the bytes sent by now."""
         return self._out.take(now)
 
     def ready(self) -> int | None:
-        """When the next bytes will have left; None while there are none."""
+        """Time at which the next bytes are sent; None if there are none."""
         return self._out.ready()
 
     def due(self) -> int | None:
-        """Never, as it does nothing by itself."""
+        """Never: it has no events."""
         return None
 
     def advance(self, now: int) -> None:
-        """Nothing changes by itself."""
+        """Nothing changes with time."""
 
 
 class Outbox:
-    """Bytes on their way out, each with the time when it has left."""
+    """Outgoing bytes, each with the time at which it is sent."""
 
     byte_ns: int
     latency_ns: int
 
     def __init__(self, byte_ns: int = 0, latency_ns: int = 0) -> None:
         self.byte_ns, self.latency_ns = byte_ns, latency_ns
-        self._pieces: deque[tuple[int, bytes]] = deque()  # when a piece's first byte begins to leave
+        self._pieces: deque[tuple[int, bytes]] = deque()  # start time of a piece's first byte
         self._last = 0
 
     def put(self, data: bytes, now: int) -> None:
-        """Queue bytes behind those that are still leaving."""
+        """Queue bytes after those still being sent."""
         if data:
             start = max(now + self.latency_ns, self._last)
             self._last = start + len(data) * self.byte_ns
             self._pieces.append((start, data))
 
     def take(self, now: int) -> bytes:
-        """The bytes that have left."""
+        """The sent bytes."""
         taken = b""
         while (first := self.ready()) is not None and first <= now:
             start, data = self._pieces.popleft()
@@ -80,13 +80,13 @@ class Outbox:
         return taken
 
     def ready(self) -> int | None:
-        """When the next byte will have left."""
+        """Time at which the next byte is sent."""
         return self._pieces[0][0] + self.byte_ns if self._pieces else None
 
 
 @dataclass
 class Faults:
-    """Faults of a line: bytes dropped or with a bit flipped, by their number since the start; or all dead."""
+    """Faults of a line: bytes dropped or with a bit flipped, by their number since the start; or a dead line."""
 
     drop_in: frozenset[int] = frozenset()
     flip_in: frozenset[int] = frozenset()
@@ -115,7 +115,7 @@ class Faults:
 
 
 class Cable:
-    """One way of a line: bytes arrive at a machine after the time they take."""
+    """One direction of a line: bytes arrive at a machine after their transfer time."""
 
     def __init__(self, machine: LineDevice, baud: int = 0) -> None:
         self.machine = machine
@@ -133,7 +133,7 @@ class Cable:
         return self._flight.ready()
 
     def advance(self, now: int) -> None:
-        """Deliver what has arrived, each byte at its time."""
+        """Deliver the arrived bytes, each at its time."""
         while (at := self._flight.ready()) is not None and at <= now:
             self.machine.receive(self._flight.take(at), at)
 
@@ -159,7 +159,7 @@ class VirtualPort:
         self._unplugged = self._absent = True
 
     def replug(self) -> None:
-        """The plug is back; who opens the port again can use it."""
+        """Put the plug back; the port works once it is opened again."""
         self._absent = False
 
     def open(self) -> None:
@@ -186,7 +186,7 @@ class VirtualPort:
         return len(data)
 
     def read(self, size: int = 1, /) -> bytes:
-        """Receive, or give up when the timeout is over."""
+        """Receive, or give up after the timeout."""
         with self.clock.lock:
             return self._read(size)
 
@@ -206,19 +206,19 @@ class VirtualPort:
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have come in."""
+        """Received bytes."""
         self._check()
         self._collect()
         return len(self._received)
 
     def reset_input_buffer(self) -> None:
-        """Forget what has come in."""
+        """Discard received bytes."""
         self._check()
         self._collect()
         self._received.clear()
 
     def close(self) -> None:
-        """Pull the line out; the machine stays as it is."""
+        """Disconnect the line; the machine keeps its state."""
         self.clock.detach(self._cable)
 
 

@@ -1,4 +1,4 @@
-"""A vial whose resin cures by the recorded light, and the camera that watches it turn."""
+"""A vial whose resin cures by the recorded light, and its camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.live import VirtualPrinter
 
 
 class CuringCamera:
-    """Images through a vial of curing resin; each turn's light acts when the turn is over."""
+    """Images through a vial of curing resin; the light of each turn acts at its end."""
 
     printer: VirtualPrinter
 
@@ -26,7 +26,7 @@ class CuringCamera:
         self._random = np.random.default_rng(printer.seed)
 
     def expose(self, exposure_us: float) -> None:
-        """The light of the camera is as bright whatever its exposure."""
+        """The camera's images have the same brightness at any exposure."""
 
     def grab(self) -> np.ndarray:
         """The image at the vial's present angle, [row, column]."""
@@ -46,4 +46,4 @@ class CuringCamera:
         self._before, self._images = seen, None
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to release."""

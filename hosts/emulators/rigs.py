@@ -25,12 +25,12 @@ from vamgpu.hosts.emulators.stage import EmulatedStage, EmulatedStepper
 from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMachines
 
 LENS_BAUD = 38400
-MICROSTEPS = 1000.0  # of the video rig's stage in a degree
-FINER = 100  # times as many in a millimeter
+MICROSTEPS = 1000.0  # microsteps of the video rig's stage per degree
+FINER = 100  # microsteps per millimeter / microsteps per degree
 
 
 class _EmulatedRig:
-    """A clock, the recorder of the dose, and the machines that are plugged in on ports of their own."""
+    """A clock, the recorder of the dose, and machines on separate ports."""
 
     clock: VirtualClock
     recorder: DoseRecorder
@@ -50,7 +50,7 @@ class _EmulatedRig:
 
 
 class _TriggeredRig(_EmulatedRig):
-    """Mirrors of each engine, shown to the recorder. ``lose_triggers``: so many do not reach them."""
+    """Mirrors of each engine, connected to the recorder. ``lose_triggers``: number of lost triggers."""
 
     def __init__(self, clock: VirtualClock | None, model: ArrayModel, engines: int) -> None:
         self.clock: VirtualClock = clock or VirtualClock()
@@ -75,7 +75,7 @@ class _TriggeredRig(_EmulatedRig):
 
 
 class EmulatedMirrorRig(_TriggeredRig):
-    """Mirrors that the controller triggers, by so many microsteps a pose, and a lens with focus planes [1/m]."""
+    """Mirrors that the controller triggers, every few microsteps, and a lens with focus planes [1/m]."""
 
     controller: EmulatedController
 
@@ -100,7 +100,7 @@ class EmulatedMirrorRig(_TriggeredRig):
             self.controller.on_lens = cable.send
 
     def machines(self, microsteps_per_unit: float) -> MirrorMachines:
-        """The drivers, opened as those of real machines are."""
+        """The drivers, opened like those of real machines."""
         controller = self._plug_controller(microsteps_per_unit, self.faults)
         assert controller is not None
         lens = None
@@ -111,7 +111,7 @@ class EmulatedMirrorRig(_TriggeredRig):
 
 
 class EmulatedStageRig(_TriggeredRig):
-    """Mirrors that a stage triggers, before a light that a controller or a line gates, or that always shines."""
+    """Mirrors that a stage triggers, with a light that a controller or a line gates, or that is always on."""
 
     microsteps: int
     unit: str
@@ -145,14 +145,14 @@ class EmulatedStageRig(_TriggeredRig):
         self.stage.track.run(self.clock.now(), speed * self.microsteps)
 
     def machines(self, microsteps_per_unit: float) -> StageMachines:
-        """The drivers, opened as those of real machines are."""
+        """The drivers, opened like those of real machines."""
         stage, controller = self._plug_stage(microsteps_per_unit, self.unit), self._plug_controller()
         lamp = None if self.line is None else TtlLamp(self.line)
         return StageMachines(self.clock, stage, self._mirrors(), microsteps_per_unit, controller, lamp)
 
 
 class EmulatedVideoRig(_EmulatedRig):
-    """A video projector of rows and columns before a stage, or a stepper with a clock so much quicker [ppm]."""
+    """A video projector with a stage, or a stepper whose clock is faster by a rate [ppm]."""
 
     clock: VirtualClock
     gated: bool
@@ -190,7 +190,7 @@ class EmulatedVideoRig(_EmulatedRig):
             self.recorder.lit(0, slot.levels / slot.top, slot.start, slot.end)
 
     def slip(self, degrees: float) -> None:
-        """The vial's coupling gives: from now on the stage is elsewhere, and says so."""
+        """The vial's coupling slips: from now on the stage is elsewhere, and reports it."""
         now = self.clock.now()
         self.stage.track.set_position(now, self.stage.track.position(now) + degrees * MICROSTEPS)
 
@@ -199,7 +199,7 @@ class EmulatedVideoRig(_EmulatedRig):
         self.stage.track.run(self.clock.now(), degrees_per_s * MICROSTEPS)
 
     def machines(self, latency: int = 1) -> VideoMachines:
-        """The drivers, opened as those of real machines are, with a latency from cable to light [video frames]."""
+        """The drivers, opened like those of real machines, with a latency from cable to light [video frames]."""
         controller = self._plug_controller(faults=self.faults) if self.gated else None
         if self.stepper is not None:
             index = self.stepper if self._indexed else None
@@ -212,7 +212,7 @@ class EmulatedVideoRig(_EmulatedRig):
 
 
 class EmulatedLine:
-    """A serial port of which only the control lines matter. on_change: gets whether RTS is high."""
+    """A serial port with only control lines. on_change: called with whether RTS is high."""
 
     unplugged: bool
 

@@ -1,4 +1,4 @@
-"""An emulated projector on a video cable: video frames taken at refreshes, and their slots lit one refresh later."""
+"""An emulated projector on a video cable: video frames read at refreshes, and their slots lit one refresh later."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class LitSlot:
-    """Levels ``[row, column]`` out of ``top`` that were lit from ``start`` to ``end`` [ns], as slot ``number``."""
+    """Levels ``[row, column]``, at most ``top``, that were lit from ``start`` to ``end`` [ns], as slot ``number``."""
 
     number: int
     levels: np.ndarray
@@ -26,15 +26,15 @@ class LitSlot:
 
 @dataclass(eq=False)
 class EmulatedScreen:
-    """A window and the projector behind it, which repeats a video frame that is not replaced."""
+    """A window and its projector, which repeats a video frame until a new one arrives."""
 
     clock: VirtualClock
     size: tuple[int, int]
     rate_hz: float = 60.0
     order: str = "GR"  # colors of a video frame whose planes are shown
-    bits: int = 8  # planes of each
+    bits: int = 8  # planes of each color
     latency: int = 1  # refreshes
-    share: float = 1.0  # of a slot that is lit
+    share: float = 1.0  # lit share of a slot
     on_slot: Callable[[LitSlot], None] | None = None
     hitches: dict[int, int] = field(default_factory=dict)  # video frame → refreshes that its host loses before it
 
@@ -52,15 +52,15 @@ class EmulatedScreen:
         self.clock.attach(self)
 
     def refresh_time(self, refresh: int) -> int:
-        """When a refresh is [ns]."""
+        """Time of a refresh [ns]."""
         return -(-refresh * SECOND // self._rate)
 
     def slot_time(self, slot: int) -> int:
-        """When a slot begins [ns]."""
+        """Begin of a slot [ns]."""
         return -(-slot * SECOND // (self._rate * len(self.order)))
 
     def show(self, video_frame: np.ndarray, /) -> int:
-        """Take a video frame for the next refresh, and return once that is reached, as a window in step does."""
+        """Accept a video frame for the next refresh, and return at that refresh, as a synchronized window does."""
         if video_frame.shape != (*self.size, 3) or video_frame.dtype != np.uint8:
             raise ValueError(f"video frames are {self.size} x 3 bytes, not {video_frame.shape} {video_frame.dtype}")
         if self.unplugged:
@@ -78,7 +78,7 @@ class EmulatedScreen:
         self.unplugged = True
 
     def close(self) -> None:
-        """Nothing is shown any more."""
+        """Stop showing frames."""
         self.closed = True
 
     def due(self) -> int | None:
@@ -88,7 +88,7 @@ class EmulatedScreen:
         return min(self.refresh_time(self._refresh), self.slot_time(self._slot + 1))
 
     def advance(self, now: int) -> None:
-        """Scan video frames out and light slots."""
+        """Read video frames and light slots."""
         while (at := self.due()) is not None and at <= now:
             if self.slot_time(self._slot + 1) <= at:
                 self._light()

@@ -1,10 +1,10 @@
-"""The encoder and the index mark of an emulated motor, and what the controller makes of them."""
+"""The encoder and the index mark of an emulated motor, and their checks by the controller."""
 
 from __future__ import annotations
 
 from vamgpu.hosts.emulators.track import Track
 
-RECHECK = 1_000_000  # after which a shaft that turns back is compared again [ns]
+RECHECK = 1_000_000  # time after which a shaft that turns back is compared again [ns]
 
 
 def _times(count: int, top: int, bottom: int) -> int:
@@ -14,13 +14,13 @@ def _times(count: int, top: int, bottom: int) -> int:
 
 
 class Senses:
-    """Encoder and index mark of a motor, by ratios (counts, microsteps, limit); 0 counts: there is none."""
+    """Encoder and index mark of a motor, as ratios (counts, microsteps, limit); 0 counts for none."""
 
     encoder: tuple[int, int, int]
     index: tuple[int, int, int]
     home: int
     marks: int
-    edges: tuple[int, int] = (1, 8)  # counts of the encoder, in so many microsteps
+    edges: tuple[int, int] = (1, 8)  # counts of the encoder, and their microsteps
     mark: tuple[int, int] = (500, 3200)  # microstep of the first mark, and microsteps from mark to mark
 
     def __init__(self) -> None:
@@ -29,42 +29,42 @@ class Senses:
         self.astray: bool = False
         self._since: int | None = None  # marks since the first, which was at ``_first``
         self._first = 0
-        self._lost = 0  # microsteps that the shaft is behind
-        self._stands: int | None = None  # where a shaft stands that does not turn
-        self._shift = 0  # of position 0, since power came
-        self._base = (0, 0)  # counts and position where they were last taken to agree
+        self._lost = 0  # microsteps by which the shaft lags
+        self._stands: int | None = None  # position of a stalled shaft
+        self._shift = 0  # microsteps of position 0 since power-on
+        self._base = (0, 0)  # counts and position at which they last agreed
         self._seen, self._at = 0, 0  # the shaft, and when it was compared
-        self._back: int | None = None  # when one that turns back is compared again
+        self._back: int | None = None  # time of the next comparison of a shaft that turns back
 
     @property
     def used(self) -> bool:
-        """Whether a host set an encoder or a mark."""
+        """Whether a host has set an encoder or a mark."""
         return bool(self.encoder[0] or self.index[0])
 
     def shaft(self, position: int) -> int:
-        """Where the shaft is [microsteps since power came]."""
+        """Position of the shaft [microsteps since power-on]."""
         return position + self._shift - self._lost if self._stands is None else self._stands
 
     def _here(self, now: int, position: int) -> None:
         self._seen, self._at = self.shaft(position), now
 
     def stall(self, now: int, position: int) -> None:
-        """The shaft stands from now on."""
+        """The shaft stalls from now on."""
         self._stands = self.shaft(position)
         self._here(now, position)
 
     def slip(self, now: int, position: int, steps: int) -> None:
-        """The shaft falls behind."""
+        """The shaft loses steps."""
         self._lost += steps
         self._here(now, position)
 
     def moved(self, now: int, position: int) -> None:
-        """A host tells another speed, which may be backwards."""
+        """A host sets another speed, which may be backwards."""
         self._here(now, position)
         self._back = now + RECHECK
 
     def forget(self) -> None:
-        """Forget what a host set."""
+        """Clear the host's settings."""
         self.encoder = self.index = (0, 1, 0)
         self.home, self._since, self.astray = 0, None, False
 
@@ -78,19 +78,19 @@ class Senses:
         self._here(now, position)
 
     def call_position(self, now: int, position: int, there: int) -> None:
-        """Position ``position`` is called ``there``."""
+        """Set ``position`` to ``there``."""
         self._base, self.astray = (self._counts(position), there), False
         self._shift += position - there
         self._first += there - position
         self._here(now, there)
 
     def measured(self, position: int) -> int:
-        """Where the encoder says that it is [microsteps]."""
+        """Position by the encoder [microsteps]."""
         counts, there = self._base
         return there + _times(self._counts(position) - counts, self.encoder[1], self.encoder[0])
 
     def wrong(self, position: int) -> str | None:
-        """Name the sense that disagrees with the steps."""
+        """Name the sensor that disagrees with the steps."""
         if self.encoder[0] and abs(position - self.measured(position)) > self.encoder[2]:
             return "stall"
         return "index" if self.astray else None
@@ -100,7 +100,7 @@ class Senses:
         return self._first + _times(self._since + 1, self.index[1], self.index[0])
 
     def due(self, web: Track) -> list[int | None]:
-        """When the shaft passes its mark, or is too far from where it should be."""
+        """Time at which the shaft passes its mark, or exceeds its allowed error."""
         times = []
         if self.encoder[0] and self._stands is not None:
             position = self._stands - self._shift + self._lost
@@ -116,7 +116,7 @@ class Senses:
         return times
 
     def compare(self, web: Track, now: int, position: int) -> tuple[str | None, int]:
-        """Name the sense that disagrees, and the number of a home that was found."""
+        """Name the sensor that disagrees, and the number of a home that was found."""
         before = self._seen
         self._here(now, position)
         homed, back = 0, web.velocity(now) < 0
@@ -140,6 +140,6 @@ class Senses:
             self.astray, self._since = True, None
 
     def status(self, position: int) -> tuple[int, int, int]:
-        """Values of the status: which senses there are, the measured position, marks."""
+        """Values of the status: present sensors, measured position, marks."""
         which = bool(self.encoder[0]) | bool(self.index[0]) << 1 | bool(self.home) << 2 | self.astray << 3
         return which, self.measured(position) if self.encoder[0] else 0, self.marks

@@ -1,4 +1,4 @@
-"""An emulated Zaber device of one axis, in ASCII messages with check sums, and an emulated stepper behind pulses."""
+"""An emulated Zaber device of one axis, in ASCII messages with check sums, and an emulated stepper driven by pulses."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
 from vamgpu.hosts.schedules.timing import SECOND
 
-SPEED = 1.6384  # units of speed in a microstep a second
+SPEED = 1.6384  # units of speed per microstep per second
 
 
 @dataclass(eq=False)
 class EmulatedStage(LineDevice):
-    """One axis in microsteps; ``track`` tells where it is, ``rotary`` has no end."""
+    """One axis in microsteps; ``track`` has its position, ``rotary`` means without end."""
 
     limit: int = 10_000_000
     rotary: bool = False
     acceleration: float = 2_000_000.0
     device: int = 1
     latency_us: float = 90.0
-    scale: float = 1.0  # of the true position over the reported one, as of a slipping belt
+    scale: float = 1.0  # ratio of true to reported position, as with a slipping belt
 
     def __post_init__(self) -> None:
         super().__init__(self.latency_us)
@@ -40,15 +40,15 @@ class EmulatedStage(LineDevice):
         self._after = 0
 
     def true_position(self, now: int) -> float:
-        """Where the axis is [microsteps]."""
+        """Position of the axis [microsteps]."""
         return self.track.position(now) * self.scale
 
     def due(self) -> int | None:
-        """When the trigger output changes next."""
+        """Time of the next change of the trigger output."""
         return None if self._next is None else self.track.reaches(self._next, self._after)
 
     def advance(self, now: int) -> None:
-        """Toggle the output where that is due: at each half distance on the way up."""
+        """Toggle the output if due: at each half distance on the way up."""
         while self._next is not None and (at := self.due()) is not None and at <= now:
             self._next, self._after, self.output = self._next + self._half, at, not self.output
             if self.output:
@@ -57,7 +57,7 @@ class EmulatedStage(LineDevice):
                     self.on_trigger(at)
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes."""
+        """Receive bytes."""
         self.advance(now)
         self._after = now
         for line in self.lines(data):
@@ -122,7 +122,7 @@ class EmulatedStage(LineDevice):
         return False, "BADCOMMAND"
 
     def _triggers(self, words: list[str], now: int) -> tuple[bool, str]:
-        """One trigger that toggles one output as the axis travels."""
+        """One trigger that toggles one output as the axis moves."""
         match words:
             case ["trigger", "1", "when", "1", "dist", distance]:
                 self._half = int(distance)
@@ -147,11 +147,11 @@ class EmulatedStage(LineDevice):
 
 @dataclass(eq=False)
 class EmulatedStepper:
-    """A pulse output and its motor, which stands once it is stalled."""
+    """A pulse output and its motor, which can stall."""
 
     clock: VirtualClock
     turn: float  # pulses
-    off: float = 0.0  # how much quicker its clock is than the host's [ppm]
+    off: float = 0.0  # by how much its clock is faster than the host's [ppm]
 
     def __post_init__(self) -> None:
         self.stalled: bool = False
@@ -159,7 +159,7 @@ class EmulatedStepper:
         self._asked = 0
 
     def position(self, now: int) -> float:
-        """Where the motor truly was at a time [pulses]."""
+        """True position of the motor at a time [pulses]."""
         at, place, speed = next(piece for piece in reversed(self._pieces) if piece[0] <= now)
         return place + speed * (now - at) / SECOND
 
@@ -170,12 +170,12 @@ class EmulatedStepper:
         return hz
 
     def stall(self) -> None:
-        """The motor stands, and pulses go on."""
+        """The motor stalls, while pulses continue."""
         self.rate(0.0)
         self.stalled = True
 
     def edges(self) -> tuple[int, ...]:
-        """When the index passed since it was asked last [ns]."""
+        """Times of the index since the last call [ns]."""
         found, now = [], self.clock.now()
         for piece, (at, place, speed) in enumerate(self._pieces):
             end = self._pieces[piece + 1][0] if piece + 1 < len(self._pieces) else now
@@ -186,5 +186,5 @@ class EmulatedStepper:
         return tuple(at for at in dict.fromkeys(found) if asked < at <= now)
 
     def close(self) -> None:
-        """No pulses."""
+        """Stop the pulses."""
         self.rate(0.0)

@@ -1,4 +1,4 @@
-"""Positions over time: pieces of constant acceleration, remembered so that the past can be asked for."""
+"""Positions over time: pieces of constant acceleration, stored for queries of the past."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 SECOND = 1_000_000_000
-FOREVER = 1e9  # what takes longer [s] never happens
+FOREVER = 1e9  # longer times [s] count as never
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class MotionPiece:
 
 
 class Track:
-    """The motion of one axis; the last ``memory`` pieces are remembered."""
+    """The motion of one axis; the last ``memory`` pieces are stored."""
 
     def __init__(self, acceleration: float, memory: int = 4096) -> None:
         self.acceleration: float = acceleration
         self._pieces: deque[MotionPiece] = deque([MotionPiece(0, 0.0, 0.0)], maxlen=memory)
         self.settled_at: int = 0
-        self._reached: tuple[int, float, int | None] = (0, -inf, None)  # what `reaches` found last, and for what
+        self._reached: tuple[int, float, int | None] = (0, -inf, None)  # last result of `reaches`, and its arguments
 
     def _piece(self, now: int) -> MotionPiece:
         if now >= self._pieces[-1].start:
@@ -45,7 +45,7 @@ class Track:
         return self._pieces[max(index - 1, 0)]
 
     def position(self, now: int) -> float:
-        """Where the axis is at a time [ns], past or planned."""
+        """Position of the axis at a time [ns], past or planned."""
         return self._piece(now).at(now)[0]
 
     def velocity(self, now: int) -> float:
@@ -53,7 +53,7 @@ class Track:
         return self._piece(now).at(now)[1]
 
     def moving(self, now: int) -> bool:
-        """Whether the axis moves, or is yet to."""
+        """Whether the axis moves, or is going to."""
         return now < self.settled_at or self.velocity(now) != 0.0
 
     def _replan(self, now: int, pieces: list[MotionPiece]) -> None:
@@ -64,7 +64,7 @@ class Track:
         self._reached = (0, -inf, None)
 
     def set_position(self, now: int, position: float) -> None:
-        """Call where the axis is ``position``; its motion, planned or under way, stays."""
+        """Set the present position to ``position``; its motion, planned or in progress, stays."""
         under_way = self._piece(now)
         shift = position - under_way.at(now)[0]
         later = [replace(piece, position=piece.position + shift) for piece in self._pieces if piece.start > now]
@@ -76,7 +76,7 @@ class Track:
         self._replan(now, self._ramp(now, position, speed, velocity))
 
     def ramp(self, now: int, acceleration: float) -> None:
-        """Change the acceleration [1/s2]; a change of velocity that is under way goes on with it."""
+        """Change the acceleration [1/s2]; a change of velocity in progress continues with it."""
         self.acceleration = acceleration
         self.run(now, self._pieces[-1].velocity)
 
@@ -112,8 +112,8 @@ class Track:
         self._replan(pieces[0].start, pieces)
 
     def reaches(self, target: float, after: int) -> int | None:
-        """When the axis first is at or beyond ``target`` [ns], moving up, from ``after`` on; None if it will not be."""
-        if self._reached[:2] != (after, target):  # machines on a clock are asked again and again
+        """Time at which the axis first reaches ``target`` [ns], moving up, from ``after`` on; None if it never does."""
+        if self._reached[:2] != (after, target):  # clocks query their machines repeatedly
             self._reached = (after, target, self._reaches(target, after))
         return self._reached[2]
 
@@ -122,7 +122,7 @@ class Track:
             return after
         pieces = [self._piece(after), *(piece for piece in self._pieces if piece.start > after)]
         for index, piece in enumerate(pieces):
-            if piece.start > after and piece.position >= target:  # it was called so, or a rounding short of a crossing
+            if piece.start > after and piece.position >= target:  # it was set so, or is a crossing within rounding
                 return piece.start
             end = pieces[index + 1].start if index + 1 < len(pieces) else None
             found = self._crossing(piece, target)
@@ -132,7 +132,7 @@ class Track:
 
     @staticmethod
     def _crossing(piece: MotionPiece, target: float) -> int | None:
-        """When one piece rises to a target [ns]."""
+        """Time at which one piece rises to a target [ns]."""
         missing, v, a = target - piece.position, piece.velocity, piece.acceleration
         if a == 0:
             return None if v * FOREVER <= missing else piece.start + -(-round(missing / v * SECOND * 1000) // 1000)

@@ -1,4 +1,4 @@
-"""Host memory that is made once, stays in place and is used again: what drivers copy from without a detour."""
+"""Host memory that is allocated once and used again, so that drivers copy from it directly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vamgpu.errors import BadInput
 
 
 def pinned_buffers(count: int, shape: tuple[int, ...], device: Device | None = None) -> tuple[np.ndarray, ...]:
-    """``count`` arrays uint8 of a shape, set to 0: locked where ``device`` is a GPU, else whole pages of their own."""
+    """``count`` arrays uint8 of a shape, set to 0: locked if ``device`` is a GPU, else on separate pages."""
     return tuple(_buffer(shape, device) for _ in range(count))
 
 
@@ -30,11 +30,11 @@ def _buffer(shape: tuple[int, ...], device: Any) -> np.ndarray:
 
         owner = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR, nbytes)
         both: Any = cl.map_flags.READ | cl.map_flags.WRITE
-        # the array's base keeps the buffer, and unmaps it as it goes
+        # the array's base keeps the buffer, and unmaps it at its end
         array, _ = cl.enqueue_map_buffer(device.queue, owner, both, 0, shape, np.dtype(np.uint8))
     else:
         array = np.frombuffer(mmap.mmap(-1, nbytes), np.uint8, int(np.prod(shape))).reshape(shape)
-    array[...] = 0  # touched now, not in the middle of a print
+    array[...] = 0  # touch the pages now, not during a print
     return array
 
 
@@ -44,8 +44,8 @@ class Batch:
 
     first: int
     frames: np.ndarray  # a view, [frame, …]; valid until the buffer is released
-    ready: int  # when they were there [ns]
-    kept: bool = False  # whether the mirrors have them already, and the buffer is empty
+    ready: int  # when they were ready [ns]
+    kept: bool = False  # whether the mirrors already have them, and the buffer is empty
 
     @property
     def end(self) -> int:
@@ -54,7 +54,7 @@ class Batch:
 
 
 class BufferRing:
-    """Buffers that go round: one side claims and commits, the other takes the head and releases; each waits."""
+    """A ring of buffers: one side claims and commits, the other takes the head and releases; each waits."""
 
     def __init__(self, buffers: Sequence[np.ndarray]) -> None:
         if len(buffers) < 2:
@@ -72,11 +72,11 @@ class BufferRing:
 
     @property
     def fill(self) -> int:
-        """Buffers that wait to be emptied."""
+        """Number of full buffers."""
         return self._written - self._read
 
     def claim(self, timeout: float = 0.0) -> np.ndarray | None:
-        """The next buffer to fill; None where all are full for ``timeout`` seconds, or the ring is closed."""
+        """The next buffer to fill; None if all stay full for ``timeout`` seconds, or the ring is closed."""
         with self._change:
             self._change.wait_for(lambda: self._closed or self.fill < self.capacity, timeout)
             if self._closed or self.fill >= self.capacity:
@@ -84,20 +84,20 @@ class BufferRing:
             return self._buffers[self._written % self.capacity]
 
     def commit(self, batch: Batch) -> None:
-        """Hand over the buffer that was claimed."""
+        """Hand over the claimed buffer."""
         with self._change:
             self._filled[self._written % self.capacity] = batch
             self._written += 1
             self._change.notify_all()
 
     def head(self, timeout: float = 0.0) -> Batch | None:
-        """The oldest frames; None where there are none for ``timeout`` seconds. They stay until released."""
+        """The oldest frames; None if there are none for ``timeout`` seconds. They stay until released."""
         with self._change:
             self._change.wait_for(lambda: self._closed or self.fill > 0, timeout)
             return self._filled[self._read % self.capacity] if self.fill else None
 
     def release(self) -> None:
-        """Give back the buffer of ``head``."""
+        """Release the buffer of ``head``."""
         with self._change:
             if not self.fill:
                 raise BadInput("the ring is empty; release what head() gave, once")
@@ -106,7 +106,7 @@ class BufferRing:
             self._change.notify_all()
 
     def close(self) -> None:
-        """Wake and send away whoever waits."""
+        """Close the ring, and wake waiting threads."""
         with self._change:
             self._closed = True
             self._change.notify_all()

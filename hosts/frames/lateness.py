@@ -1,4 +1,4 @@
-"""Policies for late frames: a web goes on in the dark twice and then stops, a vial turns on."""
+"""Policies for late frames: a web may miss a few poses before it stops, a vial adds turns."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ class Action(Enum):
 
 
 class LatePolicy(Protocol):
-    """Decides on frames that are late."""
+    """Decides on late frames."""
 
     @property
-    def stopped(self) -> str: ...  # why `drop` said stop
-    def drop(self, pose: int) -> Action: ...  # count a pose whose frame is late; poses come in rising order
-    # count a lost pose no more, as its slot did not come; the latest is taken back first
+    def stopped(self) -> str: ...  # why `drop` returned stop
+    def drop(self, pose: int) -> Action: ...  # count a pose with a late frame, in rising order
+    # uncount a lost pose whose slot did not come, the latest first
     def undo_drop(self, pose: int) -> None: ...
-    def pending_repeats(self) -> Counter[int]: ...  # how often each frame is to be shown again
+    def pending_repeats(self) -> Counter[int]: ...  # number of repeats due for each frame
 
 
 class WebLatePolicy:
-    """A web cannot wait: a late frame is black; more than ``allowed`` lost poses in ``window`` end the print."""
+    """A web cannot wait: a late frame is black, and more than ``allowed`` lost poses in ``window`` end the print."""
 
     window: int
     allowed: int
@@ -38,27 +38,27 @@ class WebLatePolicy:
         self._recent: Counter[int] = Counter()
 
     def drop(self, pose: int) -> Action:
-        """Count a pose whose frame is late; poses come in rising order."""
+        """Count a pose with a late frame, in rising order."""
         self._recent[pose] += 1
         self._recent = Counter({at: lost for at, lost in self._recent.items() if at > pose - self.window})
         return Action.STOP if len(self._recent) > self.allowed else Action.BLACK
 
     def undo_drop(self, pose: int) -> None:
-        """Count a lost pose no more, as its slot did not come."""
+        """Uncount a lost pose whose slot did not come."""
         self._recent -= Counter([pose])
 
     @property
     def stopped(self) -> str:
-        """Why `drop` said stop."""
+        """Why `drop` returned stop."""
         return f"more than {self.allowed} of {self.window} poses were lost"
 
     def pending_repeats(self) -> Counter[int]:
-        """Nothing: a web does not come round again."""
+        """Nothing: a web has no further turn."""
         return Counter()
 
 
 class VialLatePolicy:
-    """A vial comes round again: a late frame is black and repeated in an added turn. images: a turn."""
+    """A vial has further turns: a late frame is black, and repeated in an added turn. images: number per turn."""
 
     def __init__(self, images: int) -> None:
         self.images: int = whole("images", images)
@@ -66,29 +66,29 @@ class VialLatePolicy:
         self._row = range(0)
 
     def drop(self, pose: int) -> Action:
-        """Count a pose that black was shown for; a whole turn of them without a break ends the print."""
+        """Count a pose that was black; a whole turn of them without a break ends the print."""
         self._row = range(self._row.start if pose == self._row.stop else pose, pose + 1)
         self._pending[pose % self.images] += 1
         return Action.STOP if len(self._row) >= self.images else Action.BLACK
 
     def undo_drop(self, pose: int) -> None:
-        """Count a lost pose no more, as its slot did not come; the latest is taken back first."""
+        """Uncount a lost pose whose slot did not come, the latest first."""
         self._row = range(self._row.start, pose) if pose == self._row.stop - 1 else self._row
         self._pending[pose % self.images] -= 1
 
     @property
     def stopped(self) -> str:
-        """Why `drop` said stop."""
+        """Why `drop` returned stop."""
         return f"the frames of a whole turn of {self.images} were lost"
 
     def pending_repeats(self) -> Counter[int]:
-        """Number of repeats due for each frame; the count starts anew."""
+        """Number of repeats due for each frame; the count restarts."""
         pending, self._pending = +self._pending, Counter()
         return pending
 
 
 class Repeats:
-    """Frames of one projector that were black, their versions, and how often they are to be shown again."""
+    """Frames of one projector that were black, their versions, and their number of repeats."""
 
     policy: LatePolicy
     missed: set[int]
@@ -99,19 +99,19 @@ class Repeats:
         self._versions: dict[int, list[int]] = {}
 
     def miss(self, frame: int, version: int) -> None:
-        """Note the version of a frame that was black and comes round again."""
+        """Record the version of a frame that was black and will be repeated."""
         self._versions.setdefault(frame, []).append(version)
         self.missed.add(version)
 
     def collect(self) -> Counter[int]:
-        """The repeats that are due, those that the policy counted since included."""
+        """The due repeats, with those that the policy has counted since."""
         self._due += self.policy.pending_repeats()
         return self._due
 
     def version(self, frame: int, last: int) -> int:
-        """The version of which a frame is repeated next; ``last`` where none was noted."""
+        """The version of a frame's next repeat; ``last`` if none was recorded."""
         return (self._versions.get(frame) or [last]).pop(0)
 
     def added(self) -> None:
-        """A turn was added that repeats each frame once."""
+        """Record an added turn that repeats each frame once."""
         self._due -= Counter(list(self._due))

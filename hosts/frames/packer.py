@@ -1,4 +1,4 @@
-"""Packers of frames to the bit planes that mirrors load, on the host or on a device."""
+"""Packers of frames to bit planes for mirrors, on the host or on a device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class PlanePacker:
-    """Packs numbered frames on the host. shape: of one frame's bytes [plane, row, byte]."""
+    """Packs numbered frames on the host. shape: shape of one frame's bytes [plane, row, byte]."""
 
     shape: tuple[int, ...]
     frames: int
@@ -31,7 +31,7 @@ class PlanePacker:
         self._source, self.shape, self.frames = source, shape, frames
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> None:
-        """Write frames, by their numbers, to ``out`` uint8 [frame, …]; `NONE` and what is beyond the last are black."""
+        """Write frames, by their numbers, to ``out`` uint8 [frame, …]; `NONE` and numbers beyond the last are black."""
         assert self._source is not None
         lit = np.flatnonzero(frames != NONE)
         if len(lit) < len(out):
@@ -41,10 +41,10 @@ class PlanePacker:
 
 
 class DevicePacker(PlanePacker):
-    """Packs frames on a device, cut by focus plane, so that only finished bytes cross the bus.
+    """Packs frames on a device, split by focus plane, so that only finished bytes cross the bus.
 
-    images: on the device, or what reads those of poses to the host.  shown: bool (planes, columns).  size: rows and
-    columns of the mirrors, in whose middle smaller images go.
+    images: array on the device, or a reader of the images of poses to the host.  shown: bool (planes, columns).  size:
+    rows and columns of the mirrors; smaller images are centered.
     """
 
     device: Device
@@ -67,7 +67,7 @@ class DevicePacker(PlanePacker):
         width = needed if row_bytes is None else row_bytes
         if width < -(-columns // 8) or width % step:
             raise BadInput(f"row_bytes is {row_bytes!r}; expected {needed} or more, in steps of {step}")
-        shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last shows nothing
+        shown = np.concatenate([shown, np.zeros((1, own[1]), bool)])  # the last one is black
         masks = shown.astype(np.uint8) * np.uint8(255) if bits == 8 else np.packbits(shown, axis=1)
         self._chosen = np.empty((batch, 2), np.int32)
         shape = (8, rows, width) if self.kernel is split_planes else (rows, width)
@@ -107,7 +107,7 @@ class DevicePacker(PlanePacker):
         self._make(images, out.reshape(self._made))
 
     def _make(self, images: DeviceArray, out: np.ndarray) -> None:
-        """Launch; a device that does not share the host's memory makes frames in its own."""
+        """Launch; a device without shared host memory makes frames in its own memory."""
         chosen, made = self._device.upload(self._chosen, table=True), self._device.lend(out)
         lent = made is not None
         if made is None:
@@ -121,7 +121,7 @@ class DevicePacker(PlanePacker):
 
 
 def packer(source: FrameSource, shape: tuple[int, ...], frames: int, batch: int) -> PlanePacker:
-    """Packs a source's frames, ``batch`` at once, to bytes of a shape: on its device if that can, else on the host."""
+    """Packs a source's frames, ``batch`` at once, to bytes of a shape: on its device if possible, else on the host."""
     packs = getattr(source, "packer", None)
     made = None if packs is None else packs(batch)
     return made if made is not None and made.shape == shape else PlanePacker(source, shape, frames)
@@ -132,7 +132,7 @@ def _middle(own: tuple[int, int], size: tuple[int, int], step: int) -> tuple[int
     if own[0] > size[0] or own[1] > size[1]:
         raise WrongDevice(
             f"the job's frames have {own[0]} × {own[1]} pixels, the mirrors {size[0]} × {size[1]}: it was made for "
-            "another device; pack it again for this one, or check the rig's file"
+            "another device; pack it again for these mirrors, or check the rig's file"
         )
     left = (size[1] - own[1]) // 2
     if left % step:

@@ -1,4 +1,4 @@
-"""Sources of numbered frames, of a vial or a web, read or made when they are asked for."""
+"""Sources of numbered frames, of a vial or a web, read or made on request."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from vamgpu.printing.frames import Frames
 
 
 class FrameSource(Protocol):
-    """Numbered frames of one projector. Those that a device packs have a method ``packer(batch)`` too."""
+    """Numbered frames of one projector. Sources that a device packs also have a method ``packer(batch)``."""
 
     bits: int
 
     # bit planes of frames, uint8 [frame, plane, row, byte], the highest bit first and leftmost
     def planes(self, numbers: np.ndarray) -> np.ndarray: ...
-    def frame(self, number: int) -> np.ndarray: ...  # one frame for people, uint8 [row, column]
+    def frame(self, number: int) -> np.ndarray: ...  # one frame to display, uint8 [row, column]
 
 
 @dataclass(frozen=True)
 class MirrorArray:
-    """The mirrors that frames are for. row_bytes: of a packed row, which may be longer than the columns need."""
+    """The mirrors for the frames. row_bytes: bytes of a packed row, which may exceed those of the columns."""
 
     rows: int
     columns: int
     row_bytes: int
 
     def place(self, rows: int, columns: int) -> tuple[slice, slice]:
-        """Where a frame goes: to the middle. Raises `BadInput` for one that is too large."""
+        """Position of a frame, in the middle. Raises `BadInput` if it is too large."""
         if rows > self.rows or columns > self.columns:
             raise BadInput(
                 f"the job's frames are {rows} × {columns}, the mirrors {self.rows} × {self.columns}: the job was "
@@ -49,7 +49,7 @@ class MirrorArray:
         down, across = self.place(*levels.shape[1:])
         full = np.zeros((self.rows, 8 * self.row_bytes), np.uint8)
         planes = np.empty((len(levels), bits, self.rows, self.row_bytes), np.uint8)
-        for frame, packed in zip(levels, planes, strict=True):  # one by one, where caches hold them
+        for frame, packed in zip(levels, planes, strict=True):  # one by one, so that they fit in caches
             full[down, across] = frame
             for plane in range(bits):
                 packed[plane] = np.packbits((full >> (bits - 1 - plane)) & 1, axis=-1)
@@ -57,7 +57,7 @@ class MirrorArray:
 
 
 class _Leveled:
-    """Frames that are told by their levels."""
+    """Frames given by their levels."""
 
     bits: int
     _mirrors: MirrorArray
@@ -85,7 +85,7 @@ class VialFrames(_Leveled):
         self._levels, self._full = frames.levels(), np.uint8(255 if frames.bits == 1 else 1)
 
     def packer(self, batch: int) -> DevicePacker | None:
-        """The frames as their device packs them; None for mirrors whose rows its kernels do not write."""
+        """The frames as their device packs them; None if its kernels do not support the mirrors' rows."""
         frames, mirrors = self._frames, self._mirrors
         step = mirrors.row_bytes if frames.bits == 8 else (mirrors.columns - frames.shape[2]) // 2
         if step % 8:
@@ -98,9 +98,9 @@ class VialFrames(_Leveled):
 
 
 class WebFrames(_Leveled):
-    """The frames of a web, cut by columns among its focus planes: number pose · planes + plane; only a batch is held.
+    """The frames of a web, split by columns into its focus planes: number pose · planes + plane; one batch is held.
 
-    read: frames from one pose to another, uint8 [pose, row, column].  masks: which plane shows which column.
+    read: frames from one pose to another, uint8 [pose, row, column].  masks: the focus plane of each column.
     """
 
     bits = 8

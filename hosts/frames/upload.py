@@ -1,4 +1,4 @@
-"""Where frames go: a queue that packs and uploads them to the mirrors' memory, in order, ahead of their time."""
+"""A queue that packs frames and uploads them to the mirrors' memory, in order, ahead of their time."""
 
 from __future__ import annotations
 
@@ -21,61 +21,61 @@ from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.schedule import NONE
 
 log: logging.Logger = logging.getLogger(__name__)
-NAP = 2_000_000  # how long a thread sleeps when mirrors have no room [ns]
-BUFFERS = 2  # of frames made ahead, each as long as a sequence of the mirrors
-GUARD = 0.06  # how far ahead of the counter [s] a missing frame is given up: three polls of the print
-HELD = 2**28  # bytes of a sequence at rates so high that a second's frames are more than a host should hold
+NAP = 2_000_000  # sleep of a thread when mirrors have no room [ns]
+BUFFERS = 2  # buffers of prepared frames, each as long as a sequence of the mirrors
+GUARD = 0.06  # time ahead of the counter at which a missing frame is given up [s]: three polls of the print
+HELD = 2**28  # most bytes of a sequence, for rates at which a second of frames is too much for a host
 
 
 def guard(rate: float) -> int:
-    """Frames ahead of the counter at which a missing one is given up, at so many a second."""
+    """Frames ahead of the counter at which a missing one is given up, for a rate per second."""
     return max(2, math.ceil(GUARD * rate))
 
 
 def length(rate: float, nbytes: int) -> int:
-    """Frames of ``nbytes`` in a sequence of mirrors, at so many a second: a second's, or what `HELD` bytes hold."""
+    """Frames of ``nbytes`` in a sequence of mirrors, for a rate per second: those of a second, or of `HELD` bytes."""
     return max(guard(rate), min(round(rate), HELD // nbytes))
 
 
 class FrameMemory(Protocol):
-    """Mirrors that take frames ahead of their time and show one a trigger."""
+    """Mirrors that take frames ahead of their time and show one per trigger."""
 
-    # whether ``put`` of so many would not have to wait; with a name, ``again``
+    # whether ``put`` of the frames would not wait; with a name, ``again``
     def room(self, frames: int = 2, name: bytes | None = None) -> bool: ...
-    # take frames [frame, …] after those taken before; returns once their buffer may be used again
+    # append frames [frame, …]; returns once their buffer may be used again
     def put(self, planes: np.ndarray, name: bytes | None = None) -> None: ...
-    def shown(self) -> int: ...  # how many frames were triggered so far
+    def shown(self) -> int: ...  # number of frames triggered so far
 
     def keep(self, name: bytes) -> bool:
-        """Promise to show the frames of a name again; False where they are not there."""
+        """Reserve the frames of a name to show them again; False if they are missing."""
         return False
 
     def again(self, name: bytes, frames: int) -> None:
-        """Show the frames of a name that was kept, after those taken before."""
+        """Append the stored frames of a name."""
 
     def cancel(self) -> None:
-        """Let an upload that is on its way end soon; waits for nobody."""
+        """Let a running upload end soon; does not wait."""
 
     def close(self, hung: bool = False) -> None:
-        """Give the memory back; all but that where an upload hangs in it."""
+        """Free the memory, except that of an upload that hangs."""
 
 
 @dataclass(frozen=True)
 class LateFrame:
-    """A frame that came too late and was black."""
+    """A frame that was late, and so black."""
 
     slot: int
     frame: int
     missed: int  # when it was given up [ns]
-    ready: int | None = None  # when it was there after all [ns]; None while it is not
+    ready: int | None = None  # when it finally arrived [ns]; None if it has not
 
 
 class UploadQueue:
-    """Brings the frames of one projector to its mirrors, through a ring of buffers made beforehand.
+    """Uploads the frames of one projector to its mirrors, through a ring of preallocated buffers.
 
-    order: frame of each slot.  batch: frames a buffer.  guard: how many ahead of the counter a missing one is given up.
-    turn: slots after which frames come again, uploaded once where the mirrors hold so many.  boundaries: where they
-    may be replaced. Two threads pack and upload; without them ``pump`` does both, exactly repeatably.
+    order: frame of each slot.  batch: frames per buffer.  guard: frames ahead of the counter at which a missing one is
+    given up.  turn: slots after which frames repeat, uploaded once if they fit in the mirrors.  boundaries: where they
+    may be replaced. Two threads pack and upload; without them ``pump`` does both, and repeats exactly.
     """
 
     batch: int
@@ -90,9 +90,9 @@ class UploadQueue:
         preroll: int = 0, turn: int | None = None, boundaries: Boundaries | None = None,
     ) -> None:  # fmt: skip
         if order.ndim != 1 or order.dtype.kind != "i":
-            raise ShapeMismatch(f"order is {order.dtype}{list(order.shape)}; expected whole numbers, one a slot")
+            raise ShapeMismatch(f"order is {order.dtype}{list(order.shape)}; expected whole numbers, one per slot")
         if order.size and not NONE <= order.min() <= order.max() < packer.frames:
-            raise BadInput(f"order asks for frames {order.min()} to {order.max()}; the source has {packer.frames}")
+            raise BadInput(f"order has frames {order.min()} to {order.max()}; the source has {packer.frames}")
         self._order = np.concatenate([np.full(preroll, NONE, order.dtype), order])
         self._packer, self._memory, self._clock = packer, memory, clock
         self._poses = np.arange(len(order)) if poses is None else poses
@@ -120,8 +120,8 @@ class UploadQueue:
 
     @property
     def primed(self) -> bool:
-        """Whether mirrors and ring hold all they can, so that the light may open."""
-        if not self._sending.acquire(blocking=False):  # frames on their way are still in the ring too
+        """Whether mirrors and ring are full, so that the light may open."""
+        if not self._sending.acquire(blocking=False):  # frames being uploaded are still in the ring
             return False
         try:
             full = self.ring.fill == self.ring.capacity or self.made >= self._limit
@@ -146,7 +146,7 @@ class UploadQueue:
         return True
 
     def _end(self, first: int) -> int:
-        """Where frames that begin at a slot end: those of turns at the same places each time."""
+        """End of a batch of frames from a slot; in turns, always at the same places."""
         turn = self._turn if self._boundaries is None else self._boundaries.turn
         if turn is None:
             return first + self.batch
@@ -156,17 +156,17 @@ class UploadQueue:
         return first - beyond + min(turn, (beyond // self.batch + 1) * self.batch)
 
     def _place(self, slot: int, turn: int) -> int:
-        """Where in a turn a slot is: of the print where frames may be replaced, else of the queue."""
+        """Place of a slot in its turn: of the print if frames may be replaced, else of the queue."""
         return (slot - self._preroll + (0 if self._boundaries is None else self._boundaries.first)) % turn
 
     def _look_ahead(self, shown: int) -> None:
-        """Move the limit of what may be packed, once so many frames were shown."""
+        """Move the packing limit after a number of shown frames."""
         if (ends := self._boundaries) is not None:
             begin = ends.first - self._preroll
             self._limit = min(len(self), ends.horizon(begin + shown) - begin)
 
     def _name(self, first: int, count: int) -> bytes | None:
-        """The name of frames at the mirrors, by place in the turn and numbers: no sequence waits twice in a queue."""
+        """The name of frames at the mirrors, from place in the turn and numbers: no sequence is queued twice."""
         if self._turn is None:
             return None
         turn = self._turn if self._boundaries is None else self._boundaries.turn
@@ -174,7 +174,7 @@ class UploadQueue:
         return place.tobytes() + self._order[first : first + count].tobytes()
 
     def _kept(self, first: int, buffer: np.ndarray) -> bool:
-        """Hand on frames that the mirrors have, if they do; nobody shows black in their place meanwhile."""
+        """Queue frames again that the mirrors still have; black cannot replace them meanwhile."""
         name = self._name(first, len(buffer))
         if name is None:
             return False
@@ -205,7 +205,7 @@ class UploadQueue:
         return True
 
     def black(self) -> int | None:
-        """Show black in place of the next frame; its slot, or None where frames are ready or there is no room."""
+        """Show black in place of the next frame; its slot, or None if frames are ready or there is no room."""
         if not self._sending.acquire(blocking=False):
             return None
         try:
@@ -238,7 +238,7 @@ class UploadQueue:
 
     # ---- in a print ----------------------------------------------------------------------------------------
     def prime(self) -> None:
-        """Raise what a thread raised; without threads, pack and upload what there is room for."""
+        """Raise the error of a thread; without threads, pack and upload while there is room."""
         self.check()
         if self._boundaries is not None:
             self._look_ahead(self._memory.shown())
@@ -248,7 +248,7 @@ class UploadQueue:
         self.share = min(1.0, self.ahead / (2 * self.batch))
 
     def feed(self) -> None:
-        """Where nothing is ready and time is short, show black and ask the policy. Raises `Underrun`."""
+        """If nothing is ready and time is short, show black and apply the policy. Raises `Underrun`."""
         self.prime()
         while self.ahead < self._guard and not self.done:
             slot = self.black()
@@ -258,7 +258,7 @@ class UploadQueue:
             if self._order[slot] == NONE:  # black was right
                 continue
             pose = int(self._poses[slot - self._preroll])
-            log.warning("pose %d is black: its frame is not there", pose)
+            log.warning("pose %d is black: its frame is missing", pose)
             if self._policy.drop(pose) is Action.STOP:
                 raise Underrun(
                     f"{self._policy.stopped}, the last at angle {pose}: the light is off; print slower, or make "
@@ -267,40 +267,40 @@ class UploadQueue:
 
     @contextmanager
     def replaceable(self, slot: int) -> Iterator[bool]:
-        """Whether nothing of a slot and those after it is packed, nor black for them, while this is held."""
+        """Hold the queue; whether neither frames nor black are packed for a slot and those after it."""
         with self._packing:
             yield max(self._taken, self.uploaded) <= slot + self._preroll
 
     def replace(self, slot: int, order: np.ndarray) -> None:
-        """Take other frames from a slot on, that `replaceable` holds."""
+        """Replace the frames from a slot that `replaceable` holds."""
         self._order[slot + self._preroll :] = order
 
     def arrival(self, slot: int) -> int:
-        """When the frame of a slot was at the mirrors [ns]."""
+        """Arrival of a slot's frame at the mirrors [ns]."""
         return int(self.arrived[slot + self._preroll])
 
     def was_black(self, slot: int) -> bool:
-        """Whether the frame of a slot was late, and black instead."""
+        """Whether the frame of a slot was late, and so black."""
         return slot + self._preroll in self.late
 
     def shown(self) -> int:
-        """Frames since the run segment began, black ones before the first slot included."""
+        """Frames since the run segment began, with the black ones before the first slot."""
         return self._memory.shown()
 
     def undo_drops(self, slot: int) -> None:
-        """Tell the policy that black from a slot on never came: the run segment ends before it."""
+        """Uncount black frames from a slot on: the run segment ends before it."""
         for number in sorted(self.late, reverse=True):
             if number >= slot + self._preroll and self._order[number] != NONE:
                 self._policy.undo_drop(int(self._poses[number - self._preroll]))
 
     def close(self) -> None:
-        """Pack no more frames and give the mirrors' memory back, unless an upload hangs in it."""
+        """Stop packing and free the mirrors' memory, unless an upload hangs in it."""
         self._memory.cancel()
         self._memory.close(hung=not self.stop())
 
     # ---- threads -------------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Begin to pack and upload in threads of their own."""
+        """Start threads that pack and upload."""
         jobs = {"pack": self._making, "upload": self._uploading}
         self._threads = tuple(threading.Thread(target=self._guarded, args=(job,), name=f"frames {name}", daemon=True)
                               for name, job in jobs.items())  # fmt: skip
@@ -308,12 +308,12 @@ class UploadQueue:
             thread.start()
 
     def check(self) -> None:
-        """Raise what a thread failed with."""
+        """Raise the error of a thread."""
         if self._error is not None:
             raise self._error
 
     def stop(self, timeout: float = 1.0) -> bool:
-        """End the threads; False where one hangs in a driver and is left behind."""
+        """End the threads; False if one hangs in a driver and is left behind."""
         self._stop.set()
         self.ring.close()
         for thread in self._threads:
@@ -323,7 +323,7 @@ class UploadQueue:
     def _guarded(self, job: Callable[[], None]) -> None:
         try:
             job()
-        except BaseException as error:  # it is raised where the print is run
+        except BaseException as error:  # the printing thread raises it
             self._error = (
                 error if isinstance(error, VamError) else VamError(f"packing or uploading frames failed: {error!r}")
             )

@@ -1,4 +1,4 @@
-"""Frames in versions: those of coming turns of a vial, or segments of a web, may be replaced where one begins.
+"""Versions of frames: frames of coming turns of a vial, or segments of a web, may be replaced at their start.
 
 In a queue frame ``n`` of version ``v`` is number ``v * frames + n``. A version that comes too late is dropped.
 """
@@ -21,44 +21,44 @@ from vamgpu.hosts.frames.sources import FrameSource
 from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import whole
 
-ROUNDING = 1e-6  # share of all light that is rounding
+ROUNDING = 1e-6  # share of light that counts as rounding
 
 
 @dataclass(frozen=True)
 class Boundaries:
-    """Where the frames of a queue may be replaced: where turns of a vial, or segments of a web, begin."""
+    """Boundaries at which the frames of a queue may be replaced: starts of turns of a vial, or of segments of a web."""
 
-    turn: int  # slots of one
-    first: int  # slot of the print that the queue begins with
-    lead: int  # slots ahead of a boundary from which frames beyond it may be packed
+    turn: int  # slots per turn or segment
+    first: int  # first slot of the queue in the print
+    lead: int  # slots before a boundary from which frames beyond it may be packed
 
     def horizon(self, slot: int) -> int:
-        """The slot up to which frames may be packed while one is about to be shown."""
+        """The slot up to which frames may be packed, given the next slot to be shown."""
         return ((max(slot, self.first) + self.lead) // self.turn + 1) * self.turn
 
 
 @dataclass(frozen=True, eq=False)
 class FrameVersion:
-    """Frames from the beginning of a turn of a vial, or of a segment of a web, on."""
+    """Frames from the start of a turn of a vial, or of a segment of a web."""
 
     number: int  # 1, 2, …; 0 is the job's
-    sources: tuple[FrameSource, ...]  # of each projector
+    sources: tuple[FrameSource, ...]  # frames of each projector
     turn: int  # the first turn, or segment, that shows it
     stop: int | None = None  # the turn before which the light ends; None: no end
-    light: float = 1.0  # of a turn, over that of the job's frames
-    until: int | None = None  # the turn from which on all is as before; None: never
+    light: float = 1.0  # light of a turn, relative to that of the job's frames
+    until: int | None = None  # the turn from which the earlier frames are shown again; None: never
 
     def facts(self) -> dict[str, Any]:
-        """The version as a run's folder keeps it, beside its frames."""
+        """The version as stored in a run's folder, beside its frames."""
         told = {"version": self.number, "turn": self.turn, "stop": self.stop, "light": self.light}
         return told if self.until is None else told | {"until": self.until}
 
 
 class FrameVersions:
-    """The versions of the frames of a print: which there are, and which slot shows which.
+    """The versions of a print's frames, and their slots.
 
-    count: slots of a turn, or of a segment.  turns: of the print, or its segments.  allowance: light they may add.
-    Any thread may `swap`; the printing thread takes what is offered, and commits or drops it.
+    count: slots of a turn, or of a segment.  turns: of the print, or its segments.  allowance: light they may add. Any
+    thread may `swap`; the printing thread commits or drops the offered version.
     """
 
     count: int
@@ -91,12 +91,12 @@ class FrameVersions:
         self, sources: Sequence[FrameSource], turn: int, *, light: float = 1.0, stop: int | None = None,
         number: int | None = None, until: int | None = None,
     ) -> int:  # fmt: skip
-        """Offer frames from a turn or segment on; returns their version's number. Raises `BadInput`, see `check`."""
+        """Offer frames from a turn or segment on; returns their version. Raises `BadInput`, see `check`."""
         job = self._versions[0].sources
         if len(sources) != len(job) or any(new.bits != old.bits for new, old in zip(sources, job, strict=True)):
             raise BadInput(
                 f"got frames of {[each.bits for each in sources]} bits; expected {[each.bits for each in job]}, one "
-                "for each projector of the job: pack them as its own"
+                "for each projector of the job: pack them like its own"
             )
         light = self.check(turn, light, stop, until)
         with self._lock:
@@ -114,12 +114,12 @@ class FrameVersions:
         return version.number
 
     def check(self, turn: int, light: float, stop: int | None = None, until: int | None = None) -> float:
-        """Raise `BadInput` for a version that is not of this print, or has too much light; see `swap`."""
+        """Raise `BadInput` for a version of another print, or with too much light; see `swap`."""
         ends = [end for end in (stop, until) if end is not None]
         if not 0 < whole(self.unit, turn, 0) < self.turns or not all(turn < end <= self.turns for end in ends):
             raise BadInput(
-                f"{self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a {self.unit} to "
-                "come, and an end after it"
+                f"{self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a coming "
+                f"{self.unit}, and an end after it"
             )
         light = positive("light of a version", light, zero=True)
         if self.unit == "segment":
@@ -142,29 +142,29 @@ class FrameVersions:
         return light
 
     def at(self, slot: int) -> int:
-        """The version that a slot shows, as far as is decided."""
+        """The version of a slot, as decided so far."""
         return self._table[bisect_right(self._table, (slot, self.last)) - 1][1]
 
     def source(self, number: int, engine: int) -> FrameSource:
-        """Frames of a version. Raises `BadInput` where they are not there any more."""
+        """Frames of a version. Raises `BadInput` if they are no longer stored."""
         version = self._versions.get(number)
         if version is None:
-            raise BadInput(f"the frames of version {number} are not there; there are {sorted(self._versions)}")
+            raise BadInput(f"the frames of version {number} are not stored; there are {sorted(self._versions)}")
         return version.sources[engine]
 
     # ---- the printing thread -----------------------------------------------------------------------------------
     @property
     def end(self) -> int:
-        """The slot before which the light ends, turns that are added aside."""
+        """The slot before which the light ends, without added turns."""
         return min((self.stop or self.turns) * self.count, self.slots)
 
     def facts(self) -> dict[str, Any]:
-        """The boundaries of versions, as a run's folder keeps them with each swap."""
+        """The boundaries of versions, as stored in a run's folder with each swap."""
         told: dict[str, Any] = {"turns": self.turns}
         return told if self.unit == "turn" else told | {"unit": self.unit, "count": self.count}
 
     def take(self) -> FrameVersion | None:
-        """The version that was offered last, which is now committed or dropped."""
+        """The version offered last, which is now committed or dropped."""
         with self._lock:
             taken, self._offered = self._offered, None
             return taken
@@ -179,7 +179,7 @@ class FrameVersions:
             self._light[version.number], self.stop = version.light, version.stop
 
     def drop(self, version: FrameVersion, why: str) -> None:
-        """A version is not shown."""
+        """Drop a version."""
         with self._lock:
             self._refuse(version, why)
 
@@ -188,27 +188,27 @@ class FrameVersions:
         self._versions.pop(version.number, None)
 
     def refused(self) -> list[tuple[int, str]]:
-        """Versions that were dropped since this was asked, and why."""
+        """Versions dropped since the last call, and why."""
         with self._lock:
             told, self._refused = self._refused, []
         return told
 
     def restore(self, version: FrameVersion) -> None:
-        """Take up a version that an earlier host committed."""
+        """Restore a version that an earlier host committed."""
         with self._lock:
             self._versions[version.number], self.last = version, max(self.last, version.number)
         self.commit(version)
 
     def supply(self, number: int, sources: Sequence[FrameSource]) -> None:
-        """Give the frames of a version that was taken up without them."""
+        """Set the frames of a version that was restored without them."""
         with self._lock:
             self._versions[number] = replace(self._versions[number], sources=tuple(sources))
 
     def forget(self, slot: int, missed: Collection[int] = ()) -> None:
-        """Let go of frames that no slot from a turn before ``slot`` on shows, but for the job's and those missed."""
+        """Drop frames that no slot shows from one turn before ``slot`` on, except the job's and missed ones."""
         with self._lock:
             offered = () if self._offered is None else (self._offered.number,)
-            before = max(slot - self.count, 0)  # a packer that is behind may still ask
+            before = max(slot - self.count, 0)  # a late packer may still request them
             after = (number for begin, number in self._table if begin >= before)
             wanted = {0, self.at(before), *after, *missed, *offered}
             self._versions = {number: each for number, each in self._versions.items() if number in wanted}
@@ -221,7 +221,7 @@ class FrameVersions:
         return (0, number) if number == NONE else divmod(number, self.frames)
 
     def order(self, frames: np.ndarray) -> np.ndarray:
-        """Numbers of the frames of all slots, as far as is decided; black after the stop."""
+        """Numbers of the frames of all slots, as decided so far; black after the stop."""
         order, planned = frames.copy(), self.slots
         for begin, number in self._table:
             rest = frames[begin:planned]
@@ -253,25 +253,25 @@ class VersionedFrames:
         return self._versions.source(version, self._engine).frame(frame)
 
     def packer(self, batch: int) -> VersionedPacker | None:
-        """The frames as a device packs them; None where it does not."""
+        """The packer of the frames on a device; None if there is none."""
         packs = getattr(self._versions.source(0, self._engine), "packer", None)
         made = None if packs is None else packs(batch)
         self._packer = None if made is None else VersionedPacker(self._versions, self._engine, made)
         return self._packer
 
     def prepare(self, version: FrameVersion) -> None:
-        """Make ready, in the thread that has a version, what packs it. Raises `BadInput`."""
+        """Prepare the packer of a version in the calling thread. Raises `BadInput`."""
         if self._packer is not None:
             self._packer.prepare(version.number, version.sources[self._engine])
 
     def forget(self, wanted: Collection[int]) -> None:
-        """Keep what packs these versions alone."""
+        """Keep only the packers of these versions."""
         if self._packer is not None:
             self._packer.forget(wanted)
 
 
 class VersionedPacker(PlanePacker):
-    """Packs the frames of all versions, each by its own packer; those of one call are of one version."""
+    """Packs the frames of all versions, each with its own packer; one call is for one version."""
 
     device: Device
 
@@ -291,7 +291,7 @@ class VersionedPacker(PlanePacker):
         self._made[number] = made
 
     def forget(self, wanted: Collection[int]) -> None:
-        """Keep what packs these versions alone."""
+        """Keep only the packers of these versions."""
         self._made = {number: made for number, made in self._made.items() if number in wanted}
 
     def read(self, frames: np.ndarray, out: np.ndarray) -> None:

@@ -1,1 +1,1 @@
-"""Planning while a print turns: a process of its own sees what was shown and estimates and plans the turns to come."""
+"""Planning during a print: a separate process receives the shown frames, estimates, and plans the coming turns."""

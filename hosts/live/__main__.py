@@ -11,7 +11,7 @@ from multiprocessing.connection import Listener
 from vamgpu.hosts.live.worker import PlannerClient, function_of
 from vamgpu.hosts.process.messages import address, ordered
 
-STARTING = 10.0  # how long it waits for the print that started it [s]
+STARTING = 10.0  # longest wait for the print that started it [s]
 
 
 def main() -> None:

@@ -28,19 +28,19 @@ from vamgpu.printing.frames import Frames
 from vamgpu.storage.folder import Folder
 
 FOLLOW = "vamgpu.hosts.live.planner:follow"
-WAIT = 60.0  # how long a rehearsal waits for its planning process [s]
+WAIT = 60.0  # longest wait of a dry run for its planning process [s]
 
 
 @dataclass(frozen=True)
 class RedCamera:
-    """The camera that watches, its pixels those of the beam, and what it is believed to see.
+    """The monitoring camera, whose pixels match those of the beam, and the model of what it sees.
 
     Args:
         open_field: Gray level through the vial before the print.
-        noise: Of the camera.
-        vial: As its light sees it; None takes the job's, without absorption.
-        resin: Kinetics as they are believed.
-        turbidity: As it is believed.
+        noise: Noise of the camera.
+        vial: The vial at the wavelength of the camera's light; None takes the job's, without absorption.
+        resin: Assumed kinetics.
+        turbidity: Assumed turbidity.
     """
 
     open_field: float = 800.0
@@ -52,15 +52,15 @@ class RedCamera:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """A print that was watched.
+    """A monitored print.
 
     Attributes:
-        state: In which it ended.
-        folder: Of the run; `vamgpu.live.LiveRecord` reads ``live`` in it.
-        decisions: After each turn, as recorded.
-        turns: That were lit.
-        iou: Overlap of emulated resin with the part, proved by its own rays; None for real resin.
-        conversion: Of emulated resin, [x, y, z]; None for real resin.
+        state: Final state of the print.
+        folder: Folder of the run; `vamgpu.live.LiveRecord` reads ``live`` in it.
+        decisions: Recorded decision after each turn.
+        turns: Number of lit turns.
+        iou: Overlap of emulated resin with the part, proved by independent rays; None for real resin.
+        conversion: Conversion of emulated resin, [x, y, z]; None for real resin.
     """
 
     state: PrintState
@@ -92,36 +92,36 @@ def live(
     longest: int | None = None, folder: str | Path | None = None, truth: Truth | None = None, seed: int = 0,
     evaluations: float = 8.0, watched: bool = True, board: Board | None = None,
 ) -> Watched:  # fmt: skip
-    """Print a vial while a camera watches it, and plan the rest of its light anew after every turn.
+    """Print a vial while a camera watches it, and replan the remaining patterns after every turn.
 
     Args:
-        job: The folder that `vam solve` wrote: a round vial in even light, at even angles over a full turn.
+        job: A folder from `vam solve`: a round vial in even light, at even angles over a full turn.
         rig: The TOML file of the rig, which has a camera, or "emulated".
-        camera: What the camera sees, and of which resin; the default is that of the emulated rig.
-        every: Plan after every so many turns.
-        turns: In which fresh resin gets the light of the job.
-        longest: Turns after which the light ends at the latest; None for twice as many.
-        folder: Of the run; it must not exist. None takes the job's name with ``.live``.
-        truth: How the emulated print differs from its plan; None for not at all.
-        seed: Of the emulated camera's noise.
-        evaluations: Projector evaluations to replan with.
-        watched: False prints the job's turns as they are, to compare with.
+        camera: The camera and the model of its resin; by default those of the emulated rig.
+        every: Number of turns between plans.
+        turns: Number of turns in which fresh resin gets the job's dose.
+        longest: Greatest number of turns; None for twice ``turns``.
+        folder: Folder of the run; it must not exist. None takes the job's name with ``.live``.
+        truth: Differences of the emulated print from its plan; None for none.
+        seed: Seed of the emulated camera's noise.
+        evaluations: Projector evaluations for each plan.
+        watched: False prints the job's turns without replanning, for comparison.
         board: Shows the print to an operator; None shows none.
 
     Returns:
         The print.
 
     Raises:
-        BadInput: The job is no vial's, `truth` is given for a real rig, or a number is out of range.
+        BadInput: The job is not for a vial, `truth` is given for a real rig, or a number is out of range.
         JobError: The rig has no camera.
         StorageError: The job cannot be read, or the run folder exists.
-        VamError: What ended the print; see `vamgpu.hosts.rig.carry_out`.
+        VamError: The error that ended the print; see `vamgpu.hosts.rig.carry_out`.
     """
     turns, every, seed = whole("turns", turns, 2), whole("every", every), whole("seed", seed, 0)
     evaluations = positive("evaluations", evaluations)
     longest = whole("longest", 2 * turns if longest is None else longest, turns)
     path, camera = Path(job), RedCamera() if camera is None else camera
-    planned = plan(path, read_rig(rig), turns=longest, exposure=False)  # a planner decides on the dose
+    planned = plan(path, read_rig(rig), turns=longest, exposure=False)  # the planner decides the dose
     _may_watch(planned, camera, truth)
     frames, A, dose = _even_vial(planned, path, camera.resin.solid)
     light = light_of(frames, turns, dose)
@@ -140,14 +140,14 @@ def live(
 
 
 def _may_watch(planned: PrintPlan, camera: RedCamera, truth: Truth | None) -> None:
-    """Raise `BadInput` or `JobError` for what cannot be watched."""
+    """Raise `BadInput` or `JobError` for jobs and rigs that cannot be monitored."""
     for name, value, kind in (("camera", camera, RedCamera), ("truth", truth or Truth(), Truth)):
         if not isinstance(value, kind):
             raise BadInput(f"{name} is {value!r}; expected a {kind.__name__}")
     if planned.kind != "vial":
         raise BadInput(f"{planned.jobs[0].path!r} is for {planned.kind}; expected the job of a vial")
     if truth is not None and not planned.rehearsed:
-        raise BadInput("truth tells emulated resin how to differ; print on a real rig without it")
+        raise BadInput("truth is only for emulated resin; leave it out on a real rig")
     if not planned.rehearsed and planned.rig.setup.camera is None:
         raise JobError(f"the rig {planned.rig.setup.rig.name!r} has no camera to watch with; add a [[feedback]] with "
                        'driver = "camera" to its file')  # fmt: skip
@@ -179,7 +179,7 @@ def _decisions(place: Path) -> tuple[dict[str, Any], ...]:
 
 
 def _turns(place: Path, planned: PrintPlan) -> int:
-    """Number of lit turns, the last of them in part or in full."""
+    """Number of lit turns, with a partly lit last one."""
     shown = read_run(place).shown
     lit = shown["slot"][shown["frame"] >= 0]
     return int(lit.max()) // planned.schedule.frames + 1 if lit.size else 0
@@ -191,7 +191,7 @@ def _emulated(
 ) -> Watched:  # fmt: skip
     part = np.array(Folder.open(planned.jobs[0].path).array("target"), np.float32)
     printer = VirtualPrinter(setup.projection(setup.vial), setup.camera(), setup.resin, setup.turbidity, truth, seed)
-    if order is None:  # nobody looks: the turns alone
+    if order is None:  # without monitoring: only the turns
         dose = printer.dose(light)
         for _ in range(setup.planned):
             printer.turn(dose)

@@ -1,6 +1,6 @@
-"""The planning function of a watched print: a `LiveLoop` in the planning process, and the record of its decisions.
+"""The planning function of a monitored print: a `LiveLoop` in the planning process, and the record of its decisions.
 
-Images of turn t tell what the turns before it did; what is decided late in turn t can be shown from t + 1 on.
+Images of turn t show the effect of earlier turns; a decision late in turn t takes effect from t + 1 on.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from vamgpu.printing.pack import pack
 from vamgpu.printing.placement import FIT
 from vamgpu.storage.folder import Folder
 
-PLACE = "live"  # The folder of the record in that of the run
+PLACE = "live"  # folder of the record in the run's folder
 SEEN = 0.6
-"""Share of a turn whose images are looked at, more than a half of it; the rest is for planning and for the upload."""
+"""Share of a turn whose images are used, more than half of it; the rest is for planning and upload."""
 
 
 def light_of(frames: Frames, planned: int, dose: float = 1.0) -> np.ndarray:
@@ -44,7 +44,7 @@ def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Project
     )  # fmt: skip
     placed = frames.settings
     other = "error-diffusion" if frames.bits == 1 else "round"
-    dither = other if placed.dither == FIT else placed.dither  # choosing by dose takes longer than a turn
+    dither = other if placed.dither == FIT else placed.dither  # fitting by dose takes longer than a turn
     return pack(
         plan, bits=frames.bits, gray=frames.gray, flat_field=frames.flat_field, flip_r=placed.flip_r,
         flip_z=placed.flip_z, shift=placed.shift, dither=dither, scale=frames.scale,
@@ -52,12 +52,12 @@ def levels_of(light: np.ndarray, frames: Frames, planned: int, operator: Project
 
 
 def follow(planner: PlannerClient) -> None:
-    """Plan every turn of a print as the `LiveSetup` in the order's settings says, and record why."""
+    """Plan every turn of a print with the `LiveSetup` in the order's settings, and record why."""
     Following(planner).run()
 
 
 class Following:
-    """One print that is followed; the planner's settings are those of a `LiveSetup`."""
+    """One monitored print; the planner's settings are those of a `LiveSetup`."""
 
     def __init__(self, planner: PlannerClient) -> None:
         self._planner, task = planner, planner.task
@@ -70,14 +70,14 @@ class Following:
         self._loop = self._record.begin(self._setup, part, light)
         self._state = self._loop.start()
         self._lights = {0: light}
-        self._own = {0: 0}  # the version of the loop that each version of the print is
+        self._own = {0: 0}  # version of the print → version of the loop
         self._proposed: list[tuple[int, int, float]] = []  # version of the loop, turn and time of each proposal
         self._unseen: dict[int, int] = {}  # the turn after which each version of the print was decided
-        self._showed: dict[int, int] = {}  # version of the print that each turn showed
+        self._showed: dict[int, int] = {}  # version of the print in each turn
         self._turn, self._stop, self._over = 0, 0, False
 
     def run(self) -> None:
-        """Until the print is over."""
+        """Run until the print is over."""
         first = self._state
         self._propose(0, first.light, 1, self._setup.planned)
         stack, first = self._blank(), 0
@@ -98,7 +98,7 @@ class Following:
                     stack[int(rest * len(stack))] = told["image"]
                     if rest >= SEEN:
                         self._decide(stack, 1e-9 * (told["at"] - first))
-                elif self._turn > self._state.turn + 1:  # a turn went by while nobody looked
+                elif self._turn > self._state.turn + 1:  # a turn passed without images
                     self._decide(self._blank(), 0.0)
 
     def _blank(self) -> np.ndarray:
@@ -119,12 +119,12 @@ class Following:
         self._told(decision)
         packed = time.perf_counter()
         decision = replace(decision, stages={"sense": sense} | decision.stages | {"pack": packed - decided})
-        effective = None if decision.action == "swap" else turn + 1  # of a swap it is known when it is shown
+        effective = None if decision.action == "swap" else turn + 1  # for a swap it is known once it is shown
         self._record.add(stack, decision, showed=shown, effective=effective, seconds=round(packed - began, 3))
 
     def _told(self, decision: Decision) -> None:
         begin = decision.turn + 1
-        self._over = decision.action == "stop"  # for good: resin that is dark does not tell whether to go on
+        self._over = decision.action == "stop"  # for good: dark resin does not show whether to continue
         if not (self._over and self._stop == begin) and begin < self._planner.task["turns"]:
             stop = min(begin + max(decision.turns, 1), self._planner.task["turns"])
             light = decision.light if decision.turns else np.zeros_like(decision.light)
@@ -134,7 +134,7 @@ class Following:
             self._planner.estimate(self._found(decision), self._maps(decision))
 
     def _found(self, decision: Decision) -> list[Any]:
-        """Parameters with their deviations, and two of the prior's on either side of what was planned; facts."""
+        """Parameters with their deviations, and two prior deviations on either side of the plan; facts."""
         prior, induction = self._loop.prior, self._setup.resin.induction
         usual = [(mean - 2.0 * s, mean + 2.0 * s) for mean, s in zip(prior.mean, np.sqrt(np.diag(prior.covariance)),
                                                                      strict=True)]  # fmt: skip
@@ -150,7 +150,7 @@ class Following:
     def _maps(self, decision: Decision) -> dict[str, np.ndarray]:
         drawn = {}
         if decision.dose is not None:
-            drawn[f"dose; brightest is {BRIGHT:g} times what turns solid"] = cuts(decision.dose, self._part, BRIGHT)
+            drawn[f"dose; brightest is {BRIGHT:g} times what solidifies"] = cuts(decision.dose, self._part, BRIGHT)
         if decision.conversion is not None:
             drawn["conversion seen"] = cuts(decision.conversion, self._part, 1.0, "viridis")
         return drawn

@@ -1,4 +1,4 @@
-"""The planning process: it receives what was seen and shown, and proposes frames for the turns to come.
+"""The planning process: it receives images and shown frames, and proposes frames for coming turns.
 
 Its function is named ``package.module:function``, is called with a `PlannerClient`, and returns when it is done.
 """
@@ -22,10 +22,9 @@ class PlannerClient:
     """The planning function's connection to the print.
 
     Attributes:
-        task: What is printed: ``print``, the number of this print; ``jobs``, the folders; ``kind``, a vial or a web;
-            ``turns``, those of the vial, or the segments of the web; ``frames``, slots of one; ``shape`` [frame, row,
-            column] of one, and ``bits``; ``projectors``; ``period`` of one [s]; ``folder`` of the run;
-            ``settings`` of the order.
+        task: The print: ``print``, its number; ``jobs``, the folders; ``kind``, a vial or a web; ``turns`` of the vial,
+            or segments of the web; ``frames``, slots of one turn or segment; ``shape`` [frame, row, column] of one, and
+            ``bits``; ``projectors``; ``period`` of one [s]; ``folder`` of the run; ``settings`` of the order.
     """
 
     task: dict[str, Any]
@@ -35,20 +34,20 @@ class PlannerClient:
         self.task = receive(line)["task"]
 
     def receive(self, timeout: float | None = None) -> dict[str, Any] | None:
-        """Wait for what comes next.
+        """Wait for the next message.
 
         Args:
-            timeout: How long to wait [s]; None waits for as long as the print lasts.
+            timeout: Longest wait [s]; None waits until the end of the print.
 
         Returns:
             A dict: ``image`` uint8 or uint16 [row, column] with its ``angle`` [deg], turns running on, and ``at`` [ns];
-            or ``shown``, columns of `vamgpu.hosts.records.record.FRAME_RECORD` by name; or ``answer``, what became of a
-            proposal. None after the timeout.
+                or ``shown``, columns of `vamgpu.hosts.records.record.FRAME_RECORD` by name; or ``answer``, the result
+                of a proposal. None after the timeout.
 
         Raises:
             EOFError: The print is over.
         """
-        self.tell({"ready": True})  # who asks for more is not stuck
+        self.tell({"ready": True})  # a planner that reads is not stuck
         return receive(self._line) if self._line.poll(timeout) else None
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -61,13 +60,13 @@ class PlannerClient:
                 yield told
 
     def propose(self, levels: Sequence[np.ndarray], turn: int, stop: int | None = None) -> None:
-        """Propose frames from the beginning of a turn of a vial, or of a segment of a web, on.
+        """Propose frames from the start of a turn of a vial, or of a segment of a web.
 
         Args:
-            levels: Gray levels that the mirrors show, one array [frame, row, column] for each projector; of a web, the
-                poses of one segment or of several. What is behind them stays as it was.
+            levels: Gray levels for the mirrors, one array [frame, row, column] for each projector; for a web, the poses
+                of one segment or of several. Later frames stay as they were.
             turn: The first turn, or segment, that shows them, counted from 0.
-            stop: That before which the light ends; None shows all.
+            stop: The turn, or segment, before which the light ends; None shows all.
         """
         pieces = [list(_pieces(each)) for each in levels]
         self.tell({"version": {"print": self.task["print"], "levels": pieces, "turn": turn, "stop": stop}})
@@ -77,12 +76,12 @@ class PlannerClient:
         parameters: Sequence[tuple[str, float, float] | tuple[str, float, float, float, float]],
         maps: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        """Tell what is believed, for people.
+        """Send estimates for display.
 
         Args:
-            parameters: Name with its unit, value and standard deviation of each, and the lowest and the highest value
-                that was to be expected where they are known: the page draws a bar.
-            maps: Images by name, uint8 [row, column, color]; those told before stay without it.
+            parameters: Name with its unit, value and standard deviation of each, and the expected lowest and highest
+                value if known, for a bar on the page.
+            maps: Images by name, uint8 [row, column, color]; None keeps the earlier ones.
         """
         told: dict[str, Any] = {"parameters": [list(each) for each in parameters]}
         self.tell(told if maps is None else told | {"maps": dict(maps)})

@@ -1,4 +1,4 @@
-"""The live page of a print, and the same for programs, for those who may see it. Needs the extra ``panel``."""
+"""The live page of a print, and its interface for programs, with access control. Needs the extra ``panel``."""
 
 from vamgpu.hosts.panel.auth import loopback
 from vamgpu.hosts.panel.server import Panel

@@ -11,7 +11,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-WRONG = 10  # wrong tokens of one address in `WINDOW` before none of its tokens is looked at
+WRONG = 10  # wrong tokens of one address in `WINDOW` after which its tokens are ignored
 WINDOW = 60.0  # [s]
 REMEMBERED = 1000  # browsers, and addresses with wrong tokens
 HEADERS = {
@@ -25,20 +25,20 @@ HEADERS = {
     "cache-control": "no-store",
 }
 """Headers of every answer that does not set its own. Nothing of the page is inline."""
-# Who follows a link from another site brings no strict cookie along a redirect; a page that goes on by itself does.
+# After a link from another site, a redirect carries no strict cookie; a page that continues by itself does.
 ENTER = b'<!doctype html><meta http-equiv="refresh" content="0;url=/"><title>vamgpu</title><a href="/">The page</a>'
-REFUSED = "open this page with the address that was printed when it was started, token included"
-LOCKED = "too many wrong tokens came from this address; wait a minute, then open the address that was printed"
+REFUSED = "open this page with the address printed at its start, with the token"
+LOCKED = "too many wrong tokens came from this address; wait a minute, then open the printed address"
 
 
 def loopback(host: str) -> bool:
-    """Tell whether only this machine can reach a server.
+    """Whether only this machine can reach a server.
 
     Args:
-        host: The name or address that it serves at.
+        host: The name or address of the server.
 
     Returns:
-        Whether that is a loopback address or localhost.
+        Whether it is a loopback address or localhost.
     """
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
@@ -53,7 +53,7 @@ def _name(host: str) -> str:
 
 
 def _number(name: str) -> bool:
-    """Whether a name is an address, which no other site can be made to point to."""
+    """Whether a name is an address, so that no other site's name can point to it."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -62,7 +62,7 @@ def _number(name: str) -> bool:
 
 
 class TokenAuth:
-    """Lets in requests to this machine's own names that bring the token, or a browser's cookie made for it."""
+    """Admits requests to this machine's own names with the token, or with a browser's cookie made for it."""
 
     app: Any
     token: str | None
@@ -110,7 +110,7 @@ class TokenAuth:
         return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")
 
     def _addressed(self, headers: dict[bytes, str]) -> bool:
-        """Whether a request names this machine, and comes from no page of another."""
+        """Whether a request names this machine, and does not come from a page of another."""
         host, origin = headers.get(b"host", ""), headers.get(b"origin")
         name = _name(host)
         meant = loopback(name) if self.token is None else name in self._names or _number(name)

@@ -1,4 +1,4 @@
-"""Prints of the past: the run folders that stand beside one another."""
+"""Past prints: the run folders in one folder."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 from vamgpu.storage.reading import open_file, parse_json, read_text
 
-NEWEST = 50  # prints that are listed
-LAST = 4096  # bytes of a file's end in which its last line is looked for
-LARGEST = 1 << 20  # bytes of a file that are read at most
+NEWEST = 50  # most prints listed
+LAST = 4096  # bytes at a file's end that are searched for its last line
+LARGEST = 1 << 20  # most bytes read of a file
 REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
 def past(place: Path) -> list[dict[str, Any]]:
-    """The prints in a folder, newest first, by their small files; what cannot be read is left out."""
+    """The prints in a folder, newest first, from their small files; unreadable ones are left out."""
     found = []
     try:
         folders = [(each.stat().st_mtime, each.parent) for each in place.glob("*/state.json")]
@@ -30,7 +30,7 @@ def past(place: Path) -> list[dict[str, Any]]:
 
 
 def report(place: Path, run: str, name: str) -> Path | None:
-    """A report of a listed print; None where there is none, or for a path that leads elsewhere."""
+    """A report of a listed print; None if there is none, or for a path that leads elsewhere."""
     listed = next((each for each in place.glob("*/state.json") if each.parent.name == run), None)
     if listed is None or not REPORT.fullmatch(name):
         return None

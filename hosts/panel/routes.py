@@ -21,11 +21,11 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.storage.reading import read_bytes
 
 PERIOD = 0.25  # between two polls of a page [s]
-POLLS = 40.0  # of all pages together in a second; more pages look less often, so that the print keeps its processor
-LONGEST = 5.0  # between two polls of a page, however many there are: what it shows is older by as much [s]
-FRESH = 5.0  # for how long a history that was read is told again [s]
-STOPS = 1000  # stops at a time; a line that hangs in one does not keep the next from putting out the light
-# Reports draw with their own script, which is let out of this page's reach: no cookie, no origin, no network.
+POLLS = 40.0  # polls of all pages together per second; more pages poll less often, to leave the processor to the print
+LONGEST = 5.0  # longest pause between two polls of a page, for any number of pages [s]
+FRESH = 5.0  # time for which a history is reused [s]
+STOPS = 1000  # simultaneous stops; if a line hangs in one, the next can still turn the light off
+# Reports run their own script without access to this page: no cookie, no origin, no network.
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
     "img-src data: blob:; font-src data:; frame-ancestors 'none'"
@@ -46,7 +46,7 @@ class RateLimit:
         self._clock, self._since, self._polls, self.wait = clock, clock(), 0, PERIOD
 
     def count(self) -> float:
-        """Count a look of a page. Programs are not counted: one that asks without a pause would blind the pages."""
+        """Count a poll of a page. Programs are not counted: one that polls without a pause would block the pages."""
         now = self._clock()
         self._polls += 1
         if (passed := now - self._since) >= 1.0:
@@ -56,7 +56,7 @@ class RateLimit:
 
 
 def served(board: Board, page: bool, runs: Path | None, run: str | None) -> Starlette:
-    """The application. Programs use ``GET /state``, ``POST /stop`` and ``POST /press/NAME``, with a page or without."""
+    """The application. Programs use ``GET /state``, ``POST /stop`` and ``POST /press/NAME``, also without a page."""
     answers = _Answers(board, runs, run)
     routes = [
         Route("/state", answers.state),
@@ -81,7 +81,7 @@ def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
 
 
 class _Answers:
-    """One server's answers. Those that touch no disk and no line run in its loop, others in threads."""
+    """One server's answers. Those without access to disks and lines run in its loop, others in threads."""
 
     def __init__(self, board: Board, runs: Path | None, run: str | None) -> None:
         self._board, self._runs, self._run = board, runs, run
@@ -91,17 +91,17 @@ class _Answers:
         self._past: tuple[float, list[dict[str, Any]]] = (-FRESH, [])
 
     async def state(self, request: Request) -> Response:
-        """The state that the page shows."""
+        """The state for the page."""
         wait = self._rate_limit.count() if "page" in request.query_params else self._rate_limit.wait
         return JSONResponse(told(self._board, self._store) | {"wait": wait, "run": self._run})
 
     async def stop(self, _: Request) -> Response:
-        """Emergency stop: it is dark when this answers. Waits behind nothing else that the server does."""
+        """Emergency stop: the light is off when this answers. It does not wait for other work of the server."""
         self._stops = self._stops or CapacityLimiter(STOPS)
         try:
             await to_thread.run_sync(self._board.stop, "emergency stop at the panel", limiter=self._stops)
-        except Exception as error:  # the others were called all the same
-            return PlainTextResponse(f"not every machine took the stop: {error}", 500)
+        except Exception as error:  # the others were still called
+            return PlainTextResponse(f"not every machine stopped: {error}", 500)
         return JSONResponse(described(self._board.now))
 
     async def press(self, request: Request) -> Response:
@@ -131,7 +131,7 @@ class _Answers:
         return JSONResponse(curve(self._board.now))
 
     async def history(self, _: Request) -> Response:
-        """Prints of the past, this one among them."""
+        """Past prints, with this one."""
         if self._runs is None:
             return JSONResponse([])
         self._disk = self._disk or CapacityLimiter(1)

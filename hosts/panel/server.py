@@ -15,24 +15,24 @@ from vamgpu.hosts.panel.auth import TokenAuth, loopback
 from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.timing import whole
 
-STARTING = 10.0  # longest wait for the web server [s]; before it is up, nobody could stop a print at the page
+STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a print before
 PORTS = 65535
 
 
 class Panel:
-    """A server of the page in a thread of its own; a context manager, which may stay open after the print.
+    """A server of the page in a separate thread; a context manager, which may stay open after the print.
 
     Args:
-        board: What is shown and stopped.
+        board: The board of the print to show and stop.
         host: The address to serve at; beyond this machine only with a token.
-        port: Of the server; 0 finds a free one.
-        token: What a browser must bring, 16 characters or more; made up for hosts beyond this machine.
-        page: False serves programs alone.
+        port: Port of the server; 0 finds a free one.
+        token: Token for browsers, 16 characters or more; generated for hosts beyond this machine.
+        page: False serves only programs.
         runs: The folder whose run folders are the history; None shows none.
         run: The name of this print's run folder.
 
     Raises:
-        BadInput: An argument is none of these.
+        BadInput: An argument is invalid.
         DeviceError: The extra is missing, the port is taken, or the server does not start.
     """
 
@@ -51,9 +51,9 @@ class Panel:
         if not isinstance(host, str):
             raise BadInput(f"the panel's host is {host!r}; expected a name or address, such as '127.0.0.1'")
         if whole("the panel's port", port, 0) > PORTS:
-            raise BadInput(f"the panel's port is {port!r}; expected {PORTS} at most: choose another host or port")
+            raise BadInput(f"the panel's port is {port!r}; expected at most {PORTS}: choose another host or port")
         if token is not None and (not isinstance(token, str) or len(token) < 16):
-            raise BadInput("the panel's token is no text of 16 characters or more; leave it out to have one made")
+            raise BadInput("the panel's token is not text of 16 characters or more; leave it out to generate one")
         self.board, self.host, self.page = board, host, page
         self.runs, self.run = None if runs is None else Path(runs), run
         self.token: str | None = token if token is not None or loopback(host) else secrets.token_urlsafe(24)
@@ -64,7 +64,7 @@ class Panel:
 
     @property
     def url(self) -> str:
-        """Where the page is, with what lets one in."""
+        """Address of the page, with its token."""
         name = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
 
@@ -80,11 +80,11 @@ class Panel:
         return self
 
     def _made(self) -> Any:
-        """The web server with all that it serves."""
+        """The web server with its routes."""
         try:
             import uvicorn
 
-            from vamgpu.hosts.panel.routes import served  # it needs the extra too
+            from vamgpu.hosts.panel.routes import served  # it also needs the extra
 
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:
@@ -96,7 +96,7 @@ class Panel:
     def _serve(self, server: Any) -> None:
         try:
             server.run(sockets=[self._socket])
-        except BaseException as error:  # a server that cannot start exits, which a thread keeps to itself
+        except BaseException as error:  # a server that cannot start exits, which stays in its thread
             self._failed = error
             logging.getLogger(__name__).error("the panel's web server ended: %s", error)
 
@@ -113,9 +113,9 @@ class Panel:
 
     def __exit__(self, *_: object) -> None:
         if self._server is not None and self._thread is not None:
-            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports connections that are cut
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports cut connections
             self._server.should_exit = True
-            self._server.force_exit = True  # browsers keep their connection as long as they are let
+            self._server.force_exit = True  # browsers keep their connections open
             self._thread.join(timeout=5.0)
         self._socket.close()
 
@@ -126,7 +126,7 @@ def _listening(host: str, port: int) -> socket.socket:
     server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         server.bind((host, port))
-    except (OSError, ValueError, TypeError) as error:  # taken, no address of this machine, or no name at all
+    except (OSError, ValueError, TypeError) as error:  # in use, not an address of this machine, or not a name
         server.close()
         told = f"the panel cannot be served at {host}:{port}: {error}; choose another host or port"
         raise DeviceError(told) from error

@@ -1,4 +1,4 @@
-"""The state of a print as the page receives it."""
+"""The state of a print for the page."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import numpy as np
 from vamgpu.hosts.records.state import Board, Snapshot
 
 WIDTH = 640  # pixels of an image's longer side on the page
-POINTS = 400  # of the curve
+POINTS = 400  # points of the curve
 ARRAYS = ("preview", "others", "camera", "scatter", "maps")
 ALLOWED: dict[str, tuple[str, ...]] = {"start": ("standby",), "pause": ("printing",), "resume": ("paused", "held")}
-"""States in which a button does something; any other button does until the print has ended."""
+"""Button → states in which it works; other buttons work until the print has ended."""
 WANTED = {
-    "start": "the print has begun", "pause": "only a print that has light can pause",
-    "resume": "only a paused or held print can go on",
+    "start": "the print has begun", "pause": "only a print with light can pause",
+    "resume": "only a paused or held print can continue",
 }  # fmt: skip
 
 
 def described(now: Snapshot) -> dict[str, Any]:
-    """A snapshot as plain values, without images; None for what is no finite number, which JSON does not hold."""
+    """A snapshot as plain values, without images; None for numbers that are not finite, which JSON lacks."""
     plain = {name: value for name, value in vars(now).items() if name not in ARRAYS}
     plain["parameters"] = [vars(each) for each in now.parameters]
     return {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in plain.items()}
@@ -44,11 +44,11 @@ def told(board: Board, store: ImageStore) -> dict[str, Any]:
 
 
 def refusal(now: Snapshot, name: str) -> str | None:
-    """Why a button does nothing now; None where it does."""
+    """Why a button does not work now; None if it does."""
     if now.state.ended:
-        return f"the print is {now.state.value}; begin another one"
+        return f"the print is {now.state.value}; start another one"
     if name == "resume" and now.resuming:
-        return "it goes on already: the light comes when frames and motion are ready"
+        return "it is already continuing: the light comes when frames and motion are ready"
     if name == "resume" and now.interlock_closed is False:
         return "the enclosure is open: close it first"
     states = ALLOWED.get(name)
@@ -56,14 +56,14 @@ def refusal(now: Snapshot, name: str) -> str | None:
 
 
 def images(now: Snapshot) -> dict[str, np.ndarray]:
-    """Images by name: of each projector, of the camera, and of what is estimated."""
+    """Images by name: of each projector, of the camera, and of estimates."""
     frames = () if now.preview is None else (now.preview, *now.others)
     named = {f"projector {n + 1}": frame for n, frame in enumerate(frames)}
     return named | ({} if now.camera is None else {"camera": now.camera}) | dict(now.maps)
 
 
 def curve(now: Snapshot) -> dict[str, Any]:
-    """Scatter over time, thinned to what a page can draw; the last reading stays."""
+    """Scatter over time, thinned for a page; the last reading stays."""
     count = len(now.scatter)
     step = max(1, -(-count // POINTS))
     kept = [now.scatter[k] for k in range((count - 1) % step, count, step)] if count else []
@@ -72,7 +72,7 @@ def curve(now: Snapshot) -> dict[str, Any]:
 
 
 class ImageStore:
-    """Images as browsers take them. Each is encoded once, however many ask; the print is never waited for."""
+    """Images for browsers. Each is encoded once for all requests; requests never wait for the print."""
 
     def __init__(self) -> None:
         self._lock, self._encoding = threading.Lock(), threading.Lock()
@@ -101,7 +101,7 @@ def _encoded(image: np.ndarray) -> bytes:
 
     step = max(1, -(-max(image.shape) // WIDTH))
     thin = np.ascontiguousarray(image[::step, ::step])
-    if thin.dtype != np.uint8:  # a camera of more bits
+    if thin.dtype != np.uint8:  # a camera with more bits
         thin = (thin / max(1, int(thin.max(initial=1))) * 255).astype(np.uint8)
     kept = io.BytesIO()
     Image.fromarray(thin).save(kept, "PNG", compress_level=1)

@@ -1,1 +1,1 @@
-"""One print under one holder of the light, and what plays its schedule on the machines of a rig."""
+"""One print with one holder of the light, and the players of its schedule on a rig."""

@@ -1,4 +1,4 @@
-"""Plays a schedule on mirrors that a controller triggers: it moves, triggers and gates the light, row by row."""
+"""Plays a schedule on mirrors with a controller, which moves, triggers and gates the light, row by row."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
 PREROLL = 2
-"""Black frames that are triggered before the first slot: some mirrors show an unpredictable first frame, and both
-counts must agree before there is light."""
+"""Black frames triggered before the first slot: some mirrors show an unpredictable first frame, and both counts must
+agree before the light."""
 APART = SECOND // 7  # least time between them, and to the first slot [ns]: some polls
-PATIENCE = 0.25  # how long a trigger may be overdue [s], by where the motion is
+PATIENCE = 0.25  # longest delay of a trigger by the position of the motion [s]
 FORGOTTEN = (
     "the controller has another zero or play than this print: it lost its power, was reset, or served another program, "
-    "so nobody knows where the motor is and what the resin saw; begin anew with fresh resin"
+    "so the position of the motor and the dose of the resin are not known; start again with fresh resin"
 )
 CLOSED = {
-    "stall": "stall, the encoder is not where the motor was stepped to; look at motor and load",
-    "index": "index, its mark was not where it should be: the motor lost steps, or the belt slipped",
+    "stall": "stall, the encoder differs from the motor's steps; check motor and load",
+    "index": "index, its mark was off position: the motor lost steps, or the belt slipped",
 }
 
 
 def triggers(schedule: Schedule, first: int = 0) -> int:
-    """Frames at the mirrors, and rows at the controller, from a slot on; the black ones before it count as well."""
+    """Frames at the mirrors, and rows at the controller, from a slot on, with the black ones before it."""
     return len(schedule) - first + PREROLL
 
 
 class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
-    """Plays a schedule on mirrors behind a controller. origin: of a print that an earlier host began."""
+    """Plays a schedule on mirrors with a controller. origin: place of pose 0 in a print that an earlier host began."""
 
     def __init__(
         self, schedule: Schedule, machines: MirrorMachines, sources: Sequence[FrameSource], *,
@@ -54,7 +54,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         self._lost: float | None = None
         self._sent = self._before = 0
         self._going = False
-        self._blind: tuple[int, int] | None = None  # frames that the mirrors counted, then silence of the line [ns]
+        self._blind: tuple[int, int] | None = None  # frames counted by the mirrors, and then silence of the line [ns]
 
     def _gate(self) -> tuple[Lamp, Renew]:
         gate = LampGate(self.machines.controller, range(self.schedule.engines), shares=self.schedule.power[0])
@@ -62,12 +62,12 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
-        """Mirrors and buffers full, the motion at its speed, black frames and first rows queued."""
+        """Fill mirrors and buffers, bring the motion to its speed, queue black frames and first rows."""
         controller = self.machines.controller
         self._first = self._kept = self._punctual = first
         self._blind = None
         self._still_own(controller.status())
-        controller.move(0.0)  # a host that died may have left it running
+        controller.move(0.0)  # a dead host may have left it running
         self._fill(first, alive)
         controller.mode("steps")
         start = RowTable(self.schedule, self.machines.microsteps).acts(first) - PREROLL * self._apart
@@ -86,22 +86,22 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         self._send(controller.capacity)
         controller.end(triggers(self.schedule, first))
         status = controller.status()
-        self._still_own(status)  # all this took its time
+        self._still_own(status)  # the steps above took time
         self._before, self._play, self._going = status.play, own_number(self.clock, status.play), False
         return round(approach.ahead(start, self._origin.at) * SECOND) + PREROLL * self._apart
 
     def _still_own(self, status: Status) -> None:
-        """Raise `OriginLost` where the controller forgot this print, or played something else."""
+        """Raise `OriginLost` if the controller lost this print, or played something else."""
         if why := self._forgotten(status):
             raise OriginLost(why)
 
     def _forgotten(self, status: Status) -> str | None:
         zero = self._origin is None or status.zero == self._origin.zero
-        plays = (self._play,) if self._going else (self._play, self._before)  # one that was primed may never begin
+        plays = (self._play,) if self._going else (self._play, self._before)  # a primed one may never begin
         return None if zero and (self._play is None or status.play in plays) else FORGOTTEN
 
     def facts(self) -> dict[str, Any]:
-        """Where pose 0 is on the motor, and which of the controller's plays the run segment is."""
+        """Position of pose 0 on the motor, and the number of the run segment's play."""
         assert self._origin is not None, "primed"
         own = {"zero": self._origin.zero, "play": self._play, "before": self._before}
         lost = {} if self._lost is None else {"lost": self._lost}
@@ -116,7 +116,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         self._going = True
 
     def poll(self) -> StatusPoll:
-        """Compare what the controller triggered with what the mirrors counted."""
+        """Compare the controller's triggers with the mirrors' count."""
         before = self._counted()
         began = self.clock.now()
         try:
@@ -138,13 +138,13 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         )  # fmt: skip
 
     def _fault(self, status: Status) -> str | None:
-        """Why the controller cannot be trusted."""
+        """Why the controller is not reliable."""
         if status.state == "fault":
             return f"the controller closed the light: {CLOSED.get(status.fault, status.fault)}"
         if why := self._forgotten(status):
             return why
         if status.late:
-            return f"{status.late} rows came to the controller after their time; look at what holds up the host"
+            return f"{status.late} rows reached the controller late; check what delays the host"
         if status.state == "running" and status.shown < triggers(self.schedule, self._first):
             speed = float(self.schedule.speed) * self.machines.microsteps
             overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
@@ -153,12 +153,12 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         return None
 
     def feed(self) -> None:
-        """Black for what is late, and rows onward."""
+        """Replace late frames by black, and send rows."""
         super().feed()
         self._send(self._free)
 
     def _send(self, free: int) -> None:
-        """Send rows while there is room: the black frames before the first slot, then slots."""
+        """Send rows while there is room: first those of the black frames, then slots."""
         stop = min(self._sent + free, triggers(self.schedule, self._first))
         for number in range(self._sent, stop):
             self.machines.controller.row(self._row(number))
@@ -174,12 +174,12 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
 
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """End after the frame on its way, so that none is cut."""
+        """End after the present frame, so that none is cut."""
         controller = self.machines.controller
         controller.end(min(controller.status().shown + 1, triggers(self.schedule, self._first)))
 
     def _triggered(self) -> int:
-        """Frames of this run segment, in the dark; at most, where the controller does not answer."""
+        """Frames of this run segment, in the dark; an upper bound if the controller does not answer."""
         try:
             status = self.machines.controller.status()
         except DeviceError:
@@ -190,11 +190,11 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         return status.shown if status.play == self._play else 0
 
     def recover(self) -> None:
-        """Reach the controller again, and drop rows that it could not be told to."""
+        """Reconnect to the controller, and drop its remaining rows."""
         self.machines.controller.revive()
         self.machines.controller.stop()
 
     def halt(self) -> None:
-        """The motion to rest, rows dropped, mirrors dark; each whatever the one before it did."""
+        """Stop the motion, drop rows, turn the mirrors dark; each even if the one before fails."""
         if failed := run_all(self.machines.controller.stop, self._close):
             raise failed[0]

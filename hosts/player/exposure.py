@@ -1,6 +1,6 @@
-"""Automatic exposure of a print: a camera watches the resin, and the light goes out when it scatters enough.
+"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough.
 
-On a real clock a thread takes the images; on a program's clock they are taken when they are due.
+On a real clock a thread takes the images; on a simulated clock they are taken when due.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from vamgpu.storage.atomic import explained
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = SECOND // 10  # least time between two readings [ns]
-PATIENCE = 2 * SECOND  # how old the camera's last image may be [ns]
-SATURATED = 1e-3  # share of pixels at the camera's top from which an image is overexposed
-IDLE = 1e-3  # pause of the thread after an image that is not read [s], should a camera not wait by itself
-LEAVE = 1.0  # how long the thread may take to end [s]
+PATIENCE = 2 * SECOND  # greatest age of the camera's last image [ns]
+SATURATED = 1e-3  # share of saturated pixels above which an image is overexposed
+IDLE = 1e-3  # pause of the thread after an unread image [s], for cameras that do not wait
+LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 @dataclass(frozen=True)
 class StopRule:
     """When a print stops."""
 
-    threshold: float  # [gray levels/voxel]
-    voxels: float  # of the part
-    bits: int = 8  # of the camera's levels
-    exposure: float = 0.01  # of an image [s]
-    discard: int = 0  # images that the camera may have taken before it was asked
+    threshold: float  # scatter density [gray levels/voxel]
+    voxels: float  # voxels of the part
+    bits: int = 8  # greatest level of the camera
+    exposure: float = 0.01  # exposure time of an image [s]
+    discard: int = 0  # images that the camera may have taken before the request
 
 
 class ScatterWatch:
@@ -69,7 +69,7 @@ class ScatterWatch:
 
     # ---- around the print ------------------------------------------------------------------------------------
     def begin(self) -> None:
-        """Take the background; it must be dark. Raises `DeviceLost`, and `BadInput` for an overexposed one."""
+        """Take the background, in the dark. Raises `DeviceLost`, and `BadInput` if it is overexposed."""
         self._camera.expose(1e6 * self._wanted.exposure)
         self._last = self._due = self._clock.now()
         if self._thread is None:
@@ -92,11 +92,11 @@ class ScatterWatch:
                 log.warning("the camera still holds its thread after %g s", LEAVE)
         try:
             self._file.close()
-        except OSError as error:  # a full disk was told before
+        except OSError as error:  # a full disk was reported before
             log.warning("'scatter.csv' of %r is cut short: %s", str(self._folder.path), error)
 
     def _over(self, image: np.ndarray) -> float:
-        """Share of pixels at the camera's top."""
+        """Share of saturated pixels."""
         return float((image >= 2**self._wanted.bits - 1).mean())
 
     def _check(self) -> None:
@@ -107,12 +107,12 @@ class ScatterWatch:
         if (over := self._over(image)) > SATURATED:
             raise BadInput(
                 f"{100 * over:.1f} % of the camera's pixels are saturated before the light; expected "
-                f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim what lights the resin for the camera"
+                f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim the light for the camera"
             )
         self._folder.event("background", self._background[0], levels=float(image.sum(dtype=np.float64)))
 
     def recover(self) -> None:
-        """Watch again, before a print goes on, with a camera that failed."""
+        """Watch again with a failed camera, before a print continues."""
         self._last = self._due = self._clock.now()
         if self._failed is not None and self._thread is not None and not self._thread.is_alive():
             self._failed = None
@@ -121,7 +121,7 @@ class ScatterWatch:
 
     # ---- asked by the print ----------------------------------------------------------------------------------
     def enough(self) -> str | None:
-        """Why the part has had its light; None before. Raises what the camera or the disk failed with."""
+        """Why the part has enough light; None before. Raises the error of the camera or the disk."""
         if self._origin is None and (lit := self._lit()) >= 0:
             self._open(self._clock.now() - round(lit * SECOND))
         if self._thread is None and self._origin is not None and self._clock.now() >= self._due:
@@ -130,7 +130,7 @@ class ScatterWatch:
         return self._said
 
     def short(self) -> str:
-        """Message for a print that reached its end without the stop."""
+        """Message for a print that ended without the stop."""
         most = max((reading.density for reading in self.rule.readings), default=0.0)
         said = (
             f"scatter density reached {most:.3g} of {self._wanted.threshold:g} in all its turns: the part may lack "
@@ -150,13 +150,13 @@ class ScatterWatch:
 
     # ---- images --------------------------------------------------------------------------------------------
     def _run(self) -> None:
-        """Take all that the camera gives, so that none is old, and read some."""
+        """Take all images of the camera, so that none is old, and evaluate some."""
         try:
             self._discard()
             while not self._leave.is_set():
                 self._take(self._camera.grab())
                 self._leave.wait(IDLE)
-        except BaseException as error:  # told by the printing thread, in the dark
+        except BaseException as error:  # set by the printing thread, in the dark
             self._failed = error
             self._seen.set()
 
@@ -180,7 +180,7 @@ class ScatterWatch:
             self._keep(self.rule.see(seconds, image))
 
     def _open(self, origin: int) -> None:
-        """The first image had light from a time on: seconds count from there."""
+        """Set the time of the first light in an image, from which seconds count."""
         assert self._background is not None
         when, image = self._background
         self._keep(self.rule.see((min(when, origin) - origin) / SECOND, image))

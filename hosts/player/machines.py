@@ -1,4 +1,4 @@
-"""The opened machines of a rig, around triggered mirrors or around a projector on a video cable."""
+"""The opened machines of a rig with triggered mirrors or a projector on a video cable."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ class MirrorMachines:
     clock: Clock
     controller: Controller
     mirrors: Sequence[Dmd]
-    microsteps: float  # of the motion, in a unit of the schedule
+    microsteps: float  # microsteps of the motion per unit of the schedule
     lens: LensDriver | None = None
-    camera: CameraDriver | None = None  # watches the resin
+    camera: CameraDriver | None = None  # camera that watches the resin
 
 
 class TriggeringStage(Stage, Protocol):
     """A stage with a trigger output."""
 
-    # from where it rests on, fire at every so many units on the way; 0 for no more
+    # from rest, fire at equal distances in units; 0 stops it
     def trigger_every(self, distance: float) -> None: ...
 
 
@@ -55,31 +55,31 @@ class StageMachines:
     clock: Clock
     stage: TriggeringStage
     mirrors: Sequence[Dmd]
-    microsteps: float  # of the stage, in a unit of the schedule
+    microsteps: float  # microsteps of the stage per unit of the schedule
     controller: Controller | None = None  # gates the light; None: there is none
-    lamp: Lamp | None = None  # that the host switches; None: mirrors make the dark
+    lamp: Lamp | None = None  # lamp that the host switches; None: dark mirrors switch it off
     lens: LensDriver | None = None
     camera: CameraDriver | None = None
 
 
 class Lamps:
-    """Light that wants all of its lamps, each of which alone makes dark; without any, mirrors alone make the dark."""
+    """A light with several lamps in series, each of which can turn it off; without lamps, only the mirrors can."""
 
     def __init__(self, *lamps: Lamp) -> None:
         self._lamps = lamps
 
     def on(self, power: float) -> None:
-        """Light, by one lamp after the other."""
+        """Turn the light on, one lamp after another."""
         for lamp in self._lamps:
             lamp.on(power)
 
     def off(self) -> None:
-        """Dark by all, the last first, whatever becomes of one."""
+        """Turn all lamps off, the last first, even if one fails."""
         close_all([lamp.off for lamp in self._lamps])
 
 
 def gate(controller: Controller | None, lamp: Lamp | None, schedule: Schedule) -> tuple[Lamp, Renew]:
-    """A steady light, and what renews its lease: the controller's, or none. lamp: that the host switches."""
+    """A steady light, and the renewal of the controller's lease, if any. lamp: lamp that the host switches."""
     own = () if lamp is None else (lamp,)
     if controller is None:
         return Lamps(*own), lambda length: None
@@ -93,18 +93,18 @@ def late_policy(schedule: Schedule) -> LatePolicy:
 
 
 def shows(schedule: Schedule) -> None:
-    """Raise `BadInput` for slots that triggered mirrors do not show."""
+    """Raise `BadInput` for slots that triggered mirrors cannot show."""
     if len(set(schedule.on.tolist())) != 1 or (schedule.power != schedule.power[0]).any():
-        raise BadInput("frames differ in how long or how brightly they are lit; the mirrors take one time for all")
+        raise BadInput("frames differ in time or brightness; the mirrors use the same for all")
     gap = schedule.gap
     if gap - int(schedule.on[0]) < REST:
         raise BadInput(
-            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of the {gap / 1000:.6g} us that they have; mirrors "
+            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of {gap / 1000:.6g} us; mirrors "
             f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
         )
 
 
-RATES = 0.01  # greatest difference between the refresh that a display should have and that of the screen
+RATES = 0.01  # greatest difference between the expected refresh and that of the screen
 
 
 @dataclass
@@ -113,17 +113,17 @@ class VideoMachines:
 
     clock: Clock
     controller: Controller | None  # gates the light and holds its lease; None: there is none
-    stage: Stage  # of the vial [deg] or web [mm]
+    stage: Stage  # stage of the vial [deg] or web [mm]
     projector: HdmiProjector
     camera: CameraDriver | None = None
-    lamp: Lamp | None = None  # that the host switches; None: black frames make the dark
+    lamp: Lamp | None = None  # lamp that the host switches; None: black frames turn it off
 
     def check(self, schedule: Schedule, display: HdmiTiming) -> None:
-        """Raise `BadInput` for a schedule of no vial, `WrongDevice` for one that was made for another projector."""
+        """Raise `BadInput` for a schedule without whole turns or a web, `WrongDevice` for one of another projector."""
         if schedule.engines != 1 or len(schedule) % schedule.frames:
             raise BadInput(
                 f"the schedule has {len(schedule)} slots of {schedule.engines} engines in {schedule.unit}; expected "
-                "whole turns of a vial, or a web, before one projector"
+                "whole turns of a vial, or a web, for one projector"
             )
         if self.stage.unit != schedule.unit:
             raise BadInput(
@@ -133,9 +133,9 @@ class VideoMachines:
         has = (*projector.size, layout.slots, layout.bits, projector.latency)
         wanted = (*reversed(display.pixels), display.patterns, display.bits, display.latency)
         if has != wanted or abs(projector.slots_per_s / rate - 1) > RATES:
-            names = "rows, columns, frames a video frame, their bits, frames of delay"
+            names = "rows, columns, frames per video frame, their bits, frames of delay"
             raise WrongDevice(
-                f"the projector has {has} {names}, and {projector.slots_per_s:.6g} frames a second; the schedule was "
+                f"the projector has {has} {names}, and {projector.slots_per_s:.6g} frames per second; the schedule was "
                 f"made for {wanted} and {rate:.6g}: check the rig's file, or make the job for this projector"
             )
 
@@ -158,7 +158,7 @@ def senses(machines: Machines) -> dict[str, bool | float | None]:
 class VideoFrames(Protocol):
     """Numbered frames for a video cable."""
 
-    # one frame, uint8 [row, column], full on at 255; None where it is not there yet
+    # one frame, uint8 [row, column], full on at 255; None if it is not ready
     def frame(self, number: int) -> np.ndarray | None: ...
 
 
@@ -175,29 +175,29 @@ class SourceFrames:
 
 
 class ScreenBlackout:
-    """A projector that shows black from the next video frame on; in the thread that prints at once."""
+    """A projector that shows black from the next video frame on, or at once in the printing thread."""
 
     def __init__(self, projector: HdmiProjector) -> None:
         self._projector, self._owner = projector, threading.get_ident()
         self.dark: bool = False
 
     def own(self) -> None:
-        """This thread prints, and frames may be shown again."""
+        """Mark this thread as printing, and allow frames again."""
         self._owner, self.dark = threading.get_ident(), False
 
     def off(self) -> None:
-        """Black; a window belongs to one thread, others leave word."""
+        """Show black; a window belongs to one thread, so others leave a request."""
         self.dark = True
         if threading.get_ident() == self._owner:
             self._projector.black()
 
 
 class MirrorBlackout:
-    """Mirrors as a way to make it dark."""
+    """Mirrors as a switch that turns the light off."""
 
     def __init__(self, dmd: Dmd) -> None:
         self._dmd = dmd
 
     def off(self) -> None:
-        """Halt: the mirrors turn away."""
+        """Halt: the mirrors deflect the light."""
         self._dmd.halt()

@@ -1,4 +1,4 @@
-"""Plays a schedule on mirrors that show the next frame at each trigger, and count them: no host's time matters."""
+"""Plays a schedule on mirrors that show and count a frame at each trigger: the host's timing does not matter."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, whole
 
-PRIMING = 60 * SECOND  # longest wait for mirrors and buffers to be full before the light opens [ns]
-TURNS = 2  # most turns of a vial that are added for what was missed
+PRIMING = 60 * SECOND  # longest wait for full mirrors and buffers before the light opens [ns]
+TURNS = 2  # most turns added to a vial for missed frames
 M = TypeVar("M", MirrorMachines, StageMachines)
 
 
 class MirrorPlayer(ABC, Generic[M]):
-    """Frames, versions and repeats of a `Player` on mirrors; what moves and triggers is a subclass's.
+    """Frames, versions and repeats of a `Player` on mirrors; subclasses move and trigger.
 
-    depth: frames of a sequence of the mirrors.  sequences: of them.  turn: slots that fit into them, uploaded once.
+    depth: frames per sequence.  sequences: number of sequences.  turn: slots that fit in them, uploaded once.
     """
 
     schedule: Schedule
@@ -52,7 +52,7 @@ class MirrorPlayer(ABC, Generic[M]):
         if len(sources) != schedule.engines or len(machines.mirrors) != schedule.engines:
             raise BadInput(
                 f"the schedule is for {schedule.engines} projectors, the rig has {len(machines.mirrors)} and frames "
-                f"are for {len(sources)}; choose the rig that the job was made for"
+                f"are for {len(sources)}; choose the rig of the job"
             )
         self.schedule, self.machines, self.clock = schedule, machines, machines.clock
         shows(schedule)
@@ -74,7 +74,7 @@ class MirrorPlayer(ABC, Generic[M]):
 
     @abstractmethod
     def _gate(self) -> tuple[Lamp, Renew]:
-        """The light, and what renews its lease."""
+        """The light, and the renewal of its lease."""
 
     @abstractmethod
     def _triggered(self) -> int:
@@ -110,12 +110,12 @@ class MirrorPlayer(ABC, Generic[M]):
                 self.wait()
 
     def _boundaries(self, guard: int) -> Boundaries | None:
-        """Where frames may be replaced: a sequence of the mirrors is filled while the one before it is shown."""
+        """Boundaries for versions: a sequence of the mirrors is filled while the one before it is shown."""
         return None if self.versions is None else Boundaries(self.versions.count, self._first, guard + self._depth)
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def _since(self, shown: int) -> tuple[FrameRecord, ...]:
-        """The frames shown since the last poll; how late each was is an upper bound."""
+        """The frames shown since the last poll; their lateness is an upper bound."""
         first, table, found = self._first, self.schedule, []
         stop = max(self._kept, min(first + shown - self._preroll, len(table)))
         for slot in range(self._kept, stop):
@@ -150,16 +150,16 @@ class MirrorPlayer(ABC, Generic[M]):
             return True
 
     def _counted(self) -> list[int]:
-        """Frames that the mirrors of each projector have shown, black ones before the first slot included."""
+        """Frames shown by the mirrors of each projector, with the black ones before the first slot."""
         return [queue.shown() for queue in self._queues]
 
     def _supply(self) -> tuple[float, float]:
-        """How full the buffers are, 0..1, and how long the frames at the mirrors last [s]."""
+        """Fill level of the buffers, 0..1, and duration of the frames at the mirrors [s]."""
         ahead = min(queue.ahead for queue in self._queues)
         return min(queue.share for queue in self._queues), ahead / self.schedule.rate
 
     def feed(self) -> None:
-        """Black for what is late."""
+        """Replace late frames by black."""
         for queue in self._queues:
             queue.feed()
 
@@ -169,12 +169,12 @@ class MirrorPlayer(ABC, Generic[M]):
 
     @property
     def pending_versions(self) -> set[int]:
-        """Versions of frames that were missed and are to be shown again."""
+        """Versions of missed frames that will be shown again."""
         return set().union(*(each.missed for each in self._missed))
 
     # ---- after the light -------------------------------------------------------------------------------------
     def doubtful(self) -> range:
-        """The frame on show; those since rows came late; with a dead line what may have been triggered."""
+        """The present frame; those since rows were late; with a dead line those that may have been triggered."""
         sure = min(self._kept, self._punctual)
         self._kept = max(self._kept, min(self._first + self._triggered() - self._preroll, len(self.schedule)))
         return range(max(sure - 1, self._first), self._kept)
@@ -187,7 +187,7 @@ class MirrorPlayer(ABC, Generic[M]):
                 stack.callback(queue.undo_drops, self._kept - self._first)
 
     def add_repeats(self) -> bool:
-        """Add a turn that shows again what was missed. Raises `Underrun` after `TURNS` of them."""
+        """Add a turn with the missed frames. Raises `Underrun` after `TURNS` of them."""
         due = [each.collect() for each in self._missed]
         if not any(due):
             return False
@@ -208,7 +208,7 @@ class MirrorPlayer(ABC, Generic[M]):
         return True
 
     def restore(self, lost: Sequence[Sequence[int]]) -> None:
-        """Poses that were black under an earlier host, of each projector."""
+        """Poses of each projector that were black under an earlier host."""
         for repeats, poses in zip(self._missed, lost, strict=True):
             for pose in poses:
                 repeats.policy.drop(pose)
@@ -216,6 +216,6 @@ class MirrorPlayer(ABC, Generic[M]):
                     repeats.miss(pose % self.versions.count, self.versions.at(pose))
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A projector's frame for people."""
+        """A projector's frame for display."""
         version = 0 if self.versions is None else self.versions.at(self._kept) * self.versions.frames
         return self._sources[engine].frame(number + version)

@@ -1,4 +1,4 @@
-"""Motion of a controller's own motor: brought to its speed ahead of a slot, and watched from then on."""
+"""Motion of a controller's own motor: run-up to its speed ahead of a slot, and monitoring from then on."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from vamgpu.hosts.schedules.timing import SECOND, fraction, whole
 log: logging.Logger = logging.getLogger(__name__)
 MILLI = 1_000_000
 POLL = 20 * MILLI  # between two polls of the machines [ns]
-PATIENCE = 3.0  # longest wait for the motion to have its speed, in times that the run-up takes at it
-AHEAD = 0.2  # how long before its first row a motion must have its speed [s]
-RUN_UPS = 4  # how often a longer run-up is tried
-WINDOW = 1_000_000_000  # over which the motion's speed is judged [ns]
+PATIENCE = 3.0  # longest wait for the speed, in run-up times
+AHEAD = 0.2  # time before its first row at which a motion must have its speed [s]
+RUN_UPS = 4  # number of tries with longer run-ups
+WINDOW = 1_000_000_000  # time over which the speed is measured [ns]
 
 
 def own_number(clock: Clock, other: int) -> int:
-    """A number for a controller's zero or play, which is not the one that it has, and hardly ever that of a third."""
+    """A random number for a controller's zero or play, other than its present one."""
     number = clock.now() // MILLI % (NUMBERS - 1) + 1
     return number if number != other else number % (NUMBERS - 1) + 1
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where pose 0 of a print is on the motor."""
+    """Position of a print's pose 0 on the motor."""
 
-    at: float  # in the schedule's unit, from the controller's position 0
-    zero: int  # the number under which the controller has it
+    at: float  # distance in the schedule's unit from the controller's position 0
+    zero: int  # its number in the controller
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "at", float(fraction("origin", self.at)))
         if (number := whole("number of the zero", self.zero)) >= NUMBERS:
-            raise BadInput(f"a zero is numbered 1 to {NUMBERS - 1}; {number} is none")
+            raise BadInput(f"the number of a zero is {number}; expected 1 to {NUMBERS - 1}")
         object.__setattr__(self, "zero", number)
 
 
 class SpeedMonitor:
-    """A motion's error in poses over the last second. microsteps: of a unit of the schedule, as positions are given."""
+    """A motion's error in poses over the last second. microsteps: microsteps per unit of the schedule's positions."""
 
     last: float
     span: int
@@ -57,12 +57,12 @@ class SpeedMonitor:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was seen."""
+        """Clear the readings."""
         self._seen: deque[tuple[int, float]] = deque()
         self.last, self.span = 0.0, 0
 
     def error(self, now: int, position: float) -> float:
-        """The error [poses] at a position; kept in ``last``, and the time that it is measured over [ns] in ``span``."""
+        """The error [poses] at a position, kept in ``last``, with its measuring time [ns] in ``span``."""
         self._seen.append((now, position))
         while now - self._seen[0][0] > WINDOW:
             self._seen.popleft()
@@ -72,7 +72,7 @@ class SpeedMonitor:
 
 
 class Approach:
-    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, as that stirs resin."""
+    """Brings a motor to its speed `AHEAD` seconds before a slot's row; a vial never turns back, to rest its resin."""
 
     def __init__(self, schedule: Schedule, controller: Controller, clock: Clock, microsteps: float) -> None:
         self._schedule, self._controller, self._clock = schedule, controller, clock
@@ -82,7 +82,7 @@ class Approach:
         self.lost: float | None = None
 
     def fresh(self, time: int, alive: Callable[[], None]) -> Origin:
-        """A zero here, with room for a run-up to a time [ns]; pose 0 of a vial is at the index mark if there is one."""
+        """Set a zero with room for a run-up to a time [ns]; pose 0 of a vial is at the index mark if there is one."""
         zero = own_number(self._clock, self._controller.status().zero)
         if self._controller.index is None:
             self._controller.zero(zero)
@@ -93,23 +93,23 @@ class Approach:
         return Origin(self._run_up + 1 / self._microsteps - float(self._schedule.position_at(time)), zero)
 
     def again(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
-        """Where pose 0 is by the index mark, of a resumed print; ``lost`` is how far the mark was from its place."""
+        """Position of a resumed print's pose 0 by the index mark; ``lost`` is the error of the mark."""
         if (index := self._controller.index) is None:
             return origin
         distance = index.distance * self._controller.microsteps_per_mm / self._microsteps
-        if self._schedule.unit == "mm":  # rows are counted from the mark: it must come before them
+        if self._schedule.unit == "mm":  # rows count from the mark, which must come first
             self._back(time, origin.at, self._run_up + distance, alive)
         zero = own_number(self._clock, self._controller.status().zero)
         mark = self._mark(zero, alive) / self._microsteps
         passed = distance * round(mark / distance)
         self.lost = mark - passed
         if abs(self.lost) > index.tolerance + self._speed * POLL / 5 / SECOND:
-            log.warning("the motor was %.3g %s off its index mark; by that mark it is in its place again",
+            log.warning("the motor was %.3g %s off its index mark; its position is corrected by the mark",
                         self.lost, self._schedule.unit)  # fmt: skip
         return Origin(origin.at - passed, zero)
 
     def _mark(self, zero: int, alive: Callable[[], None]) -> int:
-        """Run on to the index mark, which is 0 from then on; returns what it was before [microsteps]."""
+        """Run to the index mark and set 0 there; returns its earlier position [microsteps]."""
         controller, index = self._controller, self._controller.index
         assert index is not None
         way = PATIENCE * (index.distance * controller.microsteps_per_mm / self._microsteps + self._run_up)
@@ -127,7 +127,7 @@ class Approach:
         return mark
 
     def to(self, time: int, origin: Origin, alive: Callable[[], None]) -> Origin:
-        """Run at the speed so that a time [ns] is still ahead; returns where pose 0 is. Raises `InterlockOpen`."""
+        """Run at the speed with a time [ns] still ahead; returns the position of pose 0. Raises `InterlockOpen`."""
         run_up = self._run_up
         for _ in range(RUN_UPS):
             origin = replace(origin, at=self._back(time, origin.at, run_up, alive))
@@ -137,7 +137,7 @@ class Approach:
                 return origin
             run_up *= 2
         raise InterlockOpen(
-            f"the motion has its speed of {self._speed:.4g} {self._schedule.unit}/s too late, after a run-up of "
+            f"the motion reached its speed of {self._speed:.4g} {self._schedule.unit}/s too late, after a run-up of "
             f"{run_up / 2:.4g} {self._schedule.unit}: let the controller ramp faster"
         )
 
@@ -145,7 +145,7 @@ class Approach:
         return RowTable(self._schedule, self._microsteps, origin).at(time)
 
     def ahead(self, time: int, origin: float) -> float:
-        """Time to a time of the schedule, at the speed [s]."""
+        """Time until a time of the schedule, at the speed [s]."""
         return self._before(time, origin) / self._speed
 
     def _before(self, time: int, origin: float) -> float:
@@ -153,7 +153,7 @@ class Approach:
         return (self._row(time, origin) - self._controller.status().position) / self._microsteps
 
     def _back(self, time: int, origin: float, run_up: float, alive: Callable[[], None]) -> float:
-        """Come to rest where there is room for a run-up."""
+        """Stop with room for a run-up."""
         if self._schedule.unit == "deg":
             short = run_up - self._before(time, origin)
             return origin + 360.0 * max(0, -int(-short // 360))

@@ -1,4 +1,4 @@
-"""A print under an operator, who pauses, resumes and cancels it, and who says whether one that is held goes on."""
+"""A print with an operator, who pauses, resumes and cancels it, and decides whether a held print continues."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from vamgpu.hosts.schedules.timing import SECOND
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = 0.2  # between two previews [s]
-LEAVE = 1.0  # how long the thread may take to end [s]
+LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 class Viewer:
-    """Draws the frames on show as the board's previews; a context. frame: by number and projector, [row, column]."""
+    """Draws the shown frames as the board's previews; a context. frame: by number and projector, [row, column]."""
 
     def __init__(self, board: Board, frame: Callable[[int, int], np.ndarray], engines: int = 1) -> None:
         self._board, self._frame, self._engines = board, frame, engines
@@ -50,13 +50,13 @@ class Viewer:
 
 
 POLL = 50_000_000  # between two polls of the buttons in a pause [ns]
-AGAIN = SECOND  # between two tries to go on unattended [ns]
+AGAIN = SECOND  # time between two unattended tries to continue [ns]
 
 
 def attended(
     job: Print, first: int | None = None, go_on: Callable[[], bool] | None = None, unattended: int = 0
 ) -> PrintState:
-    """Print to the end; go_on lets a held print go on, as do ``unattended`` tries. Raises what ended or holds it."""
+    """Print to the end; a held print continues by go_on or ``unattended`` tries. Raises what ended or holds it."""
     while True:
         error = None
         try:
@@ -79,18 +79,18 @@ def attended(
 def print_with_operator(
     job: Print, board: Board, first: int | None = None, unattended: int = 0, go_on: Callable[[], bool] | None = None
 ) -> PrintState:
-    """Print to the end by the buttons of a page, see `attended`; a pause that is too long ends the print."""
+    """Print to the end with the buttons of a page, see `attended`; a pause that is too long ends the print."""
     going = threading.Event()
 
     def pause() -> None:
         if job.states.state is not PrintState.PRINTING:
-            raise WrongState(f"the print is {job.states.state.value}; only one that prints can pause")
-        going.clear()  # of one that pressed twice, while the print got ready to go on
+            raise WrongState(f"the print is {job.states.state.value}; only a running print can pause")
+        going.clear()  # a second press, while the print prepares to continue
         job.pause()
 
     def resume() -> None:
         if not job.states.state.waits:
-            raise WrongState(f"the print is {job.states.state.value}; only one that is paused or held can go on")
+            raise WrongState(f"the print is {job.states.state.value}; only a paused or held print can continue")
         going.set()
 
     def goes_on() -> bool:
@@ -108,7 +108,7 @@ def print_with_operator(
 
 
 def _resumed(job: Print, going: threading.Event) -> bool:
-    """Wait for the button; False where the print was cancelled, or waited for too long."""
+    """Wait for the button; False if the print was cancelled, or waited for too long."""
     clock = job.player.clock
     while job.asked is not PrintState.CANCELLED:
         if going.is_set():

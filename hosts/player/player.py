@@ -1,4 +1,4 @@
-"""The interface of players: they play a schedule on machines, under a print that holds the light."""
+"""The interface of players: they play a schedule on machines, for a print that holds the light."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from vamgpu.hosts.schedules.schedule import Schedule
 class StatusPoll:
     """State of the machines at a status poll."""
 
-    running: bool  # False once the light of the last frame is over
+    running: bool  # False after the light of the last frame
     motion: float  # error [poses]
-    shown: int  # frames that the mirrors showed
-    scheduled: int  # frames that they should have shown
-    frames: tuple[FrameRecord, ...]  # since the last poll, slots rising
-    position: float  # in the schedule's unit, pose 0 at 0
-    fill: float  # of the buffers, 0..1
-    margin: float  # how long the frames at the mirrors last [s]
-    fault: str | None = None  # why a machine cannot be trusted
-    final: bool = False  # whether no print can go on after that fault
+    shown: int  # frames shown by the mirrors
+    scheduled: int  # expected frames
+    frames: tuple[FrameRecord, ...]  # records since the last poll, in order of slots
+    position: float  # position in the schedule's unit, pose 0 at 0
+    fill: float  # fill level of the buffers, 0..1
+    margin: float  # duration of the frames at the mirrors [s]
+    fault: str | None = None  # why a machine is not reliable
+    final: bool = False  # whether the print cannot continue after that fault
 
 
 class Renew(Protocol):
     """Renews a lease."""
 
-    def __call__(self, length: int) -> None: ...  # keep the light for ``length`` [ns] more
+    def __call__(self, length: int) -> None: ...  # keep the light on for ``length`` [ns] more
 
 
 class Player(Protocol):
@@ -43,36 +43,36 @@ class Player(Protocol):
     clock: Clock
 
     @property
-    def schedule(self) -> Schedule: ...  # what is played
+    def schedule(self) -> Schedule: ...  # the schedule
     @property
     def lamp(self) -> Lamp: ...  # the light
     @property
-    def switches(self) -> Mapping[str, Switch]: ...  # further ways to make it dark
+    def switches(self) -> Mapping[str, Switch]: ...  # further switches that turn the light off
     @property
-    def versions(self) -> FrameVersions | None: ...  # versions of the frames; None where these stay as they are
-    def renew(self, length: int) -> None: ...  # let the controller keep the light for ``length`` [ns] more
+    def versions(self) -> FrameVersions | None: ...  # versions of the frames; None if they stay as they are
+    def renew(self, length: int) -> None: ...  # let the controller keep the light on for ``length`` [ns] more
     def prime(self, first: int, alive: Callable[[], None]) -> int:
         """In the dark: fill buffers, bring the motion to speed ahead of a slot; returns the time to its light [ns]."""
         ...
 
-    # what a run's folder keeps of a run segment, so that another host can go on with it
+    # data of a run segment for the run's folder, so that another host can continue
     def facts(self) -> dict[str, Any]: ...
-    def start(self) -> None: ...  # light is allowed: begin
-    def poll(self) -> StatusPoll: ...  # see what the machines did
-    def feed(self) -> None: ...  # after a poll: hand frames on to the machines. Raises `Underrun`.
+    def start(self) -> None: ...  # start: light is allowed
+    def poll(self) -> StatusPoll: ...  # read the machines
+    def feed(self) -> None: ...  # after a poll: pass frames to the machines. Raises `Underrun`.
     @property
-    def pending_versions(self) -> Set[int]: ...  # versions of frames that were missed and are to be shown again
-    # show a version from its turn on; False where frames of that turn are on their way already
+    def pending_versions(self) -> Set[int]: ...  # versions of missed frames that will be shown again
+    # show a version from its turn on; False if frames of that turn are already queued
     def swap(self, version: FrameVersion) -> bool: ...
     def wait(self) -> None: ...  # return when the next poll is due
-    def finish(self) -> None: ...  # end after the frame that is on its way
+    def finish(self) -> None: ...  # end after the present frame
 
     def doubtful(self) -> range:
         """In the dark, before `halt`: slots that may have had a part of their light. Raises `DeviceError`."""
         ...
 
-    def recover(self) -> None: ...  # before a print goes on: reach again machines that were unplugged
-    def halt(self) -> None: ...  # bring all to rest, come what may; raises the first failure afterwards
-    # at the end: whether slots were added for frames that were missed. Raises `Underrun` for too many.
+    def recover(self) -> None: ...  # before a print continues: reconnect to unplugged machines
+    def halt(self) -> None: ...  # stop everything, even after failures; raises the first one afterwards
+    # at the end: whether slots were added for missed frames. Raises `Underrun` for too many.
     def add_repeats(self) -> bool: ...
-    def frame(self, number: int, engine: int = 0) -> np.ndarray: ...  # for people, uint8 [row, column]
+    def frame(self, number: int, engine: int = 0) -> np.ndarray: ...  # frame for display, uint8 [row, column]

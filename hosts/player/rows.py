@@ -1,4 +1,4 @@
-"""A schedule as the rows that a controller plays, and how fast it can step."""
+"""A schedule as rows of a controller, and its greatest step rate."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ MICRO = 1000
 
 @dataclass(frozen=True)
 class RowTable:
-    """Rows by slot. A row acts where the motion is when its lens command, or else its light, is due."""
+    """Rows by slot. A row acts at the position of its lens command, or else of its light."""
 
     schedule: Schedule
-    microsteps: float  # of the motion, in one unit of the schedule's positions
-    origin: float = 0.0  # the position of pose 0, in that unit
-    code: Callable[[float], int] | None = None  # of a focal power for the lens
-    channels: int = 1  # of light
+    microsteps: float  # microsteps of the motion per unit of the schedule's positions
+    origin: float = 0.0  # position of pose 0, in that unit
+    code: Callable[[float], int] | None = None  # code of a focal power for the lens
+    channels: int = 1  # channels of light
 
     def acts(self, slot: int) -> int:
-        """When a slot's row acts [ns of the schedule]."""
+        """Time of a slot's row [ns of the schedule]."""
         command = int(self.schedule.command[slot])
         return int(self.schedule.light[slot]) if command == NONE else command
 
@@ -33,7 +33,7 @@ class RowTable:
         return round((self.origin + float(self.schedule.position_at(time))) * self.microsteps)
 
     def row(self, slot: int, index: int) -> ControllerRow:
-        """The row of a slot, as number ``index`` since the controller began."""
+        """The row of a slot, as number ``index`` of the controller's play."""
         acts, table = self.acts(slot), self.schedule
         lens = None
         if int(table.command[slot]) != NONE and self.code is not None:
@@ -48,22 +48,22 @@ class RowTable:
         return ControllerRow(index, self.at(self.acts(slot) - before), lens, 0, 0, 0)
 
 
-FINE = 1000  # microsteps of an emulated motion in a pose, where that is not too fast
+FINE = 1000  # microsteps of an emulated motion per pose, if that is not too fast
 
 
 def steppable(schedule: Schedule, microsteps: float) -> None:
-    """Raise `TimingInfeasible` for a motion of more microsteps a second than the controller steps."""
+    """Raise `TimingInfeasible` for a motion with more microsteps per second than the controller can step."""
     rate = float(schedule.speed) * microsteps
     if rate > FASTEST:
         most, unit = FASTEST / microsteps, f"{schedule.unit}/s"
         raise TimingInfeasible(
-            f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps {FASTEST:.4g} "
-            f"at most: move at {most:.4g} {unit} at most, or set a coarser division at the motor's driver and tell it "
-            "as microsteps in [controller]",
+            f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps at most "
+            f"{FASTEST:.4g}: move at most at {most:.4g} {unit}, or set a coarser division at the motor's driver and as "
+            "microsteps in [controller]",
             "motor", most, unit,
         )  # fmt: skip
 
 
 def emulated_microsteps(schedule: Schedule) -> int:
-    """Microsteps of an emulated motion in a pose: `FINE`, or as many as the controller can step."""
+    """Microsteps of an emulated motion per pose: `FINE`, or as many as the controller can step."""
     return max(1, min(FINE, int(FASTEST * float(schedule.advance / schedule.speed))))

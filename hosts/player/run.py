@@ -1,6 +1,6 @@
-"""Carry out a print: prime, light, poll, record, feed; whatever happens, the light goes off first.
+"""Run a print: prime, light, poll, record, feed; in any event, the light goes off first.
 
-What made it dark may pass, a door that was opened say: the print is then held, and `Print.run` goes on with it.
+The cause may be temporary, such as an open door: the print is then held, and `Print.run` continues it.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.schedules.timing import SECOND, whole
 
 log: logging.Logger = logging.getLogger(__name__)
-SIGN = SECOND // 2  # A print leaves a sign of its time at least as often [ns]
-FINAL = (BadInput, OverDose, OriginLost)  # after these no print goes on
+SIGN = SECOND // 2  # longest time between two records of a print [ns]
+FINAL = (BadInput, OverDose, OriginLost)  # errors after which a print cannot continue
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
     """Limits of the light of a print."""
 
-    lease: int = DEFAULT_LENGTH  # how long the controller keeps the light by itself [ns]
-    tolerance: float = 0.5  # of motion [poses]
-    budget: float = 1.01  # light over the plan's
+    lease: int = DEFAULT_LENGTH  # time for which the controller keeps the light on without the host [ns]
+    tolerance: float = 0.5  # error of motion [poses]
+    budget: float = 1.01  # light relative to the plan's
     resume: int = 30 * SECOND  # longest pause [ns]
 
     def __post_init__(self) -> None:
@@ -48,16 +48,16 @@ class SafetyLimits:
 
 
 class PrintObserver(Protocol):
-    """Observes a print: it is called in the printing thread, waits for nothing, and never raises."""
+    """Observes a print: it is called in the printing thread, never waits, and never raises."""
 
-    def saw(self, seen: StatusPoll) -> None: ...  # what a poll saw
-    def notices(self) -> list[tuple[str, dict[str, Any]]]: ...  # events since this was asked, and their facts
+    def saw(self, seen: StatusPoll) -> None: ...  # take the result of a poll
+    def notices(self) -> list[tuple[str, dict[str, Any]]]: ...  # events since the last call, and their facts
 
 
 class Print:
-    """One print: a player's schedule under one holder of the light.
+    """One print: a player's schedule with one holder of the light.
 
-    enough: asked at every poll whether the part has had its light, and why.  short: what is said of a print without.
+    enough: called at every poll for why the part has enough light.  short: message for a print without.
     """
 
     player: Player
@@ -76,7 +76,7 @@ class Print:
         live: PrintObserver | None = None,
     ) -> None:  # fmt: skip
         if (share := positive("power", power)) > 1:
-            raise BadInput(f"power is {power!r}; expected a share of the schedule's: 1 at most")
+            raise BadInput(f"power is {power!r}; expected a share of the schedule's: at most 1")
         self.player, self.folder, self.limits, self.power = player, folder, limits, share
         self._enough, self._short, self._recover, self._live = enough, short, recover, live
         self._senses, self._sensed = senses, -SIGN
@@ -98,25 +98,25 @@ class Print:
         self.states.listen(self._told)
         self.board.on_stop(self.stop)
         self.board.show(slots=len(schedule), unit=schedule.unit)
-        self._arm()  # for a print that goes on with a version
+        self._arm()  # for a print that continues with a version
 
     # ---- from any thread -------------------------------------------------------------------------------------
     @property
     def asked(self) -> PrintState | None:
-        """The state that somebody asked for: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
+        """The requested state: `PrintState.CANCELLED`, or else `PrintState.PAUSED`."""
         return PrintState.CANCELLED if self._cancelled else PrintState.PAUSED if self._pausing else None
 
     def stop(self, why: str = "emergency stop") -> None:
-        """Light off now; the print is cancelled when its thread polls next."""
-        self._cancelled = True  # first: who sees the light fail shall know why
+        """Turn the light off now; the print is cancelled at the next poll of its thread."""
+        self._cancelled = True  # set first, so that the failure of the light has its reason
         self.guard.fail(why)
 
     def pause(self) -> None:
-        """Dark after the frame that is shown, and the motion at rest, until `run` is called again."""
+        """Go dark after the present frame, and stop the motion, until `run` is called again."""
         self._pausing = True
 
     def restore(self, shown: np.ndarray, pause: int) -> None:
-        """Count light that an earlier host gave, records of its folder, and how long it has been dark since [ns]."""
+        """Count the light of an earlier host, the records of its folder, and its time in the dark [ns]."""
         self._begun = True
         self.dark_since = self.player.clock.now() - pause
         lit = shown[shown["dark"] == 0]
@@ -126,21 +126,21 @@ class Print:
 
     # ---- the printing thread ---------------------------------------------------------------------------------
     def sense(self) -> None:
-        """In the dark: show what the machines say of themselves, at most twice a second."""
+        """In the dark: show the status of the machines, at most twice per second."""
         if (now := self.player.clock.now()) >= self._sensed + SIGN:
             self._sensed = now
             self.board.show(**self._senses())
 
     def run(self, first: int | None = None) -> PrintState:
-        """Print from a slot on (None: where it stopped) until it ends, pauses or is held. Raises what went wrong."""
+        """Print from a slot on (None: where it stopped) until it ends, pauses or is held. Raises its error."""
         if self.states.state.ended:
-            raise WrongState(f"the print is {self.states.state.value}; begin another one, in a folder of its own")
+            raise WrongState(f"the print is {self.states.state.value}; start another one, in a new folder")
         start = self.next if first is None else whole("slot", first, 0)
         if self.states.state is PrintState.HELD and start >= self._end_slot:
-            self._account()  # only the disk was in the way
+            self._account()  # only the disk was the problem
             return self.states.state
         if start >= self._end_slot:
-            raise BadInput(f"slot {start} is none of the {len(self.player.schedule)} slots")
+            raise BadInput(f"slot {start} is not one of the {len(self.player.schedule)} slots")
         try:
             self._check_pause()
             self._pausing = self._final = False
@@ -166,7 +166,7 @@ class Print:
         return self.states.state
 
     def begin(self, first: int) -> bool:
-        """Prime the machines and make light from a slot on; False where a pause was asked for meanwhile."""
+        """Prime the machines and turn the light on from a slot on; False if a pause was requested meanwhile."""
         self.next, self._finishing, self._lit = first, False, False
         self._swap()
         ahead = self.player.prime(first, self._alive)
@@ -175,17 +175,17 @@ class Print:
         self._event("segment", first=first, dark=dark, **self.player.facts())
         self.guard.observe(armed=True, motion=0.0, shown=0, scheduled=0, fault=None)
         self._stopped()
-        self._check_pause(ahead)  # getting ready took its time too
+        self._check_pause(ahead)  # the preparation also took time
         if self._pausing:
             return self._rest(PrintState.PAUSED)
-        self._alive(force=True)  # who made it dark before ended the controller's lease too
+        self._alive(force=True)  # an earlier stop also ended the controller's lease
         self.guard.on(self.power)
         self._lit, self._begun, self.dark_since, self._seen = True, True, None, self.player.clock.now()
         self.player.start()
         return True
 
     def step(self) -> bool:
-        """One poll of the machines; False once the print is over or paused."""
+        """Poll the machines once; False if the print is over or paused."""
         if self._cancelled:
             return self._rest(PrintState.CANCELLED)
         if self._pausing and not self._finishing:
@@ -198,7 +198,7 @@ class Print:
         finally:
             self._keep(seen)
         if not self.guard.lit:
-            raise InterlockOpen(f"the light is off: {self.guard.fault or 'somebody turned it off'}")
+            raise InterlockOpen(f"the light is off: {self.guard.fault or 'it was turned off'}")
         self._seen = self.player.clock.now()
         self._show(seen)
         self._swap()
@@ -211,7 +211,7 @@ class Print:
         return True
 
     def ended(self, error: BaseException) -> None:
-        """Bring all to rest after an error; it is dark already. The first error is raised, a second one is logged."""
+        """Stop everything after an error, in the dark. The first error is raised, a second one is logged."""
         wanted = self._cancelled or self.guard.signalled or isinstance(error, (KeyboardInterrupt, SystemExit))
         why = self.guard.fault if wanted and self.guard.fault else str(error) or type(error).__name__
         self.board.show(resuming=False)
@@ -232,10 +232,10 @@ class Print:
         elif not self._ended_short(why):
             left = self._end_slot - self.next
             self.states.to(PrintState.HELD, f"{why}; {left} of {len(self.player.schedule)} slots remain, and resin "
-                           f"waits for {self.limits.resume / SECOND:g} s at most")  # fmt: skip
+                           f"waits for at most {self.limits.resume / SECOND:g} s")  # fmt: skip
 
     def _ended_short(self, why: str) -> bool:
-        """After an error: end a print that has shown all its slots and can add none."""
+        """After an error: end a print that has shown all its slots and cannot add any."""
         try:
             if self.next < self._end_slot or (not self._sooner and self.player.add_repeats()):
                 return False
@@ -248,7 +248,7 @@ class Print:
         return self.states.state.ended
 
     def _account(self, why: str = "") -> None:
-        """The state of a print that came to its end, by the record of its light."""
+        """The state of a finished print, from the record of its light."""
         self._write()
         found = account(read_run(self.folder.path), self._wanted)
         assert found is not None
@@ -258,11 +258,11 @@ class Print:
             self.states.to(PrintState.INCOMPLETE, str(found) + (f" ({why})" if why else ""))
 
     def _doubt(self) -> None:
-        """Write down what was on show when the light went off unasked; it is not lit again."""
+        """Record the frames shown when the light went off unexpectedly; they are not lit again."""
         try:
             doubtful = self.player.doubtful()
         except VamError:
-            self._final = True  # nobody knows what the resin saw
+            self._final = True  # the dose of the resin is not known
             raise
         if not len(doubtful):
             return
@@ -279,18 +279,18 @@ class Print:
                 given.append((float(schedule.power[slot, engine]), on))
         self.next = max(self.next, doubtful.stop)
         self._unwritten.append(partial(self._event, "unseen", first=doubtful.start, stop=doubtful.stop))
-        for power, on in given:  # after all is noted down: it raises where the budget is spent
+        for power, on in given:  # after all records are queued, because it raises if the budget is used up
             self.guard.spend(self.power * power, on)
         self._write()
 
     def _check_pause(self, ahead: int = 0) -> None:
-        """Raise `BadInput` where it has been dark for too long. ahead: until there is light [ns]."""
+        """Raise `BadInput` if it was dark for too long. ahead: time until light [ns]."""
         if self.dark_since is not None:
             may_resume(self.player.clock.now() + ahead - self.dark_since, self.limits)
 
     @property
     def _end_slot(self) -> int:
-        """The slot that the light ends before; a version of the frames may end sooner than the plan."""
+        """The slot before which the light ends; a version of the frames may end sooner than the plan."""
         versions = self.player.versions
         return len(self.player.schedule) if versions is None or versions.stop is None else versions.end
 
@@ -301,36 +301,36 @@ class Print:
 
     @property
     def _at_stop(self) -> bool:
-        """Whether the first of the black slots that end the print is on show, and so no light is cut."""
+        """Whether the first of the print's final black slots is shown, so that no light is cut."""
         return self._sooner and self.next > self._end_slot
 
     def _swap(self) -> None:
-        """Commit or drop the version that was offered, and arm the budget for the light that is then wanted."""
+        """Commit or drop the offered version, and set the budget for its light."""
         if (versions := self.player.versions) is None:
             return
         if (version := versions.take()) is not None:
             if self.player.swap(version):
                 self._arm()
                 self.board.show(plan=version.number, stop=version.stop)
-                # kept until it is written, also by a disk that is full now: who resumes goes by it
+                # kept until it is written, even if the disk is full now: a resume depends on it
                 self._unwritten.append(partial(self._event, "swap", **version.facts(), **versions.facts()))
                 self._write()
             else:
-                versions.drop(version, f"frames of {versions.unit} {version.turn} were on their way already")
+                versions.drop(version, f"frames of {versions.unit} {version.turn} were already queued")
         for number, why in versions.refused():
             log.warning("version %d of the frames is not shown: %s", number, why)
             self._event("swap dropped", version=number, why=why)
         versions.forget(self.next, self.player.pending_versions)
 
     def _arm(self) -> None:
-        """The light of all slots that are lit, which is at most what the first plan had."""
+        """The light of all lit slots, at most that of the first plan."""
         schedule, versions, budget = self.player.schedule, self.player.versions, self.guard.budget
         if versions is not None and budget is not None:
             lit = (schedule.on[:, None] * schedule.power)[: versions.end]
             budget.arm(float(lit.sum()) * 1e-9 * self.power * self.limits.budget)
 
     def _over(self) -> bool:
-        """No light is to come: a pause, the end, or a turn more for what was missed."""
+        """Handle the end of the light: a pause, the end, or another turn for missed frames."""
         if self._pausing and self.next < self._end_slot:
             return self._rest(PrintState.PAUSED)
         self.guard.off("complete")
@@ -339,12 +339,12 @@ class Print:
             assert self.player.versions is not None
             self.player.halt()
             self._account(
-                f"it ended after {self.player.versions.stop} {self.player.versions.unit}s, as its last version says"
+                f"it ended after {self.player.versions.stop} {self.player.versions.unit}s, set by its last version"
             )
             return False
         if self.next < len(self.player.schedule):
             raise InterlockOpen(
-                f"the controller stopped after {self.next} of {len(self.player.schedule)} frames; look at its events"
+                f"the controller stopped after {self.next} of {len(self.player.schedule)} frames; check its events"
             )
         self.player.halt()
         if self.player.add_repeats():
@@ -356,7 +356,7 @@ class Print:
         return False
 
     def _rest(self, state: PrintState, why: str = "") -> bool:
-        """Dark, then at rest; what was shown until then is kept."""
+        """Go dark, then stop; the frames shown until then are recorded."""
         self.guard.off(why or state.value)
         if self.dark_since is None:
             self.dark_since = self.player.clock.now()
@@ -366,7 +366,7 @@ class Print:
         return False
 
     def _told(self, change: StateChange) -> None:
-        """Show a state, which changes in the dark alone, and until when a print that waits can go on."""
+        """Show a state, which changes only in the dark, and the time until which a waiting print can continue."""
         deadline = None
         if change.after.waits and self.dark_since is not None:
             left = self.limits.resume - (self.player.clock.now() - self.dark_since)
@@ -379,18 +379,18 @@ class Print:
         self.lease.keep(force)
 
     def _stopped(self) -> None:
-        """Raise `InterlockOpen` where somebody has stopped the print."""
+        """Raise `InterlockOpen` if the print was stopped."""
         if self._cancelled:
             raise InterlockOpen(f"the print was stopped: {self.guard.fault or 'cancelled'}")
 
     def _last_poll(self) -> None:
-        """In the dark: keep what was shown since the last poll; the last frame may have been cut."""
+        """In the dark: record the frames since the last poll; the last one may have been cut."""
         if self._lit:
             self._lit = False
             self._keep(self.player.poll())
 
     def _keep(self, seen: StatusPoll) -> None:
-        """Write down what was shown, and count its light."""
+        """Record shown frames, and count their light."""
         schedule = self.player.schedule
         for shown in seen.frames:
             self._unwritten.append(partial(self.folder.shown, shown))
@@ -403,12 +403,12 @@ class Print:
             self._live.saw(seen)
             for kind, facts in self._live.notices():
                 self._event(kind, **facts)
-        # a poll that writes nothing would not see a full disk
+        # a poll without a write would not detect a full disk
         if not seen.frames or self.player.clock.now() >= self._signed + SIGN:
             self._event("poll", shown=seen.scheduled)
 
     def _write(self) -> None:
-        """Write down what waits to be; a full disk leaves it waiting."""
+        """Write queued records; with a full disk they stay queued."""
         while self._unwritten:
             self._unwritten[0]()
             self._unwritten.popleft()
@@ -426,7 +426,7 @@ class Print:
         )  # fmt: skip
 
     def _notified(self, what: str, why: str) -> None:
-        self.board.show(light=what == "on", power=self.power)  # under the guard's lock: a poll would be old news
+        self.board.show(light=what == "on", power=self.power)  # under the guard's lock: a poll would be outdated
         try:
             self._event("light", to=what, why=why)
         except VamError as error:  # a full disk must not keep the light on
@@ -441,9 +441,9 @@ _RECORDED = ("frame", "pose", "light", "on")
 
 
 def may_resume(pause: int, limits: SafetyLimits) -> None:
-    """Raise `BadInput` for a pause [ns] that was too long."""
+    """Raise `BadInput` if a pause [ns] was too long."""
     if pause > limits.resume:
         raise BadInput(
             f"the print paused for {pause / SECOND:.1f} s; after {limits.resume / SECOND:g} s too much "
-            "of its dose has decayed: begin anew with fresh resin"
+            "of its dose has decayed: start again with fresh resin"
         )

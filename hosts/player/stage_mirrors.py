@@ -1,7 +1,7 @@
-"""Plays a schedule on mirrors that a stage triggers: its output fires at every pose, on its own.
+"""Plays a schedule on mirrors that a stage triggers: its output fires at every pose, without the host.
 
-The mirrors count frames, where the stage says it is counts triggers; both must agree. Pose 0 of a vial is at the
-stage's zero; a web begins where it stands, and moves back for its run-up.
+The mirrors count frames, and the stage's reported position counts triggers; both must agree. Pose 0 of a vial is at the
+stage's zero; a web starts at its present position, and moves back for its run-up.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from vamgpu.hosts.schedules.clock import TimedQuery
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
-RUN_UP = 2.0  # how long before its first slot the stage begins to move, in times that its speed takes [s]
-LEAD = 0.25  # how long before that slot it must have its speed [s]
+RUN_UP = 2.0  # time before its first slot at which the stage starts moving [s]
+LEAD = 0.25  # time before that slot at which it must have its speed [s]
 EVEN = 0.05  # greatest error of that speed, over a status poll [poses]
-STEP = 1.0  # how much farther or less far than it says a stage may be [microsteps]
+STEP = 1.0  # allowed error of a stage's reported position [microsteps]
 
 
 class StageClockedPlayer(MirrorPlayer[StageMachines]):
-    """Plays a schedule on mirrors that a stage's output triggers; microsteps are whole in a pose."""
+    """Plays a schedule on mirrors that a stage's output triggers; a pose has whole microsteps."""
 
     def __init__(
         self, schedule: Schedule, machines: StageMachines, sources: Sequence[FrameSource], **options: Any
@@ -46,7 +46,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
-        """Mirrors full, the output armed at rest, and the motion at its speed ahead of the slot."""
+        """Fill the mirrors, arm the output at rest, and bring the motion to its speed ahead of the slot."""
         self._first = self._kept = first
         self._ended = None
         self._rest(alive)
@@ -60,7 +60,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return self._at_speed(alive)
 
     def _rest(self, alive: Callable[[], None]) -> None:
-        """Rest half a pose before one: a vial at the next such place, a web back where it has room for its run-up."""
+        """Stop half a pose before one: a vial at the next such position, a web back with room for its run-up."""
         self._stage.trigger_every(0.0)
         self._stage.run(0.0)
         self._stage.wait()
@@ -77,11 +77,11 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
             alive()
 
     def _run_up(self) -> int:
-        """Poses that go by until the motion surely has its speed."""
+        """Poses until the motion surely has its speed."""
         return ceil(RUN_UP * float(self.schedule.speed) / self._pose) + 1
 
     def _ahead(self, first: int) -> int:
-        """Black frames until a slot: triggers of poses that are none of it."""
+        """Black frames until a slot, for triggers of earlier poses."""
         if self.schedule.unit != "deg":
             return self._run_up() - 1
         run_up, turn = self._run_up(), round(360.0 / self._pose)
@@ -89,7 +89,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return run_up + (first - resting - 1 - run_up) % turn
 
     def _at_speed(self, alive: Callable[[], None]) -> int:
-        """Wait until the slot is near. Returns how long it is to its light [ns]."""
+        """Wait until the slot is near. Returns the time to its light [ns]."""
         speed, goal = float(self.schedule.speed), self._fired_at + (self._preroll + 1) * self._pose
         end = self.clock.now() + round((goal - self._fired_at) / speed * SECOND) + PRIMING // 12
         while True:
@@ -110,18 +110,18 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         shown = self._counted()
         if abs(error) > EVEN or not all(low <= each <= high + 1 for each in shown):
             raise InterlockOpen(
-                f"the stage is {error:+.2g} angles from its speed and fired {low} triggers, of which the mirrors "
+                f"the stage is {error:+.2g} angles off its speed and fired {low} triggers, of which the mirrors "
                 f"counted {', '.join(map(str, shown))}; check motor, load and the trigger's wire"
             )
         return round((goal - here) / speed * SECOND)
 
     def facts(self) -> dict[str, Any]:
-        """Where pose 0 is on the stage."""
+        """Position of pose 0 on the stage."""
         return {"origin": self._zero}
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Frames follow the stage already."""
+        """Nothing to start: frames already follow the stage."""
         self._polled = self.clock.now()
 
     def _triggers(self, position: float) -> tuple[int, int]:
@@ -137,12 +137,12 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return self._preroll + len(self.schedule) - self._first if self._ended is None else self._ended
 
     def poll(self) -> StatusPoll:
-        """Compare where the stage is with what the mirrors counted."""
+        """Compare the stage's position with the mirrors' count."""
         before = self._counted()
         now, here = self._ask()
         after = self._counted()
         low, high = self._triggers(here)
-        counted = min(high, *before)  # mirrors that were halted count all that they had
+        counted = min(high, *before)  # halted mirrors count all their frames
         agreed = all(one <= high and low <= two for one, two in zip(before, after, strict=True))
         scheduled = max(low, min(high, counted)) if agreed else low
         error, frames = self._motion.error(now, here), self._since(counted)
@@ -156,13 +156,13 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         )  # fmt: skip
 
     def _over(self, here: float, counted: int) -> bool:
-        """Whether the light of the last frame is over: the mirrors are dark from then on, as none is queued."""
+        """Whether the light of the last frame is over: the mirrors are then dark, because none is queued."""
         total = self._total
         lit = float(self.schedule.speed) * float(self.schedule.on[0]) / SECOND
         return counted >= total and here - self._fired_at >= total * self._pose + lit
 
     def _closed(self) -> str | None:
-        """Why a controller that gates the light closed it."""
+        """Why the controller closed the light."""
         if self.machines.controller is None:
             return None
         status = self.machines.controller.status()
@@ -170,7 +170,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
 
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """No trigger after the frame on its way, so that none is cut."""
+        """Stop triggers after the present frame, so that none is cut."""
         self._stage.trigger_every(0.0)
         self._ended = min(self._counted())
 
@@ -179,12 +179,12 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return self._triggers(self._stage.position())[1]
 
     def recover(self) -> None:
-        """Reach a controller that gates the light again."""
+        """Reconnect to the controller that gates the light."""
         if self.machines.controller is not None:
             self.machines.controller.revive()
 
     def halt(self) -> None:
-        """No triggers, the stage to rest, mirrors dark; each whatever the one before it did."""
+        """Stop triggers and the stage, turn the mirrors dark; each even if the one before fails."""
         stop = (lambda: self._stage.trigger_every(0.0), self._stage.stop, self._close, self._stage.wait)
         if failed := run_all(*stop):
             raise failed[0]

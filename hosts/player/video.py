@@ -1,6 +1,6 @@
-"""Plays a vial's schedule on a video projector: the stage's angle chooses the frame of every slot, never the clock.
+"""Plays a vial's schedule on a video projector: the stage's angle selects the frame of every slot, not the clock.
 
-The light is steady, and black frames make the dark. What a slot did not show is shown in an added turn.
+The light is steady, and black frames switch it off. Missed slots are shown in an added turn.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
 log: logging.Logger = logging.getLogger(__name__)
-ASIDE = 0.75  # Distance of the stage from the count of slots beyond which the count is corrected [slots]
+ASIDE = 0.75  # difference of stage and slot count above which the count is corrected [slots]
 
 
 @dataclass(frozen=True)
 class SlotLight:
     """Light of some slots."""
 
-    times: int  # slots of light, more than one for a slot that a screen repeated
-    late: int  # the most that one came after the stage was at its angle [ns]
+    times: int  # slots of light, more than one if a screen repeated a slot
+    late: int  # greatest delay of one after the stage was at its angle [ns]
     missing: tuple[int, ...]  # slots that were not shown
 
 
 class SlotCounter:
-    """Counts slots by the stage, evenly where it is near enough, and keeps what was sent for them until it is taken."""
+    """Counts slots by the stage, evenly if it is near enough, and stores the sent frames until they are read."""
 
     def __init__(self, display: HdmiTiming) -> None:
         self._patterns, self._ahead = display.patterns, display.latency * display.patterns
@@ -55,14 +55,14 @@ class SlotCounter:
         self.begins: int | None = None
 
     def saw(self, slots: float, since: int) -> None:
-        """Take the stage's word. slots: where it was at the last refresh.  since: refreshes after the last frame's."""
+        """Update from the reported position. slots: at the last refresh.  since: refreshes after the last frame's."""
         nearest = floor(slots + 0.5)
         expected = nearest if self.begins is None else self.begins + self._patterns
         self.begins = expected if abs(slots - expected) <= ASIDE else nearest
         slipped = max((self.begins - expected) // self._patterns, 0)
         (_, before), (first, last) = self._frames
         for sent, repeated in ((before, max(slipped - since, 0)), (last, since)):
-            for slot in sent:  # a screen repeats the frame that none has replaced
+            for slot in sent:  # a screen repeats a frame until a new one arrives
                 if slot in self._times:
                     self._times[slot] += repeated
         behind = slots - since * self._patterns + self._ahead - first
@@ -79,35 +79,35 @@ class SlotCounter:
         self._times |= dict.fromkeys(slots, 1)
 
     def take(self, slots: Sequence[int]) -> SlotLight:
-        """The light of slots that the stage is past; they are forgotten."""
+        """The light of slots behind the stage, which are dropped."""
         late = max((self._late.pop(slot, 0) for slot in slots), default=0)
         missing = tuple(slot for slot in slots if slot not in self._times)
         return SlotLight(sum(self._times.pop(slot, 0) for slot in slots), late, missing)
 
 
-SPIN_UP = 10 * SECOND  # longest wait for the stage to have its speed [ns]
-SETTLED = SECOND // 4  # for how long it must have kept it [ns]
-EVEN = 0.05  # greatest error at its speed [poses]
-RUN_UP = 12.0  # of a web, until it is in step with the cable [s]
-BACK = 4  # how much faster a web goes back
-LEAD = 0.25  # how long before its first frame a stage is ready for light [s]
-NUDGE = 15  # video frames in which the stage is brought into step with the cable
-TRIES = 4  # how often that is tried
-STEP = 0.02  # greatest distance from being in step [slots]
+SPIN_UP = 10 * SECOND  # longest wait for the stage's speed [ns]
+SETTLED = SECOND // 4  # time for which it must keep its speed [ns]
+EVEN = 0.05  # greatest error of its speed [poses]
+RUN_UP = 12.0  # run-up of a web, until it is in step with the cable [s]
+BACK = 4  # speed of a web's return, relative to its speed
+LEAD = 0.25  # time before its first frame at which a stage is ready [s]
+NUDGE = 15  # video frames for bringing the stage into step with the cable
+TRIES = 4  # number of tries
+STEP = 0.02  # greatest phase error [slots]
 
 
 @dataclass(frozen=True)
 class StageReading:
     """A reading of the stage."""
 
-    degrees: float  # since pose 0
-    slots: float  # of the cable since pose 0, at the last refresh
-    since: int  # refreshes after the one that was seen
-    error: float  # within the last second [poses]
+    degrees: float  # position since pose 0
+    slots: float  # slots of the cable since pose 0, at the last refresh
+    since: int  # refreshes after the observed one
+    error: float  # error within the last second [poses]
 
 
 class StageTracker:
-    """The stage of one print; a vial turns forward only, pose 0 at its zero. repeats: slots of the cable in a pose."""
+    """The stage of one print; a vial only turns forwards, pose 0 at its zero. repeats: slots of the cable per pose."""
 
     def __init__(self, stage: Stage, clock: Clock, schedule: Schedule, display: HdmiTiming, repeats: int) -> None:
         self._stage, self._clock = stage, clock
@@ -121,7 +121,7 @@ class StageTracker:
         self._units, self._web, self._placed = schedule.unit, schedule.unit == "mm", False
 
     def read(self, refreshed: int) -> StageReading:
-        """Ask the stage. refreshed: when a refresh was seen last [ns]."""
+        """Read the stage. refreshed: time of the last observed refresh [ns]."""
         now, angle = self._ask()
         since, age = divmod(now - refreshed, self._frame)
         here = angle - self.origin
@@ -148,11 +148,11 @@ class StageTracker:
             self._stage.run(self.speed)
             self._settle(refresh)
         else:
-            log.warning("the stage is %.2g slots from being in step with the cable: frames are so far off", ahead)
+            log.warning("the stage is %.2g slots out of step with the cable: frames are off by as much", ahead)
         self._meet(first, refresh)
 
     def _back(self, first: int) -> None:
-        """Where there is room for a run-up: a web begins where it stands, and moves back."""
+        """Position with room for a run-up: a web starts at its present position, and moves back."""
         self._stage.run(0.0)
         self._stage.wait()
         if not self._placed:
@@ -177,33 +177,33 @@ class StageTracker:
                 )
 
     def _ahead(self, refresh: Callable[[], int]) -> float:
-        """Distance of the stage ahead of the nearest slot, over some video frames [slots]."""
+        """Lead of the stage over the nearest slot, during some video frames [slots]."""
         slots = [self.read(refresh()).slots - number * self._patterns for number in range(NUDGE)]
         mean = sum(slots) / len(slots)
         return mean - round(mean)
 
     def _meet(self, first: int, refresh: Callable[[], int]) -> None:
-        """Turn on until a pose is near."""
+        """Keep turning until a pose is near."""
         goal, lead = first * self._advance, LEAD * self.speed
         if not self._web:
             self.origin = 0.0
             left = goal - self.read(refresh()).degrees
             self.origin = 360.0 * ceil((lead - left) / 360.0)
         elif goal - self.read(refresh()).degrees < lead:
-            raise InterlockOpen("the web has its speed too late; check motor and load")
+            raise InterlockOpen("the web reached its speed too late; check motor and load")
         while goal - self.read(refresh()).degrees > lead:
             if abs(self._motion.last) > 0.5:
                 raise InterlockOpen("the stage lost its speed before the first frame; check motor and load")
 
 
-WINDOW, BORNE = 360, 2  # poses that a voxel of a web sees, and those of them that may be lost
-STATUS = 6  # after so many video frames the controller is asked what it does; what it says by itself is heard at each
+WINDOW, BORNE = 360, 2  # poses that light a voxel of a web, and those of them that may be lost
+STATUS = 6  # video frames between two status queries to the controller; its events are read at each
 
 
 class SpinningPlayer:
     """Plays the schedule of `vamgpu.hosts.schedules.video`; pose 0 is at the zero of the stage.
 
-    turns: most that are added for what was missed.
+    turns: most turns added for missed slots.
     """
 
     schedule: Schedule
@@ -233,7 +233,7 @@ class SpinningPlayer:
             else WebLatePolicy(WINDOW * self._repeats, BORNE * self._repeats)
         )  # fmt: skip
         self._black = np.zeros(machines.projector.size, np.uint8)
-        self._again: dict[int, int] = {}  # slots of an added turn, and the versions that they show
+        self._again: dict[int, int] = {}  # slots of an added turn, and their versions
         self._added = self._refreshed = 0
         self._begin(0)
 
@@ -245,7 +245,7 @@ class SpinningPlayer:
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
-        """Black, and the stage at its speed, in step with the cable and a little before the angle of a slot."""
+        """Show black, and bring the stage to its speed, in step with the cable, a little before the angle of a slot."""
         self._begin(first)
         self._blackout.own()
 
@@ -258,20 +258,20 @@ class SpinningPlayer:
         return round(LEAD * SECOND)
 
     def facts(self) -> dict[str, Any]:
-        """Where pose 0 is on the stage [deg]: whole turns."""
+        """Position of pose 0 on the stage [deg], in whole turns."""
         return {"origin": self._turning.origin}
 
     # ---- in the light ----------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Listen to the controller from here on; frames follow the stage."""
+        """Read the controller's events from now on; frames follow the stage."""
         if self.machines.controller is not None:
             self.machines.controller.poll()
 
     def poll(self) -> StatusPoll:
-        """Where the stage is, and what was lit before it."""
+        """Position of the stage, and the light before it."""
         seen = self._turning.read(self._refreshed)
         self._lit.saw(seen.slots, seen.since)
-        fault = self._fault()  # first: it may raise, and what is past would be lost
+        fault = self._fault()  # first: it may raise, and past records would be lost
         frames, done = self._passed(), self._kept - self._first
         margin = self.display.latency * self.display.patterns / float(self.display.slot_rate)
         running = self._kept < self._limit
@@ -280,21 +280,21 @@ class SpinningPlayer:
         return StatusPoll(running, seen.error, done, done, frames, seen.degrees, 1.0, margin, fault)
 
     def _fault(self) -> str | None:
-        """Why the controller closed the light by itself."""
+        """Why the controller closed the light."""
         if (controller := self.machines.controller) is None:
             return None
         reasons = [words[2] for words in controller.poll() if words[:2] == ("light", "off")]
         if self._polls % STATUS == 0 and not reasons:
             status = controller.status()
             reasons = [] if status.light else [status.fault]
-            if reasons:  # it had said so, and nobody heard
+            if reasons:  # its event was missed
                 self._sure = self._confirmed
             self._confirmed = self._kept
         self._polls += 1
         return f"the controller closed the light: {reasons[0]}" if reasons else None
 
     def _passed(self) -> tuple[FrameRecord, ...]:
-        """Records of the poses that the stage is past."""
+        """Records of the poses behind the stage."""
         found = []
         while self._kept < self._limit and (self._kept + 1) * self._repeats <= (self._lit.begins or 0):
             found.append(self._shown(self._kept))
@@ -314,13 +314,13 @@ class SpinningPlayer:
         return FrameRecord(pose, frame, pose, start, on, late=light.late, dark=dark, version=version)
 
     def _version(self, slot: int) -> int:
-        """The version of the frames that a slot of the cable shows."""
+        """The version of the frames in a slot of the cable."""
         if self.versions is None:
             return 0
         return self._again[slot] if slot in self._again else self.versions.at(slot // self._repeats)
 
     def _wanted(self, pose: int) -> list[int]:
-        """Slots of the cable in which a pose is to be lit: in an added turn those that were missed."""
+        """Slots of the cable for a pose; in an added turn only the missed ones."""
         slots = range(pose * self._repeats, (pose + 1) * self._repeats)
         planned = self._planned if self.versions is None else self.versions.end
         return [slot for slot in slots if pose < planned or slot in self._again]
@@ -329,7 +329,7 @@ class SpinningPlayer:
         """Show the frames of the next video frame; returns at its refresh. Raises `Underrun`, `DeviceLost`."""
         if self._stopped:
             raise Underrun(
-                f"{self._missed.policy.stopped}: the light is off; turn slower, or look at what holds up the host"
+                f"{self._missed.policy.stopped}: the light is off; turn slower, or check what delays the host"
             )
         slots = self._lit.next()
         frames = {slot: frame for slot in slots if (frame := self._at(slot)) is not None}
@@ -338,7 +338,7 @@ class SpinningPlayer:
         self._sent = max(self._sent, min(slots[-1], self._limit * self._repeats - 1))
 
     def _at(self, slot: int) -> np.ndarray | None:
-        """The frame of a slot; None where it is dark, not there yet, or was shown before the stage came back."""
+        """The frame of a slot; None if it is dark, not ready, or was shown before the stage moved back."""
         pose = slot // self._repeats
         if slot <= self._sent or pose >= self._limit or slot not in self._wanted(pose):
             return None
@@ -346,7 +346,7 @@ class SpinningPlayer:
         return self._frames.frame(int(self.schedule.frame[pose]) + version)
 
     def swap(self, version: FrameVersion) -> bool:
-        """Show a version from its turn on: the frame of a slot is chosen when it is sent."""
+        """Show a version from its turn on: the frame of a slot is selected when it is sent."""
         assert self.versions is not None, "with versions"
         begin = version.turn * self.versions.count
         if begin < self._kept or begin * self._repeats <= self._sent:
@@ -366,37 +366,37 @@ class SpinningPlayer:
         return self._missed.missed
 
     def wait(self) -> None:
-        """At once: a video frame was waited for."""
+        """Return at once: sending waits for a video frame."""
 
     # ---- after the light -------------------------------------------------------------------------------------
     def finish(self) -> None:
-        """End after the frame on its way, in all its slots."""
+        """End after the present frame, in all its slots."""
         self._limit = min(self._limit, self._sent // self._repeats + 1)
 
     def doubtful(self) -> range:
-        """Slots that were sent and not past when the light was seen last."""
+        """Sent slots that were not past at the last poll with light."""
         self._kept = max(self._kept, self._sent // self._repeats + 1)
         return range(self._sure, max(self._sure, self._sent // self._repeats + 1))
 
     def recover(self) -> None:
-        """Reach the controller again, which says nothing any more of how the light went off."""
+        """Reconnect to the controller, and drop its earlier events."""
         if self.machines.controller is not None:
             self.machines.controller.revive()
             self.machines.controller.poll()
 
     def halt(self) -> None:
-        """Black, and the stage to rest; each whatever the other did."""
+        """Show black, and stop the stage; each even if the other fails."""
         if failed := run_all(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
             raise failed[0]
 
     def add_repeats(self) -> bool:
-        """Add a turn that shows again what was missed. Raises `Underrun` where the added turns did not show it."""
+        """Add a turn with the missed slots. Raises `Underrun` if the added turns did not show them."""
         if not (due := self._missed.collect()):
             return False
         if self._added == self._turns:
             raise Underrun(
                 f"{due.total()} slots of frames were missed; {self._turns} added turns did not show them: "
-                "turn slower, or look at what holds up the host"
+                "turn slower, or check what delays the host"
             )
         self._added += 1
         begin = len(self.schedule) * self._repeats
@@ -406,7 +406,7 @@ class SpinningPlayer:
         return True
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A frame for people; there is one projector."""
+        """A frame for display, of the only projector."""
         version = 0 if self.versions is None else self.versions.frames * self.versions.at(self._kept)
         frame = self._frames.frame(number + version)
         return self._black if frame is None else frame

@@ -1,1 +1,1 @@
-"""A plan carried out, in a small process that holds the light: machines, lease and record, whatever its parent does."""
+"""A plan printed in a small process that holds the light, machines, lease and record, independent of its parent."""

@@ -1,4 +1,4 @@
-"""The process that holds the light: reads an order, says where it can be reached, and prints."""
+"""The process that holds the light: it reads an order, reports its address, and prints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.hosts.process.priority import raised
 from vamgpu.hosts.process.service import Service, failed
 from vamgpu.hosts.records.state import PrintState
 
-STARTING = 10.0  # how long a print waits for the one who ordered it to watch [s]
+STARTING = 10.0  # time that a print waits for its client to watch [s]
 
 
 def main() -> None:
@@ -25,7 +25,7 @@ def main() -> None:
     end = failed(DeviceError("the process that holds the light ended early"))
     try:
         if not service.seen.wait(STARTING):
-            raise DeviceError("who ordered this print does not watch it; nothing was lit: print again")
+            raise DeviceError("the client does not watch this print; nothing was lit: print again")
         planned = order.planned()
         if order.resume:
             may_go_on(planned, order.folder)

@@ -1,4 +1,4 @@
-"""Plans on machines: rehearsed on emulated ones, checked in the dark, and printed."""
+"""Plans on machines: checked in the dark, and printed."""
 
 from __future__ import annotations
 
@@ -48,22 +48,22 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live: bool = False) -> Judged | None:
-    """Judge a plan on opened machines, in the dark.
+    """Check a plan on opened machines, in the dark.
 
     Args:
-        planned: The plan, of `plan`.
-        machines: Its machines, of `opened` or `rehearsal`.
-        seconds: How long the transfer rates of real machines are measured [s].
+        planned: The plan, from `plan`.
+        machines: Its machines, from `opened` or `rehearsal`.
+        seconds: Time for measuring the transfer rates of real machines [s].
         live: Whether frames may be replaced while they are printed, so that the wire must carry new ones in time.
 
     Returns:
-        What was found, with the depth and number of sequences for the player; None for a rig on a video cable, whose
+        The findings, with the depth and number of sequences for the player; None for a rig on a video cable, whose
         frames need no upload.
 
     Raises:
         BadInput: The schedule cannot be shown by these machines.
         WrongDevice: The machines are not those that the plan is for.
-        TimingInfeasible: A machine is too slow; the message says which, and the greatest speed that it allows.
+        TimingInfeasible: A machine is too slow; the message names it, and its greatest speed.
     """
     seconds = positive("seconds", seconds)
     if isinstance(machines, VideoMachines) or planned.display is not None:
@@ -75,13 +75,13 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
         return None
     if len(machines.mirrors) != len(planned.mirrors):
         raise WrongDevice(
-            f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig that "
-            "it was planned for, or plan for this one"
+            f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig of "
+            "the plan, or plan for this one"
         )
     for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
         fits((dmd.height, dmd.width), timing)
     if len(planned.focus) > 1 and machines.lens is None:
-        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig that it was planned for")
+        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig of the plan")
     if not isinstance(machines, StageMachines):
         answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
     return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds,
@@ -92,17 +92,17 @@ def player(
     planned: PrintPlan, machines: Machines, found: Judged | None = None, origin: Origin | None = None,
     versions: FrameVersions | None = None,
 ) -> Player:  # fmt: skip
-    """The player that shows a plan on its machines.
+    """The player of a plan on its machines.
 
     Args:
         planned: The plan.
         machines: Its opened machines.
-        found: What `check` returned; None runs it.
-        origin: Where pose 0 is on the motor, for a print that is resumed; None sets it anew.
-        versions: Versions of the frames, of `vamgpu.hosts.process.versions.planned_versions`; None where frames stay.
+        found: Result of `check`; None runs it.
+        origin: Position of pose 0 on the motor, for a resumed print; None sets it.
+        versions: Versions of the frames, from `vamgpu.hosts.process.versions.planned_versions`; None if frames stay.
 
     Returns:
-        A `TriggeredPlayer` for mirrors that a controller triggers, a `StageClockedPlayer` where a stage does, a
+        A `TriggeredPlayer` for mirrors that a controller triggers, a `StageClockedPlayer` if a stage does, a
         `SpinningPlayer` for a video cable.
 
     Raises:
@@ -133,22 +133,23 @@ def carry_out(
         machines: Its opened machines.
         folder: The run folder. It must not exist, unless ``resume`` is set.
         board: Shows the print to an operator and offers buttons to pause, resume and cancel; None offers none.
-        found: What `check` returned; None runs it.
+        found: Result of `check`; None runs it.
         resume: Resume the print that a host left in the folder.
-        unattended: How often a print that is held goes on by itself.
-        go_on: Is asked whether a print that is held goes on; None asks at the board, and lets none go on without one.
-        process: What the system granted to this process, for the record.
-        live: What plans the frames of coming turns or segments, in a process of its own, and how much light it may add.
+        unattended: How often a held print continues without asking.
+        go_on: Returns whether a held print continues; None asks at the board, and never continues without one.
+        process: Priority of this process from the system, for the record.
+        live: Planner of the frames of coming turns or segments, in a separate process, and the light that it may add.
 
     Returns:
         The state at the end, and the print with its record.
 
     Raises:
         InterlockOpen: The enclosure is open, or the light had to go off.
-        BadInput: The print cannot be resumed, or frames of slices are to be replaced.
+        BadInput: The print cannot be resumed, or it is live and prints slices.
         WrongDevice: The plan has a stop, and no camera was opened.
         StorageError: The folder exists, or cannot be written.
-        VamError: What else ended or holds the print: it is dark and recorded; the folder's state says if it can go on.
+        VamError: Another error ended or holds the print: it is dark and recorded; the folder's state tells if it can
+            continue.
     """
     _may_begin(planned, machines, resume)
     left = left_by_a_host(planned, machines, folder) if resume else None
@@ -189,7 +190,7 @@ def _playing(
     planned: PrintPlan, machines: Machines, found: Judged | None, left: Interrupted | None,
     versions: FrameVersions | None,
 ) -> Player:  # fmt: skip
-    """The player, which shows again what was missed before an earlier host left."""
+    """The player, which repeats the frames that an earlier host missed."""
     playing = player(planned, machines, found, None if left is None else left.origin, versions)
     if left is not None and isinstance(playing, TriggeredPlayer):
         playing.restore(left.lost)
@@ -197,7 +198,7 @@ def _playing(
 
 
 def _versions(planned: PrintPlan, live: LiveOrder | None, left: Interrupted | None) -> FrameVersions | None:
-    """Versions of the frames, those of an earlier host included; None where frames stay."""
+    """Versions of the frames, with those of an earlier host; None if frames stay."""
     if live is None and (left is None or not swaps(left.run)):
         return None
     versions = planned_versions(planned, 0.0 if live is None else live.allowance)
@@ -221,7 +222,7 @@ def _linked(
     held: ExitStack, live: LiveOrder, planned: PrintPlan, machines: Machines, record: RunFolder,
     versions: FrameVersions, board: Board, *, images: bool,
 ) -> LiveLink:  # fmt: skip
-    """The planning process, and the camera whose images it gets, held until the print ends."""
+    """The planning process and its camera, held until the print ends."""
     camera = None
     if machines.camera is not None and images:
         speed = float(planned.schedule.speed)
@@ -234,7 +235,7 @@ def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
     """Add a stop to the plan of a vial: the print ends when the resin scatters enough, at the latest after its turns.
 
     Args:
-        planned: The plan; its turns are the most that are printed.
+        planned: The plan; its turns are the maximum.
         threshold: Scatter density at which to stop [gray levels/voxel], in levels of the rig's camera and voxels of
             the first job's part.
 
@@ -242,18 +243,18 @@ def stopping(planned: PrintPlan, threshold: float = STOP) -> PrintPlan:
         The plan with its stop.
 
     Raises:
-        BadInput: The plan is not a vial's, or the threshold is not above 0.
+        BadInput: The plan is not for a vial, or the threshold is not above 0.
         JobError: The rig has no camera.
-        StorageError: The job's folder does not hold its part.
+        StorageError: The job's folder does not contain its part.
     """
     positive("threshold of scatter [gray levels/voxel]", threshold)
     if planned.kind != "vial":
-        raise BadInput("only vials stop by their scatter, as all of the part gels at once; print without a stop")
+        raise BadInput("only vials stop by scatter, because their whole part gels at once; print without a stop")
     rig = planned.rig.setup
     if rig.camera is None:
         raise JobError(
-            f'the rig {rig.rig.name!r} has no [[feedback]] with driver = "camera", which watches how much the resin '
-            "scatters; add it to the rig's file, or print without a stop"
+            f'the rig {rig.rig.name!r} has no [[feedback]] with driver = "camera", which measures the scatter of the '
+            "resin; add it to the rig's file, or print without a stop"
         )
     camera = rig.camera
     stop = StopRule(float(threshold), _voxels(planned.jobs[0].path), camera.bits, camera.exposure, camera.discard)
@@ -265,7 +266,7 @@ def _voxels(path: str) -> float:
     folder = Folder.open(path)
     if "target" not in folder.manifest.arrays:
         raise StorageError(
-            f"{path!r} does not hold its part, whose voxels scatter is counted by; write it with `vam solve`, or print "
+            f"{path!r} lacks its part, whose voxels scale the scatter; write it with `vam solve`, or print "
             "without a stop"
         )
     return float(folder.array("target").sum(dtype=np.float64))
@@ -273,10 +274,10 @@ def _voxels(path: str) -> float:
 
 @contextmanager
 def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
-    """A watch whose background was taken in the dark; a print that has none has failed."""
+    """A watch with its background taken in the dark; without one the print fails."""
     with watch:
         try:
-            job.player.lamp.off()  # whatever a crashed host left
+            job.player.lamp.off()  # for any state that a crashed host left
             watch.begin()
         except BaseException as error:
             job.ended(error)
@@ -285,13 +286,12 @@ def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
 
 
 def _may_begin(planned: PrintPlan, machines: Machines, resume: bool) -> None:
-    """Raise `WrongDevice` for a stop without a camera, `BadInput` for one that comes too late, `InterlockOpen`."""
+    """Raise `WrongDevice` for a stop without a camera, `BadInput` for a stop that is too late, `InterlockOpen`."""
     if planned.stop is not None and machines.camera is None:
-        raise WrongDevice("the plan stops by what a camera sees, and none was opened; use opened(rig, camera=True)")
+        raise WrongDevice("the plan stops by a camera, and none was opened; use opened(rig, camera=True)")
     if planned.stop is not None and resume:
         raise BadInput(
-            "resin that was lit scatters already, so a print that stops by its scatter cannot be resumed: begin "
-            "it anew with fresh resin"
+            "lit resin already scatters, so a print with a stop cannot be resumed: start again with fresh resin"
         )
     if machines.controller is not None and not machines.controller.status().interlock_closed:
         raise InterlockOpen("the interlock is open: close the enclosure, then print again")

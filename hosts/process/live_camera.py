@@ -1,4 +1,4 @@
-"""Images of the resin while it is printed, each with the angle that it was taken at; the print waits for none."""
+"""Images of the resin during the print, each with its angle; the print does not wait for them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND
 
 log: logging.Logger = logging.getLogger(__name__)
-KEPT = 64  # images that wait for the printing thread; older ones make room
-PATIENCE = 2 * SECOND  # how old the last image may be [ns]
-IDLE = 1e-3  # pause of the thread between images [s], should a camera not wait by itself
-LEAVE = 1.0  # how long the thread may take to end [s]
+KEPT = 64  # most images queued for the printing thread; the oldest are dropped
+PATIENCE = 2 * SECOND  # greatest age of the last image [ns]
+IDLE = 1e-3  # pause of the thread between images [s], for cameras that do not wait
+LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 class LiveCamera:
@@ -55,7 +55,7 @@ class LiveCamera:
             self._thread.join(LEAVE)
 
     def taken(self, position: float) -> list[dict[str, Any]]:
-        """Images since the last call: ``image``, ``angle`` [deg], ``at`` [ns]. position: of the vial now [deg]."""
+        """Images since the last call: ``image``, ``angle`` [deg], ``at`` [ns]. position: angle of the vial [deg]."""
         self._looked = self._clock.now(), position
         if self._thread is None and not self._gone:
             self._grab()
@@ -69,7 +69,7 @@ class LiveCamera:
         return found
 
     def notices(self) -> list[tuple[str, dict[str, Any]]]:
-        """Events since this was asked."""
+        """Events since the last call."""
         found = []
         while self._notices:
             found.append(self._notices.popleft())
@@ -81,7 +81,7 @@ class LiveCamera:
             self._leave.wait(IDLE)
 
     def _grab(self) -> None:
-        """Take an image; one that is the same to the last bit was sent before, as no two have the same noise."""
+        """Take an image; one that equals the last bit for bit is a repeat, because noise always differs."""
         try:
             image = self._camera.grab()
         except Exception as error:
@@ -97,12 +97,12 @@ class LiveCamera:
         self._before, self._repeated = image, False
         middle = self._last - round(self._exposure * SECOND / 2)
         angle = position + self._speed * (middle - looked) / SECOND
-        if angle >= 0 and self._lit():  # else it is of no turn of this print
+        if angle >= 0 and self._lit():  # else it is not of this print
             self._images.append({"image": image, "angle": angle, "at": middle})
 
     def _lost(self, error: Exception) -> None:
         self._gone = True
-        self._tell("live camera lost", f"the camera is gone: {error}; turns go on without its images")
+        self._tell("live camera lost", f"the camera is lost: {error}; turns continue without its images")
 
     def _tell(self, kind: str, why: str) -> None:
         log.warning("%s", why)

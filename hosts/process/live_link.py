@@ -1,6 +1,6 @@
-"""The line from a print to the process that plans its turns: bounded, and the print waits for nothing on it.
+"""The line from a print to the process that plans its turns: bounded, and the print never waits for it.
 
-What that process says is checked, kept and offered in a thread; its death or nonsense costs the update alone.
+Its messages are checked, stored and offered in a thread; if it dies or sends invalid messages, only the update is lost.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND
 
 log: logging.Logger = logging.getLogger(__name__)
-WAITING = 256  # messages that may wait for the other process; older images make room
-LEAVE = 1.0  # how long that process may take to end [s]
+WAITING = 256  # most messages queued for the other process; older images are dropped
+LEAVE = 1.0  # longest time for that process to end [s]
 COLUMNS = ("slot", "frame", "version", "position", "on_time", "engine", "dark")
 
 
 @dataclass(frozen=True)
 class LiveOrder:
-    """An order to plan the turns to come, by a function that is called with a `PlannerClient`. Raises `BadInput`."""
+    """An order to plan coming turns, with a function that is called with a `PlannerClient`. Raises `BadInput`."""
 
     function: str  # ``package.module:function``
-    allowance: float = 0.0  # light that it may add over the job's, as a share
+    allowance: float = 0.0  # light that it may add, as a share of the job's
     patience: float = 2.0  # turns without an answer after which it counts as silent
-    settings: Mapping[str, Any] = field(default_factory=dict)  # plain values for its task
-    stop: int | None = None  # the turn before which the light ends unless a version says otherwise
-    wait: float = 0.0  # how long a program's clock stands still while it plans [s]
+    settings: Mapping[str, Any] = field(default_factory=dict)  # settings of its task, as plain values
+    stop: int | None = None  # the turn before which the light ends unless a version changes it
+    wait: float = 0.0  # time for which a simulated clock stops while it plans [s]
 
     def __post_init__(self) -> None:
         positive("allowance of light", self.allowance, zero=True)
@@ -87,14 +87,14 @@ class LiveLink:
         self._ready, self._over = threading.Condition(), threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         self._line: Any = None
-        self._owing: int | None = clock.now()  # since when it has said nothing to what it was told
+        self._owing: int | None = clock.now()  # since when it has not answered
         self._silent = self._gone = False
-        self._told = self._asked = 0  # messages to it, and how often it asked for one
-        self.answers: int = 0  # proposals that were answered
+        self._told = self._asked = 0  # messages to it, and number of its requests
+        self.answers: int = 0  # answered proposals
 
     # ---- the printing thread -----------------------------------------------------------------------------------
     def saw(self, seen: StatusPoll) -> None:
-        """Hand on what was shown, and the images since."""
+        """Pass on the shown frames, and the images since."""
         if self._camera is not None:
             for image in self._camera.taken(seen.position):
                 self._put(image)
@@ -102,18 +102,18 @@ class LiveLink:
             rows = [asdict(each) for each in seen.frames]
             self._put({"shown": {name: np.array([row[name] for row in rows], np.int64) for name in COLUMNS}})
         if self._order.wait and not self._clock.real:
-            with self._ready:  # so that a rehearsal, which outruns it, repeats exactly
+            with self._ready:  # so that a dry run, which is faster, repeats exactly
                 self._ready.wait_for(lambda: self._asked > self._told or self._gone, self._order.wait)
         owing = self._owing
         if not (self._gone or self._silent or owing is None) and self._clock.now() - owing > self._patience:
             self._silent = True
             self._tell(
                 "live silent",
-                f"the planning process says nothing; {self._versions.unit}s go on as planned ({self._version()})",
+                f"the planning process does not answer; {self._versions.unit}s continue as planned ({self._version()})",
             )
 
     def _put(self, message: dict[str, Any]) -> None:
-        """Queue a message; in a full queue the oldest image, or else the oldest message, makes room."""
+        """Queue a message; a full queue drops its oldest image, or else its oldest message."""
         with self._ready:
             if len(self._waiting) >= WAITING:
                 del self._waiting[next((k for k, each in enumerate(self._waiting) if "image" in each), 0)]
@@ -171,14 +171,14 @@ class LiveLink:
                 self._ready.notify_all()
             self._tell(
                 "live lost",
-                f"the planning process is gone: {why}; {self._versions.unit}s go on as planned ({self._version()})",
+                f"the planning process is lost: {why}; {self._versions.unit}s continue as planned ({self._version()})",
             )
 
     # ---- the line ----------------------------------------------------------------------------------------------
     def _serve(self, process: subprocess.Popen[bytes]) -> None:
         try:
             if (live := answered(process)) is None:
-                self._lost(f"it ended with {process.wait()} before it began")
+                self._lost(f"it ended with {process.wait()} before it started")
                 return
             self._line = Client(live["address"], authkey=bytes.fromhex(live["key"]))
             if self._over.is_set():
@@ -191,10 +191,10 @@ class LiveLink:
                 self._owing = None
                 if self._silent:
                     self._silent = False
-                    self._tell("live speaks", "the planning process speaks again")
+                    self._tell("live speaks", "the planning process answers again")
                 if told is not None:
                     self._take(told)
-                    self._owing = None  # what it said meanwhile comes now
+                    self._owing = None  # its messages from meanwhile come now
                 if told is not None and "ready" in told:
                     with self._ready:
                         self._asked += 1
@@ -203,11 +203,11 @@ class LiveLink:
             self._lost(repr(error))
 
     def _received(self) -> dict[str, Any] | None:
-        """The next message; None for what is none."""
+        """The next message; None for an invalid one."""
         try:
             return receive(self._line)
         except (ValueError, KeyError, TypeError, StopIteration, RuntimeError) as error:
-            self._refused(f"it sent what is no message: {error!r}")
+            self._refused(f"it sent an invalid message: {error!r}")
             return None
 
     def _sending(self) -> None:
@@ -219,7 +219,7 @@ class LiveLink:
                 if message is not None:
                     self._say(message)
         except (OSError, ValueError):
-            log.info("nothing more can be sent to the planning process")  # who receives hears why
+            log.info("nothing more can be sent to the planning process")  # the receiving thread gets the reason
 
     def _say(self, message: dict[str, Any]) -> None:
         self._owing = self._clock.now() if self._owing is None else self._owing
@@ -227,7 +227,7 @@ class LiveLink:
 
     # ---- what it says ------------------------------------------------------------------------------------------
     def _take(self, told: dict[str, Any]) -> None:
-        """Do what a message asks for, if it can be."""
+        """Handle a message, if possible."""
         try:
             if "done" in told and not self._gone:
                 self._gone = True
@@ -235,7 +235,7 @@ class LiveLink:
                     self._ready.notify_all()
                 self._tell(
                     "live ended",
-                    f"the planning process has no more to do; the {self._versions.unit}s are {self._version()}",
+                    f"the planning process has finished; the {self._versions.unit}s are {self._version()}",
                 )
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
@@ -248,7 +248,7 @@ class LiveLink:
             self._refused(str(error))
 
     def _offer(self, told: Any) -> int:
-        """Check a version, keep it, and offer it. Raises `BadInput`, `StorageError`."""
+        """Check a version, store it, and offer it. Raises `BadInput`, `StorageError`."""
         if not isinstance(told, dict) or told.get("print") != self._task["print"]:
             raise BadInput("the version is for another print; expected the number of this one")
         wanted = proposal(told)
@@ -262,7 +262,7 @@ class LiveLink:
         return self._versions.swap(sources, wanted.turn, number=number, **options)
 
     def _refused(self, why: str) -> None:
-        self._tell("live refused", f"a version of the frames was refused: {why}")
+        self._tell("live refused", f"a version of the frames was rejected: {why}")
         self._answer(why=why)
 
     def _answer(self, **facts: Any) -> None:

@@ -1,6 +1,6 @@
-"""Processes of their own, how they start, and messages between them: JSON, and the bytes of arrays behind it.
+"""Separate processes, their start, and messages between them: JSON, followed by the bytes of arrays.
 
-Nothing in a message is code: a run's folder, which may come from anywhere, says whom to talk to.
+Messages contain no code, because the address comes from a run's folder, which may be from anywhere.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ import numpy as np
 from vamgpu.hosts.records.state import Snapshot
 from vamgpu.storage.reading import parse_json
 
-LONGEST = 1 << 28  # bytes of a message or array
-NUMBERS = "biuf"  # kinds of arrays that are sent
+LONGEST = 1 << 28  # most bytes of a message or array
+NUMBERS = "biuf"  # kinds of arrays in messages
 
 
 def send(line: Connection, message: dict[str, Any]) -> None:
-    """Send a message: plain values, arrays, and all that a `Snapshot` may hold. Raises `OSError`."""
+    """Send a message: plain values, arrays, and the values of a `Snapshot`. Raises `OSError`."""
     arrays: list[np.ndarray] = []
     body = {name: _plain(value, arrays) for name, value in message.items()}
     line.send_bytes(json.dumps({"arrays": len(arrays), "body": body}).encode())
@@ -37,7 +37,7 @@ def send(line: Connection, message: dict[str, Any]) -> None:
 
 
 def receive(line: Connection) -> dict[str, Any]:
-    """The next message. Raises `EOFError`, `OSError`, and `ValueError` for what is none."""
+    """The next message. Raises `EOFError`, `OSError`, and `ValueError` for an invalid one."""
     told = parse_json(line.recv_bytes(LONGEST))
     if not isinstance(told, dict) or not isinstance(told.get("body"), dict):
         raise ValueError("a message is an object with a body")
@@ -83,7 +83,7 @@ def _made(value: Any, arrays: Iterator[bytes]) -> Any:
 
 @cache
 def _kinds() -> dict[str, Any]:
-    """Enumerations and dataclasses that a snapshot may hold, by name."""
+    """Enumerations and dataclasses of a snapshot, by name."""
     found: dict[str, Any] = {}
 
     def look(hint: Any) -> None:
@@ -101,20 +101,20 @@ def _kinds() -> dict[str, Any]:
 
 
 def spawned(module: str, order: dict[str, Any], errors: Any = None) -> subprocess.Popen[bytes]:
-    """Run a module in a process that no key of this terminal reaches. errors: takes its stderr. Raises `OSError`."""
+    """Run a module in a process without this terminal's keys. errors: receives its stderr. Raises `OSError`."""
     child = subprocess.Popen(
         [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}, start_new_session=True,
         creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     )  # fmt: skip
     assert child.stdin is not None
-    with suppress(BrokenPipeError), child.stdin:  # one that has ended already says nothing, see `answered`
+    with suppress(BrokenPipeError), child.stdin:  # a process that has ended is reported by `answered`
         child.stdin.write(json.dumps(order).encode() + b"\n")
     return child
 
 
 def answered(child: subprocess.Popen[bytes]) -> dict[str, Any] | None:
-    """Wait for the address and key at which a child listens; None where it ended instead."""
+    """Wait for the address and key at which a child listens; None if it ended instead."""
     assert child.stdout is not None
     with child.stdout:
         line = child.stdout.readline()
@@ -122,7 +122,7 @@ def answered(child: subprocess.Popen[bytes]) -> dict[str, Any] | None:
 
 
 def ordered() -> tuple[Any, Callable[[str], None]]:
-    """In the child: its order, and the function that answers it. Nothing else that the child prints is read."""
+    """In the child: its order, and the function that answers. Other output of the child is ignored."""
     out, nowhere = os.dup(sys.stdout.fileno()), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
@@ -135,5 +135,5 @@ def ordered() -> tuple[Any, Callable[[str], None]]:
 
 
 def address(listener: Listener, key: bytes) -> str:
-    """Where and how this process can be reached, as JSON."""
+    """Address and key of this process, as JSON."""
     return json.dumps({"address": listener.address, "key": key.hex(), "pid": os.getpid()})

@@ -1,4 +1,4 @@
-"""The order of a print, in values that cross a pipe to the process that holds the light, and how it is carried out."""
+"""The order of a print, as plain values for the process that holds the light, and its execution."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ class PrintOrder:
     """Jobs, rig, run folder and options of a print; see `vamgpu.hosts.rig.plan` and `carry_out`."""
 
     jobs: tuple[str, ...]  # their folders
-    rig: str  # text of its file
-    source: str  # of its file
-    folder: str  # of the run
+    rig: str  # text of the rig's file
+    source: str  # path of the rig's file
+    folder: str  # folder of the run
     settings: tuple[str, ...] = ()
     speed: float | str | None = None
     turns: int | None = None
-    exposure: ProvedDose | Literal[False] | None = None  # what is known of the proof of a vial
-    stop: float | None = None  # density of scatter
+    exposure: ProvedDose | Literal[False] | None = None  # proved dose of a vial, if known
+    stop: float | None = None  # scatter density
     device: str | None = None
-    rehearsed: bool = False  # on emulated machines
-    resume: bool = False  # go on with the folder's print
+    rehearsed: bool = False  # print on emulated machines
+    resume: bool = False  # continue the folder's print
     unattended: int = 0
-    page: bool = False  # buttons let a print that is held go on
-    asks: bool = False  # who watches is asked whether it goes on
-    live: str | None = None  # function that plans turns to come, ``module:function``
-    allowance: float = 0.0  # light that it may add over the job's
+    page: bool = False  # buttons continue a held print
+    asks: bool = False  # whether the client is asked before a held print continues
+    live: str | None = None  # function that plans coming turns, ``module:function``
+    allowance: float = 0.0  # light that it may add, as a share of the job's
 
     @classmethod
     def of(cls, jobs: tuple[Path, ...], rig: RigConfig, folder: Path, **rest: Any) -> Self:
-        """An order that any process understands, wherever it runs."""
+        """An order with absolute paths, for any process."""
         places = tuple(str(job.absolute()) for job in jobs)
         source = rig.source if rig.source == "emulated" else str(Path(rig.source).absolute())
         return cls(places, rig.text, source, str(folder.absolute()), rig.settings, **rest)
 
     @classmethod
     def parse(cls, told: Any) -> Self:
-        """An order as `plain` wrote it. Raises `BadInput`."""
+        """An order from `plain`. Raises `BadInput`."""
         if not isinstance(told, dict) or set(told) != {field.name for field in fields(cls)}:
             raise BadInput(f"an order of a print is {told!r}; expected the values of a PrintOrder by name")
         values: dict[str, Any] = {**told, "jobs": tuple(told["jobs"]), "settings": tuple(told["settings"])}
@@ -60,21 +60,21 @@ class PrintOrder:
         return cls(**values)
 
     def plain(self) -> dict[str, Any]:
-        """The values by name, as JSON takes them."""
+        """The values by name, for JSON."""
         return asdict(self)
 
     @property
     def config(self) -> RigConfig:
-        """The rig, as its file was when the order was given."""
+        """The rig, from the file's text at the time of the order."""
         return parse_rig(self.rig, self.settings, source=self.source)
 
     @property
     def leased(self) -> bool:
-        """Whether a controller gates the light, and closes it for a process that is gone."""
+        """Whether a controller gates the light, and closes it if the process dies."""
         return self.config.setup.light.gate == "controller"
 
     def planned(self) -> PrintPlan:
-        """The plan. Raises what `plan` raises."""
+        """The plan. Raises as `plan` does."""
         made = plan(
             self.jobs, self.config, speed=self.speed, turns=self.turns, rehearsed=self.rehearsed, device=self.device,
             exposure=self.exposure,
@@ -105,7 +105,7 @@ def printed(
 
 
 def _seen(planned: PrintPlan, stand: Rehearsal, folder: str) -> dict[str, Any]:
-    """The verdict of emulated resin, and the levels that it saw of a vial's frames."""
+    """The verdict of emulated resin, and its levels of a vial's frames."""
     lit = (shown := read_run(folder).shown)[(shown["engine"] == 0) & (shown["dark"] == 0)]
     if not len(shown):
         return {}

@@ -1,4 +1,4 @@
-"""A process whose work must be on time: scheduled before others, its memory kept; what is not granted is told."""
+"""Priority of a process with deadlines: scheduled before others, with locked memory; denied requests are reported."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import sys
 
 HIGH = 0x00000080  # Windows' HIGH_PRIORITY_CLASS
 NICE = -10
-LEVEL = 10  # among programs of the real-time class, of 1 to 99
-LOCKED = 1 | 2 | 4  # mlockall: what is there, what will be, when it is first used
+LEVEL = 10  # level in the real-time class, of 1 to 99
+LOCKED = 1 | 2 | 4  # mlockall: present memory, future memory, on first use
 
 
 def raised() -> dict[str, str]:
-    """Ask for all; what was granted, as the record of a run keeps it. Call before any thread is started."""
+    """Request everything; returns what was granted, for the record of a run. Call before any thread starts."""
     gc.collect()
-    gc.freeze()  # what was imported is never looked at again
-    return {"schedule": _scheduled(), "memory": _locked(), "garbage": "not collected while there is light"}
+    gc.freeze()  # imported objects are never collected
+    return {"schedule": _scheduled(), "memory": _locked(), "garbage": "not collected while the light is on"}
 
 
 def _scheduled() -> str:
@@ -43,12 +43,12 @@ def _scheduled() -> str:
 
 
 def _locked() -> str:
-    """Whether the memory of this process stays where it is."""
+    """Whether the memory of this process is locked."""
     if not sys.platform.startswith("linux"):
         return "as the system pages"
     import resource
 
-    # a process that may lock some would later be refused memory
+    # with a partial limit, later allocations would fail
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     if unlimited and not ctypes.CDLL(None, use_errno=True).mlockall(LOCKED):
         return "locked"

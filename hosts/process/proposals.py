@@ -1,4 +1,4 @@
-"""Checks of messages from a planning process: frames must be of this print, and their light allowed."""
+"""Checks of messages from a planning process: frames must suit this print, and their light must be allowed."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.records.state import Estimated
 from vamgpu.printing.frames import Frames
 
-MOST = 64  # parameters that are shown
-MAPS, WIDEST = 4, 2048  # images that are shown, and the longest side of one [pixels]
+MOST = 64  # most parameters shown
+MAPS, WIDEST = 4, 2048  # most images shown, and the longest side of one [pixels]
 _JOBS: WeakKeyDictionary[Frames, float] = WeakKeyDictionary()  # light of jobs' frames
-TOP = {8: 255, 1: 1}  # the highest level of a pixel of so many bits
+TOP = {8: 255, 1: 1}  # bits → highest level of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Frames that a planning process wants shown."""
+    """Frames proposed by a planning process."""
 
     levels: tuple[np.ndarray, ...]  # [frame, row, column] of each projector: 0 to 255, or to 1 for 1 bit
     turn: int  # the first turn, or segment, that shows them
@@ -30,7 +30,7 @@ class Proposal:
 
 
 def proposal(told: Any) -> Proposal:
-    """Read what was sent as a proposal. Raises `BadInput`."""
+    """Read a proposal. Raises `BadInput`."""
     try:
         levels = tuple(np.concatenate(list(pieces)) for pieces in told["levels"])
         stop = told.get("stop")
@@ -46,7 +46,7 @@ def _turn(value: Any) -> int:
 
 
 def frames_of(levels: Sequence[np.ndarray], jobs: Sequence[Frames]) -> tuple[Frames, ...]:
-    """Levels as frames like those of the jobs. Raises `BadInput` for what mirrors cannot show."""
+    """Levels as frames like those of the jobs. Raises `BadInput` if mirrors cannot show them."""
     if len(levels) != len(jobs):
         raise BadInput(f"got levels for {len(levels)} projectors; expected {len(jobs)}, one array for each")
     return tuple(_frames(each, job) for each, job in zip(levels, jobs, strict=True))
@@ -58,7 +58,7 @@ def _frames(levels: np.ndarray, job: Frames) -> Frames:
     if levels.dtype.kind not in "uif":
         raise BadInput(f"got levels of {levels.dtype}; expected numbers")
     low, high, top = float(levels.min()), float(levels.max()), TOP[job.bits]
-    if not 0 <= low <= high <= top:  # a NaN is no level either
+    if not 0 <= low <= high <= top:  # also rejects NaN
         raise BadInput(f"got levels from {low:g} to {high:g}; expected 0 to {top}")
     whole = (np.rint(levels) if levels.dtype.kind == "f" else levels).astype(np.uint8, copy=False)
     images = whole if job.bits == 8 else np.packbits(whole, axis=2)
@@ -66,7 +66,7 @@ def _frames(levels: np.ndarray, job: Frames) -> Frames:
 
 
 def relative_light(frames: Sequence[Frames], jobs: Sequence[Frames]) -> float:
-    """Light of frames, over that of the jobs' frames: all pixels, by the gray curve."""
+    """Light of frames relative to the jobs' frames: all pixels, with the gray curve."""
     for job in jobs:
         if job not in _JOBS:  # counted once for all versions
             _JOBS[job] = _light(job)
@@ -82,16 +82,16 @@ def _light(frames: Frames) -> float:
 
 
 def parameters(told: Any) -> tuple[Estimated, ...]:
-    """Estimated parameters as a board shows them. Raises `BadInput`."""
+    """Estimated parameters for a board. Raises `BadInput`."""
     try:
         found = tuple(_estimated(*each) for each in told)
     except (TypeError, ValueError) as error:
         raise BadInput(f"got no parameters: {error}; expected name, value and error of each, and the lowest and "
-                       "highest usual value where they are known") from error  # fmt: skip
+                       "highest usual value if known") from error  # fmt: skip
     numbers = [(each.value, each.error, *(each.usual or ())) for each in found]
     right = all(each.error >= 0 and (each.usual is None or each.usual[0] < each.usual[1]) for each in found)
     if len(found) > MOST or not all(map(isfinite, (number for each in numbers for number in each))) or not right:
-        raise BadInput(f"got parameters {found[:MOST]}; expected {MOST} at most, finite, errors of 0 or more, and "
+        raise BadInput(f"got parameters {found[:MOST]}; expected at most {MOST}, finite, errors of 0 or more, and "
                        "usual values in order")  # fmt: skip
     return found
 
@@ -104,12 +104,12 @@ def _estimated(name: Any, value: Any, error: Any, *usual: Any) -> Estimated:
 
 
 def maps(told: Any) -> dict[str, np.ndarray]:
-    """Images as a board shows them. Raises `BadInput`."""
+    """Images for a board. Raises `BadInput`."""
     if not isinstance(told, Mapping) or len(told) > MAPS:
-        raise BadInput(f"got no images: {type(told).__name__}; expected {MAPS} at most, by name")
+        raise BadInput(f"got no images: {type(told).__name__}; expected at most {MAPS}, by name")
     for name, image in told.items():
         shape = getattr(image, "shape", ())
         fits = len(shape) == 3 and shape[2] == 3 and 0 < min(shape) <= max(shape) <= WIDEST
         if not fits or image.dtype != np.uint8:
-            raise BadInput(f"the image {str(name)[:80]!r} is no uint8 [row, column, color] of up to {WIDEST} pixels")
+            raise BadInput(f"the image {str(name)[:80]!r} is not uint8 [row, column, color] of up to {WIDEST} pixels")
     return {str(name): np.asarray(image) for name, image in told.items()}

@@ -1,4 +1,4 @@
-"""Resuming the print of a host that died: the same jobs on the same rig, from its folder and its controller."""
+"""Resume the print of a dead host: the same jobs on the same rig, from its folder and its controller."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from vamgpu.storage.reading import MOST_TOML, read_text
 
 @dataclass(frozen=True, eq=False)
 class Interrupted:
-    """A print that a host left."""
+    """An interrupted print."""
 
     run: RunRecord
     first: int  # the next slot
-    unseen: int  # the slot from which on nobody saw all
+    unseen: int  # the slot from which records may be incomplete
     origin: Origin
-    lost: tuple[tuple[int, ...], ...]  # poses that were black, of each projector
-    since: float  # last light, by the clock of its days [s]
+    lost: tuple[tuple[int, ...], ...]  # black poses of each projector
+    since: float  # last light, in clock time [s]
 
     @property
     def pause(self) -> int:
@@ -45,8 +45,8 @@ class Interrupted:
     def take_up(
         self, folder: RunFolder, schedule: Schedule, now: int, version: Callable[[int], int] = lambda slot: 0
     ) -> None:
-        """Record, at a time of the rig's clock [ns], what was triggered after the host's last poll."""
-        # the frame on show then may have been cut short; mirrors that go dark with their program showed none after it
+        """Record, at a time of the rig's clock [ns], the frames triggered after the host's last poll."""
+        # the present frame may have been cut; mirrors that go dark with their program showed none after it
         if self.first > self.unseen:
             folder.event("unseen", now, first=self.unseen, stop=self.first)
         have = set(zip(self.run.shown["slot"].tolist(), self.run.shown["engine"].tolist(), strict=True))
@@ -60,26 +60,26 @@ class Interrupted:
 
 @dataclass(frozen=True, eq=False)
 class AbandonedRun:
-    """State of the folder of a host that died."""
+    """State of the folder of a dead host."""
 
     run: RunRecord
     segment: dict[str, Any]  # the event that began the last run segment
     sign: float  # last sign of light [s]
-    dark: bool  # whether the host had put the light out
+    dark: bool  # whether the host had turned the light off
 
 
 def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
-    """State of the folder of a host that died. Raises `BadInput` if its print cannot be resumed."""
+    """State of the folder of a dead host. Raises `BadInput` if its print cannot be resumed."""
     path = run.path
     if run.state is not PrintState.PRINTING and not run.state.waits:
-        raise BadInput(f"{str(path)!r} is {run.state.value}; only prints that a host left unfinished can be resumed")
+        raise BadInput(f"{str(path)!r} is {run.state.value}; only interrupted prints can be resumed")
     segment = next((event for event in reversed(run.events) if event["event"] == "segment"), None)
     if segment is None:
-        raise BadInput(f"{str(path)!r} has shown nothing; begin it anew in another folder")
+        raise BadInput(f"{str(path)!r} has shown nothing; start again in another folder")
     if "preroll" not in segment:
         raise BadInput(
-            f"{str(path)!r} was printed on a screen: nobody knows what that showed until the light went off; begin "
-            "anew with fresh resin"
+            f"{str(path)!r} was printed on a screen, whose last frames before the dark are not known; start "
+            "again with fresh resin"
         )
     _check_pause(path, float(run.events[-1]["wall"]), limits)
     signs = [event for event in run.events if event["event"] in ("segment", "light", "poll")]
@@ -88,11 +88,11 @@ def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedR
 
 
 def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
-    """Raise `BadInput` for a pause since a time of these days [s] that was too long, or that nobody knows."""
+    """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so nobody knows "
-            "how long it paused; begin anew with fresh resin"
+            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so the pause is "
+            "not known; start again with fresh resin"
         )
     may_resume(pause, limits)
 
@@ -100,41 +100,41 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
 def interrupted(
     path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
 ) -> Interrupted:
-    """State of a print by its folder and by its controller, which kept its power. Raises `BadInput`."""
+    """State of a print from its folder and its controller, which kept its power. Raises `BadInput`."""
     left = left_in(read_run(path), limits)
     run, segment, now = left.run, left.segment, controller.status()
     if now.zero != segment.get("zero"):
         raise BadInput(
-            f"the controller does not know the print of {str(path)!r}: it lost its power, was reset when its port was "
-            "opened, or another print began, so nobody knows where the motor is; begin anew with fresh resin"
+            f"the controller has lost the print of {str(path)!r}: it lost its power, was reset when its port opened or "
+            "another print began, so the position of the motor is not known; start again with fresh resin"
         )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
     shown = segment["first"] + _counted(now, segment)
     if now.play not in (segment["play"], segment["before"]) or shown < recorded:
         raise BadInput(
-            f"another program let the controller play after {str(path)!r} was left, so nobody knows what the resin "
-            "saw; begin anew with fresh resin"
+            f"another program used the controller after {str(path)!r}, so the dose of the resin is not known; start "
+            "again with fresh resin"
         )
     dark = run.shown[run.shown["dark"] > 0]
     if shown >= len(schedule):
-        missed = f", {len(dark)} of them black: only the host that planned them shows them again" if len(dark) else ""
+        missed = f", {len(dark)} of them black: only the host that planned them can repeat them" if len(dark) else ""
         raise BadInput(f"{str(path)!r} has shown all its {len(schedule)} slots{missed}; nothing is left to print")
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     origin = Origin(segment["origin"], segment["zero"])
-    lit = recorded > segment["first"]  # what was shown after that counts as dark: a pause is rather told too long
+    lit = recorded > segment["first"]  # frames shown after that count as dark, so that a pause is never too short
     since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
     _check_pause(path, since, limits)
     return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
 
 
 def _counted(now: Status, segment: dict[str, Any]) -> int:
-    """Frames of a run segment that the controller showed; a host that died in between had not let it play yet."""
+    """Frames of a run segment shown by the controller; 0 if the host died before it let the controller play."""
     return max(now.shown - segment["preroll"], 0) if now.play == segment["play"] else 0
 
 
 def _since(wall: float) -> int:
-    """Since a time of these days [ns]."""
+    """Time since a clock time [ns]."""
     return round((time.time() - wall) * SECOND)
 
 
@@ -145,14 +145,14 @@ def limits(rig: RigConfig) -> SafetyLimits:
         rig: The rig.
 
     Returns:
-        Lease [ns], tolerance of motion [poses], budget of light over the plan's, and longest pause [ns].
+        Lease [ns], tolerance of motion [poses], budget of light relative to the plan, and longest pause [ns].
     """
     said = rig.setup.safety
     return SafetyLimits(round(said.lease * 1e9), said.tolerance, said.budget, round(said.resume * 1e9))
 
 
 def asked_for(planned: PrintPlan) -> dict[str, Any]:
-    """The plan as a run's folder keeps it."""
+    """The plan as stored in a run's folder."""
     table, jobs = planned.schedule, [each.path for each in planned.jobs]
     return {
         "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
@@ -166,11 +166,11 @@ def asked_for(planned: PrintPlan) -> dict[str, Any]:
 
 
 def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
-    """Check, from the folders alone, that a print can be resumed. Ask before any machine is opened.
+    """Check, only from the folders, that a print can be resumed. Call before any machine is opened.
 
     Args:
         planned: The plan of the same jobs at the same speed.
-        folder: The run folder that a host left.
+        folder: The run folder of the interrupted print.
 
     Raises:
         BadInput: The folder holds another print, one that ended, one that paused for too long, or one on a video cable.
@@ -178,33 +178,33 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     """
     if driver_of(planned.rig.setup.clock) == "stage":
         raise BadInput(
-            "the stage triggered the mirrors until their frames were over, and nobody knows which the resin saw: this "
-            "print cannot be resumed; begin it anew with fresh resin"
+            "the stage triggered the mirrors to the end of their frames, and it is not known which were lit: it "
+            "cannot be resumed; start again with fresh resin"
         )
     if planned.display is not None:
         raise BadInput(
-            "a video projector went on with its last frame while the vial turned, until the lease was over: this "
-            "print cannot be resumed; begin it anew with fresh resin"
+            "a video projector repeated its last frame while the vial turned, until the lease ended: it cannot be "
+            "resumed; start again with fresh resin"
         )
     before = read_run(folder)
     asked, wanted = before.asked, asked_for(planned)
     names = ("digests", "kind", "slots", "speed", "stop", "calibrations", "views")
     if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
-        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its own jobs and speed")
+        raise BadInput(f"{str(folder)!r} is another print, with {told}; give its jobs and speed")
     _same_rig(planned.rig, before)
     left_in(before, limits(planned.rig))
 
 
 def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -> Interrupted:
-    """The interrupted print in a folder, if it is the same one. Raises `BadInput`, `StorageError`."""
+    """The interrupted print in a folder, if it matches the plan. Raises `BadInput`, `StorageError`."""
     may_go_on(planned, folder)
     assert isinstance(machines, MirrorMachines)
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
 
 
 def _same_rig(rig: RigConfig, run: RunRecord) -> None:
-    """Raise `BadInput` for a rig whose light or motion is another than the one that began a print."""
+    """Raise `BadInput` for a rig whose light or motion differs from that of the print."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
     try:
         first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
@@ -214,13 +214,13 @@ def _same_rig(rig: RigConfig, run: RunRecord) -> None:
     if different := [name for name in now if now[name] != began[name]]:
         settings = "".join(f" --set {setting!r}" for setting in given)
         raise BadInput(
-            f"the rig has other values in [{'], ['.join(different)}] than the one that began {str(run.path)!r}: the "
-            f"rest of the print would get another light; print with --rig {str(file)!r}{settings}"
+            f"the rig has other values in [{'], ['.join(different)}] than that of {str(run.path)!r}: the "
+            f"rest of the print would get other light; print with --rig {str(file)!r}{settings}"
         )
 
 
 def _light(rig: RigFile) -> dict[str, Any]:
-    """The part of a rig's file that must not change before a print goes on."""
+    """The part of a rig's file that must not change before a print continues."""
     told = rig.model_dump(exclude={"rig", "safety", "feedback", "camera_stage"})
     for section in (told["controller"], told["motion"], *told["display"], told["lens"], told["light"]):
         for name in ("port", "library"):
@@ -232,7 +232,7 @@ def run_folder(
     planned: PrintPlan, folder: str | Path, left: Interrupted | None, now: int,
     version: Callable[[int], int] | None = None,
 ) -> RunFolder:  # fmt: skip
-    """A new run folder, or a resumed one up to what was shown. now: [ns].  version: of a slot, or `StorageError`."""
+    """A new run folder, or a resumed one with its shown frames. now: [ns].  version: of a slot, or `StorageError`."""
     if left is None:
         return RunFolder.begin(folder, asked_for(planned), planned.rig.text)
     record = RunFolder.again(folder)

@@ -1,6 +1,6 @@
-"""Serves the state of a print to processes that watch it, and takes their orders; the print waits for none of them.
+"""Serves the state of a print to processes that watch it, and takes their orders; the print never waits for them.
 
-Each line of orders has a thread, so that an emergency stop waits behind nothing.
+Each line of orders has a thread, so that an emergency stop never waits.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from vamgpu.hosts.process.messages import address, receive, send
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.records.state import Board, PrintState, Snapshot
 
-LIVE = "live.json"  # in a run's folder: how to reach the process that prints it
+LIVE = "live.json"  # in a run's folder: address of the process that prints it
 PERIOD = 0.1  # between two snapshots [s]
-SAYS = {"resume": True, "cancel": False}  # what a button says to whether a held print goes on
-LEAVE = 2.0  # how long the last snapshot may take [s]
+SAYS = {"resume": True, "cancel": False}  # button → whether a held print continues
+LEAVE = 2.0  # longest time for the last snapshot [s]
 
 
 class ServedBoard(Board):
-    """The board of a print whose previews are drawn elsewhere. found: whether ``live`` was left in the run's folder."""
+    """The board of a print with previews drawn elsewhere. found: whether ``live`` is in the run's folder."""
 
     draws_previews = False
     found: bool
@@ -39,13 +39,13 @@ class ServedBoard(Board):
         self.found: bool = False
 
     def show(self, **fields: object) -> None:
-        """See `Board.show`; no garbage is collected in the light."""
+        """See `Board.show`; no garbage collection while the light is on."""
         super().show(**fields)
         if "state" in fields:
             (gc.disable if fields["state"] is PrintState.PRINTING else gc.enable)()
         if self._live and (self._place / "run.json").is_file():
             live, self._live, self.found = self._live, "", True
-            with suppress(OSError):  # who is not found again prints all the same
+            with suppress(OSError):  # without the file, the print still runs
                 (self._place / LIVE).unlink(missing_ok=True)
                 (self._place / LIVE).touch(mode=0o600)
                 (self._place / LIVE).write_text(live, encoding="utf-8")
@@ -65,12 +65,12 @@ class Service:
         self._end: dict[str, Any] | None = None
         self._over = threading.Event()
         self._watching: set[threading.Thread] = set()
-        self.seen: threading.Event = threading.Event()  # once somebody watches
+        self.seen: threading.Event = threading.Event()  # set once a client watches
         self._answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
         threading.Thread(target=self._accept, name="service", daemon=True).start()
 
     def go_on(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Ask those who watch whether a held print goes on; nobody: it does not. meanwhile: called until then."""
+        """Ask the clients whether a held print continues; it does not without any. meanwhile: called until then."""
         while not self._answers.empty():
             self._answers.get()
         while self._watching:
@@ -81,7 +81,7 @@ class Service:
         return False
 
     def close(self, end: dict[str, Any]) -> None:
-        """Tell how it ended, and leave. end: the state, or the error."""
+        """Report the end, and close. end: the state, or the error."""
         self._end = end
         self._over.set()
         for thread in tuple(self._watching):
@@ -110,7 +110,7 @@ class Service:
                     return
                 send(line, self._answer(asked))
         except (EOFError, OSError, AuthenticationError, ValueError, KeyError, TypeError):
-            pass  # who does not talk as expected, or no more, is left
+            pass  # drop clients with invalid messages or closed lines
         finally:
             line.close()
 
@@ -132,7 +132,7 @@ class Service:
         return {}
 
     def _watched(self, line: Connection) -> None:
-        """Send what changed, until the print is over or nobody reads."""
+        """Send changes until the print is over or the client is gone."""
         self._watching.add(threading.current_thread())
         self.seen.set()
         try:
@@ -151,10 +151,10 @@ class Service:
 
 
 def changed(value: Any, before: Any) -> bool:
-    """Whether a value is sent again: another one, or a list, which may have grown."""
+    """Whether a value is sent again: if it changed, or is a list, which may have grown."""
     return value is not before or isinstance(value, list)
 
 
 def failed(error: BaseException) -> dict[str, Any]:
-    """An error as a message tells it."""
+    """An error as a message."""
     return {"error": type(error).__name__, "why": str(error)}

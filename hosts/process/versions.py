@@ -1,4 +1,4 @@
-"""The frames of a plan in versions: where they may be replaced, by what, and those that an earlier host committed."""
+"""Versions of a plan's frames: where they may be replaced, by which frames, and those of an earlier host."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ from vamgpu.printing.frames import Frames
 def boundary(planned: PrintPlan) -> int:
     """Slots after which frames may be replaced: of a turn of a vial, or of a segment of a web. Raises `BadInput`."""
     if planned.kind == "slices":
-        raise BadInput("frames are replaced where a turn of a vial or a segment of a web begins; this is a print of "
-                       "slices")  # fmt: skip
+        raise BadInput("frames are replaced at turns of a vial or segments of a web; this is a print of slices")
     first = planned.jobs[0]
     return planned.schedule.frames if planned.kind == "vial" else first.segment * _planes(first)
 
 
 def planned_versions(planned: PrintPlan, allowance: float = 0.0) -> FrameVersions:
-    """The versions of a plan's frames. Raises `BadInput` for slices, or webs with unlike segments."""
+    """The versions of a plan's frames. Raises `BadInput` for slices, or webs with different segments."""
     count, slots = boundary(planned), len(planned.schedule)
     if planned.kind == "vial":
         return FrameVersions(planned.sources(), count, slots // count, allowance=allowance)
@@ -39,14 +38,14 @@ def planned_versions(planned: PrintPlan, allowance: float = 0.0) -> FrameVersion
 def sources_of(
     frames: Sequence[Frames], mirrors: Sequence[MirrorArray], jobs: Sequence[PrintJob] = (), turn: int = 0
 ) -> tuple[FrameSource, ...]:
-    """Frames of each projector as its mirrors take them. jobs, turn: of a web, whose segment they begin with."""
+    """Frames of each projector for its mirrors. jobs, turn: of a web, and its first segment."""
     if jobs and jobs[0].kind == "web":
         return tuple(_stretch(*each, turn) for each in zip(frames, mirrors, jobs, strict=True))
     return tuple(VialFrames(each, array) for each, array in zip(frames, mirrors, strict=True))
 
 
 def _stretch(frames: Frames, mirrors: MirrorArray, job: PrintJob, turn: int) -> WebFrames:
-    """Frames of a web from a segment on; black elsewhere, where nobody asks for them."""
+    """Frames of a web from a segment on; black elsewhere, where they are not used."""
     levels, first = frames.levels(), turn * job.segment
 
     def read(low: int, high: int) -> np.ndarray:
@@ -68,7 +67,7 @@ def replaced(planned: PrintPlan, turn: int, poses: int) -> tuple[list[Frames], i
     if poses < 1 or turn < 1 or not (stop == total or (stop < total and stop % segment == 0)):
         raise BadInput(
             f"got frames of {poses} angles from segment {turn} on; expected whole segments of {segment} angles, up to "
-            f"angle {total} at most"
+            f"angle {total}"
         )
     frames = [each.stretch(turn * segment, stop) for each in planned.jobs if each.stretch is not None]
     return frames, None if stop == total else stop // segment
@@ -94,6 +93,6 @@ def restored(
         try:
             frames = [kept_frames(run.path, number, engine, device) for engine in range(len(planned.jobs))]
         except StorageError as error:
-            raise StorageError(f"version {number} of the frames cannot be read: {error}; begin anew") from error
+            raise StorageError(f"version {number} of the frames cannot be read: {error}; start again") from error
         versions.supply(number, sources_of(frames, planned.mirrors, planned.jobs, begins[number]))
     versions.last = max(versions.last, last_kept(run.path))

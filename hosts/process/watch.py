@@ -1,4 +1,4 @@
-"""Processes that watch a print, and order it to stop: those that started it, and those that find it later."""
+"""Processes that watch and stop a print: those that started it, and those that find it later."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 
 log: logging.Logger = logging.getLogger(__name__)
-ANSWER = 0.3  # after which a stop that is not answered becomes a signal [s]
-PATIENCE = 2.0  # after which a process that answers neither is ended, and the lease closes the light [s]
+ANSWER = 0.3  # time after which an unanswered stop becomes a signal [s]
+PATIENCE = 2.0  # time after which an unresponsive process is ended, and the lease closes the light [s]
 
 
 class LightProcessLost(DeviceError):
-    """The process that held the light is gone; a controller's lease closes the light, where one gates it."""
+    """The process that held the light has ended; a controller that gates the light closes it with its lease."""
 
 
 class Watch:
-    """A print in another process, mirrored on a board whose stop and buttons act there; a context."""
+    """A print in another process, mirrored on a board; its stop and buttons act there; a context."""
 
     board: Board
     facts: dict[str, str]
@@ -72,7 +72,7 @@ class Watch:
             self._held.close()
 
     def viewed(self, planned: PrintPlan) -> None:
-        """Draw the frames on show on the board, in this process."""
+        """Draw the shown frames on the board, in this process."""
         sources = planned.sources()
 
         def frame(number: int, engine: int = 0) -> np.ndarray:
@@ -81,7 +81,7 @@ class Watch:
         self._held.enter_context(Viewer(self.board, frame, len(sources)))
 
     def stop(self, why: str) -> None:
-        """Dark at once: by a line of its own, a signal, or the end of that process. Raises `LightProcessLost`."""
+        """Turn the light off at once: by a line, a signal, or the end of that process. Raises `LightProcessLost`."""
         if self._over.is_set():
             return
         answered, answers = threading.Event(), list[BaseException]()
@@ -108,19 +108,19 @@ class Watch:
             raise answers[0]
 
     def press(self, name: str) -> None:
-        """Press a button there. Raises what it raises, `DeviceError` where nobody answers."""
+        """Press a button there. Raises its error, or `DeviceError` without an answer."""
         self._ordered(do="press", name=name)
 
     def answer(self, go_on: bool) -> None:
-        """Whether a print that is held goes on."""
+        """Answer whether a held print continues."""
         self._ordered(do="answer", go_on=go_on)
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Whether it is over, after so long at most."""
+        """Whether it is over, after at most a time."""
         return self._over.wait(seconds)
 
     def result(self) -> dict[str, Any]:
-        """The end of the print. Raises the error that ended it there, `LightProcessLost` if its process is gone."""
+        """The end of the print. Raises the error that ended it there, `LightProcessLost` if its process has ended."""
         if "error" in self.end:
             raise _error(self.end)
         return self.end
@@ -157,24 +157,24 @@ class Watch:
                         self.board.button(name, partial(self.press, name))
                 self.end = told.get("end", {})
         except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
-            log.error("the process that held the light is gone: %r", error)
+            log.error("the process that held the light has ended: %r", error)
             self._lost()
         finally:
             self._over.set()
 
     def _lost(self) -> None:
-        """Show that the process is gone, and what a person may do."""
-        state, told = PrintState.HELD, f"go on with --resume {self.order.folder}"
+        """Show that the process has ended, and what to do."""
+        state, told = PrintState.HELD, f"continue with --resume {self.order.folder}"
         try:
             may_go_on(self.order.planned(), self.order.folder)
         except VamError as error:
             state, told = PrintState.ERROR, str(error)
-        told = f"the process that held the light is gone; {self._dark()}; {told}"
+        told = f"the process that held the light has ended; {self._dark()}; {told}"
         self.end = {"error": LightProcessLost.__name__, "why": told, "state": state.value}
         self.board.show(state=state, message=told, light=not self.order.leased and self.board.now.light)
 
     def _dark(self) -> str:
-        """A sentence on the light of a process that is gone."""
+        """A sentence on the light of a process that has ended."""
         return "the controller's lease closes the light" if self.order.leased else (
             "no lease closes the light: switch it off"
         )  # fmt: skip
@@ -183,11 +183,11 @@ class Watch:
         try:
             os.kill(self.pid, number)
         except OSError as error:
-            log.warning("process %d cannot be told: %s", self.pid, error)
+            log.warning("process %d cannot be signaled: %s", self.pid, error)
 
 
 def _error(told: dict[str, Any]) -> VamError:
-    """An error of the other process, of its own kind where that is one of ours."""
+    """An error of the other process, of its own class if it is known here."""
     kinds, found = [VamError], dict[str, type[VamError]]()
     for kind in kinds:
         kinds.extend(kind.__subclasses__())
@@ -197,7 +197,7 @@ def _error(told: dict[str, Any]) -> VamError:
 
 
 def started(order: PrintOrder, board: Board) -> Watch:
-    """Print an order in a process of its own, which outlives this one. Raises `DeviceError` where none starts."""
+    """Print an order in a separate process, which outlives this one. Raises `DeviceError` if it does not start."""
     said = tempfile.TemporaryFile()  # noqa: SIM115 - not this terminal, which may be stopped or closed
     child = spawned("vamgpu.hosts.process", order.plain(), said)
     if (live := answered(child)) is None:
@@ -210,7 +210,7 @@ def started(order: PrintOrder, board: Board) -> Watch:
 
 
 def attached(folder: str | Path, board: Board) -> Watch:
-    """Watch a print that another process started, by its run folder. Raises `StorageError` where none prints."""
+    """Watch a print that another process started, by its run folder. Raises `StorageError` if none prints."""
     try:
         live = parse_json(read_text(Path(folder) / LIVE, MOST_TOML))
     except (OSError, ValueError) as error:
@@ -222,7 +222,7 @@ def attached(folder: str | Path, board: Board) -> Watch:
 
 
 def watched(watch: Watch, told: Callable[[str, str], None], go_on: Callable[[str], bool] | None) -> dict[str, Any]:
-    """Wait for a print's end. told: hears facts.  go_on: asked of a held print, with the reason. Raises its error."""
+    """Wait for a print's end. told: called with facts.  go_on: called with the reason of a hold. Raises its error."""
     reported, asked = set[str](), ""
     while True:
         try:
@@ -243,7 +243,7 @@ def watched(watch: Watch, told: Callable[[str, str], None], go_on: Callable[[str
 
 
 def may_begin(folder: str | Path) -> None:
-    """Raise `BadInput` where a process prints in a folder at this moment."""
+    """Raise `BadInput` if a process is printing in a folder."""
     if not (Path(folder) / LIVE).exists():
         return
     try:

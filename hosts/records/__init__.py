@@ -1,1 +1,1 @@
-"""What is known of a print: its state, the folder of its run, and what that proves."""
+"""Records of a print: its state, the folder of its run, and their proof."""

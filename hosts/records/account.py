@@ -1,4 +1,4 @@
-"""The light that each frame got in a run, known and unknown, beside the light that was planned."""
+"""The light of each frame in a run, known and unknown, compared with the planned light."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vamgpu.printing.given_dose import GivenDose
 if TYPE_CHECKING:
     from vamgpu.hosts.records.record import RunRecord
 
-WITHIN = 0.01  # The share of its light that a view of a complete print may lack
+WITHIN = 0.01  # share of its light that a view of a complete print may lack
 
 
 def wanted_light(schedule: Schedule) -> np.ndarray:
-    """Light that a schedule gives each of its frames [ns], int64 (frames,)."""
+    """Light of each frame of a schedule [ns], int64 (frames,)."""
     lit = schedule.frame != NONE
     frames = max(schedule.frames, int(schedule.frame.max(initial=-1)) + 1)
     wanted = np.zeros(frames, np.int64)
@@ -31,14 +31,14 @@ class LightAccount:
     """Light of the frames of a run, in ns, arrays (engines, frames)."""
 
     wanted: np.ndarray  # planned
-    sure: np.ndarray  # given for certain
-    unsure: np.ndarray  # given or not: the light went off at an unknown time
-    versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same of each version of the frames
-    dose: GivenDose | None = None  # of all planned light, over the proved one; None if unknown
+    sure: np.ndarray  # certain light
+    unsure: np.ndarray  # uncertain light: it went off at an unknown time
+    versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same for each version of the frames
+    dose: GivenDose | None = None  # dose of all planned light, relative to the proved one; None if unknown
 
     @property
     def views(self) -> int:
-        """Number of frames that have light in the plan."""
+        """Number of frames with light in the plan."""
         return int(np.count_nonzero(self.wanted))
 
     @property
@@ -49,16 +49,16 @@ class LightAccount:
 
     @property
     def complete(self) -> bool:
-        """Whether every view has its light, and that is the whole exposure where it is known."""
+        """Whether every view has its light, and the exposure, if known, is complete."""
         return not self.short.any() and (self.dose is None or self.dose.whole)
 
     def share(self, unsure: float) -> np.ndarray:
-        """Light over what was wanted, (engines, frames); 1 where none was. unsure: counted share of unknown light."""
+        """Light relative to the plan, (engines, frames); 1 without planned light. unsure: share of unknown light."""
         got = self.sure + unsure * self.unsure
         return np.where(self.wanted > 0, got / np.maximum(self.wanted, 1), 1.0)
 
     def facts(self) -> dict[str, Any]:
-        """The account as a run's folder keeps it."""
+        """The account as stored in a run's folder."""
         short = self.short
         least, most = (self.share(unsure)[short] for unsure in (0.0, 1.0))
         return {
@@ -78,7 +78,7 @@ class LightAccount:
 
 
 def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True) -> LightAccount | None:
-    """The light of a run's frames; None for folders without it. versions: count replaced frames by version."""
+    """The light of a run's frames; None for folders without it. versions: also count frames by version."""
     kept: Mapping[str, Any] | None = run.asked.get("views")
     if wanted is None and kept is None:
         return None
@@ -112,7 +112,7 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
 
 
 def version_shares(events: Sequence[Mapping[str, Any]], frames: int) -> dict[int, np.ndarray] | None:
-    """Share of each frame's planned light that a version has, (frames,); None where none was replaced."""
+    """Share of each frame's planned light with a version, (frames,); None if none was replaced."""
     swaps = [event for event in events if event["event"] == "swap"]
     if not swaps:
         return None
@@ -129,7 +129,7 @@ def version_shares(events: Sequence[Mapping[str, Any]], frames: int) -> dict[int
 
 
 def views_asked(schedule: Schedule) -> dict[str, Any]:
-    """The planned light, as a run's folder keeps it."""
+    """The planned light, as stored in a run's folder."""
     wanted = wanted_light(schedule)
     alike = bool((wanted == wanted[:1]).all())
     return {"engines": schedule.engines, "frames": len(wanted),

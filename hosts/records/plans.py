@@ -1,5 +1,5 @@
-"""The versions of a print's frames in its run folder: ``plans/0001/projector-1`` and so on, each whole before it may
-be shown. A print that is resumed, and the proof of a run, read them from there.
+"""The versions of a print's frames in its run folder: ``plans/0001/projector-1`` and so on, each complete before it may
+be shown. A resumed print and the proof of a run read them there.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ PLANS = "plans"
 
 
 def kept_at(run: Path, number: int) -> Path:
-    """Where a run keeps a version."""
+    """Folder of a version in a run."""
     return run / PLANS / f"{number:04d}"
 
 
 def keep(run: Path, number: int, frames: Sequence[Frames], facts: Mapping[str, Any]) -> None:
-    """Keep a version in a run's folder, whole or not at all. Raises `StorageError`."""
+    """Store a version in a run's folder atomically. Raises `StorageError`."""
     with replacing(kept_at(run, number)) as draft:
         draft.mkdir()
         for engine, each in enumerate(frames, 1):

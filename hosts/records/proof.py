@@ -1,4 +1,4 @@
-"""Proof of a run: the light of its record, through the simulation of the job that it printed."""
+"""Proof of a run: the recorded light in the simulation of its job."""
 
 from __future__ import annotations
 
@@ -26,62 +26,62 @@ from vamgpu.printing.proof import Proof
 class ShownFrames:
     """Frames as a run showed them."""
 
-    frames: Frames  # of the job
-    share: np.ndarray  # of its light that each frame got, (frames,)
+    frames: Frames  # frames of the job
+    share: np.ndarray  # share of each frame's light, (frames,)
     versions: tuple[tuple[Callable[[], Frames], np.ndarray], ...] = ()  # readers of replaced frames, and their shares
 
     @property
     def scale(self) -> float:
-        """Light of a full-on pixel."""
+        """Irradiance of a full-on pixel."""
         return self.frames.scale
 
     @property
     def motion(self) -> Any:
-        """The angles that the frames are for."""
+        """The angles of the frames."""
         return self.frames.motion
 
     def irradiance(self, device: Device) -> DeviceArray:
-        """Light [angle, r, z] that the run gave, per turn of the plan."""
+        """Light [angle, r, z] of the run, per turn of the plan."""
         light = self.frames.irradiance(device).numpy() * self.share[:, None, None]
-        for frames, share in self.versions:  # one by one: there may be many
+        for frames, share in self.versions:  # one by one, because there may be many
             light += frames().irradiance(device).numpy() * share[:, None, None]
         return device.upload(light.astype(np.float32))
 
 
 def _jobs(run: RunRecord, given: Sequence[str | Path]) -> list[Path]:
-    """Job folders of the projectors. Raises `BadInput` for jobs that were not printed, `StorageError`."""
+    """Job folders of the projectors. Raises `BadInput` for jobs of other prints, `StorageError`."""
     printed, moved = run.asked["digests"], {digest(Path(each)): Path(each) for each in given}
     if others := [str(place) for known, place in moved.items() if known not in printed]:
-        raise BadInput(f"the job {others[0]!r} is another one than was printed; give the one that was (--job)")
+        raise BadInput(f"the job {others[0]!r} was not printed here; give the printed one (--job)")
     found = []
     for path, known in zip(run.asked["jobs"], printed, strict=True):
         places = [moved[known]] if known in moved else [Path(path), run.path.parent / Path(path).name]
         place = next((each for each in places if each.exists()), None)
         if place is None:
-            raise StorageError(f"the job {path!r} of this run is not there any more; say where it is (--job)")
+            raise StorageError(f"the job {path!r} of this run is missing; give its new folder (--job)")
         if digest(place) != known:
-            raise BadInput(f"the job {str(place)!r} was changed since it was printed; give the one that was (--job)")
+            raise BadInput(f"the job {str(place)!r} has changed since the print; give the printed one (--job)")
         found.append(place)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class RunProof:
-    """The print of one projector of a run; least and most are one and the same where all of its light is known."""
+    """The print of one projector of a run; least and most are the same if all its light is known."""
 
     run: RunRecord
-    light: LightAccount  # of all views
+    light: LightAccount  # light of all views
     planned: Proven  # the proof of the job itself
-    least: Proof  # what was shown, with none of the light that nobody knows of
-    most: Proof  # with all of it
+    least: Proof  # proof of the shown frames, without uncertain light
+    most: Proof  # with all uncertain light
 
 
 def prove_run(
     path: str | Path, device: str | None = None, job: str | Path | Sequence[str | Path] = ()
 ) -> tuple[RunProof, ...]:
-    """Prove what a run of a vial printed, by the light in its record. Raises `BadInput`, `StorageError`."""
-    # One proof for each projector.  job: folders of jobs that were moved since, in any order; without, they are looked
-    # for where they were, and beside the run.
+    """Prove the print of a vial's run from its recorded light. Raises `BadInput`, `StorageError`."""
+    # One proof for each projector.  job: folders of moved jobs, in any order; by default at their old place
+    # or beside the run.
     run = read_run(path)
     try:
         light = account(run)
@@ -91,7 +91,7 @@ def prove_run(
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise StorageError(f"the record of {str(path)!r} is malformed: {error!r}; its folder was changed") from error
     if light is None or run.asked.get("kind") != "vial":
-        raise BadInput(f"{str(path)!r} does not hold the light of a vial's views; only runs of vials can be proved")
+        raise BadInput(f"{str(path)!r} does not contain the light of a vial's views; only runs of vials can be proved")
     if not light.sure.any():
         raise BadInput(f"{str(path)!r} has shown nothing; there is no light to prove")
     found = []
@@ -105,7 +105,7 @@ def prove_run(
 
 
 def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure: float) -> ShownFrames:
-    """The frames that a projector showed: the job's, and those of the versions that replaced them."""
+    """The frames shown by a projector: the job's, and those of versions that replaced them."""
     if not light.versions:
         return ShownFrames(job, light.share(unsure)[engine])
     planned = account(run, versions=False)
@@ -116,6 +116,6 @@ def _shown(run: RunRecord, light: LightAccount, job: Frames, engine: int, unsure
 
 
 def _of(version: LightAccount, planned: LightAccount, engine: int, unsure: float) -> np.ndarray:
-    """Light of a version's frames, over that of all turns of the plan."""
+    """Light of a version's frames, relative to all turns of the plan."""
     got = version.sure[engine] + unsure * version.unsure[engine]
     return got / np.maximum(planned.wanted[engine], 1)

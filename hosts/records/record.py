@@ -1,7 +1,6 @@
-"""The folder of a run: what was asked, what happened, and every frame that was shown, kept as it happens.
+"""The folder of a run: its request, its events, and every shown frame, written as they happen.
 
-Each frame is one write of one record with a check sum, handed to the system before the next is shown: a host that is
-killed loses none of them.
+Each frame is one record with a check sum, written before the next frame is shown, so that a killed host loses none.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ from vamgpu.hosts.records.state import PrintState, StateChange
 from vamgpu.storage.atomic import explained
 from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
 
-FULL = (errno.ENOSPC, errno.EDQUOT)  # what a system says of a disk, or the share of it that one has, that is full
-RESERVE = ".reserve"  # room that is kept for the last state, should the disk be full by then
+FULL = (errno.ENOSPC, errno.EDQUOT)  # errors of a full disk, or of a full quota
+RESERVE = ".reserve"  # bytes reserved for the last state on a full disk
 MAGIC = b"VAMSHOWN\x02\x00\x00\x00"
 _TIMES = ("slot", "frame", "position", "start", "on_time", "late")
 FRAME_RECORD = np.dtype(
     [*((name, "<i8") for name in _TIMES), ("engine", "<u2"), ("dark", "<u2"), ("version", "<u4"), ("check", "<u4")]
 )
-"""A record: slot and frame numbers, position as a pose that runs on over turns, start, on_time, lateness [ns] (below 0:
-in time by so much), which projector, 1 where black was shown instead, and the version of the frame."""
+"""A record: slot and frame numbers, position as a pose counted over turns, start, on_time, lateness [ns] (negative:
+early), projector, 1 if black was shown instead, and the version of the frame."""
 
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A frame that was shown, or the black that stood for it."""
+    """A shown frame, or the black in its place."""
 
     slot: int
     frame: int
@@ -53,14 +52,14 @@ class FrameRecord:
     version: int = 0
 
     def packed(self) -> bytes:
-        """As a record, with its check sum."""
+        """The record, with its check sum."""
         numbers = (self.slot, self.frame, self.position, self.start, self.on_time, self.late)
         body = struct.pack("<6q2HI", *numbers, self.engine, int(self.dark), self.version)
         return body + struct.pack("<I", zlib.crc32(body))
 
 
 class RunFolder:
-    """Writes the folder of a run. Any thread may write; a full disk raises `StorageError`, and the print must stop."""
+    """Writes the folder of a run, from any thread; a full disk raises `StorageError`, and the print must stop."""
 
     def __init__(self, path: Path, resume: bool = False) -> None:
         self.path = path
@@ -79,13 +78,13 @@ class RunFolder:
 
     @classmethod
     def begin(cls, path: str | Path, asked: Mapping[str, Any], rig: str) -> Self:
-        """A new folder. asked: as JSON takes it.  rig: its file's text. Raises `BadInput`, `StorageError`."""
+        """A new folder. asked: request in values of JSON.  rig: text of its file. Raises `BadInput`, `StorageError`."""
         try:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise BadInput(
-                f"the folder of a run cannot keep what was asked for: {error}; expected a path, values as JSON takes "
-                "them, and the text of the rig's file"
+                f"the folder of a run cannot store the request: {error}; expected a path, values for "
+                "JSON, and the text of the rig's file"
             ) from error
         try:
             place.mkdir(parents=True)
@@ -102,21 +101,21 @@ class RunFolder:
 
     @classmethod
     def again(cls, path: str | Path) -> Self:
-        """The folder of a run that is resumed; a last record that was torn is cut off."""
+        """The folder of a resumed run; an incomplete last record is cut off."""
         read_run(path)
         return cls(Path(path), resume=True)
 
     def event(self, kind: str, at: int, **facts: Any) -> None:
-        """Keep what happened. at: the rig's clock [ns]."""
+        """Write an event. at: the rig's clock [ns]."""
         line = {"at": int(at), "wall": round(time.time(), 3), "event": kind} | facts
         self._put(self._events, (json.dumps(line, default=str) + "\n").encode(), "events.jsonl")
 
     def shown(self, shown: FrameRecord) -> None:
-        """Keep a frame that was shown."""
+        """Write a shown frame."""
         self._put(self._shown, shown.packed(), "shown.bin")
 
     def state(self, change: StateChange) -> None:
-        """Keep the state, whole or not at all."""
+        """Write the state atomically."""
         text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
         draft = self.path / ".state.json"
         for room in (True, False):
@@ -127,10 +126,10 @@ class RunFolder:
             except OSError as error:
                 if error.errno not in FULL or not room:
                     raise explained("write", self.path / "state.json", error) from error
-                (self.path / RESERVE).unlink(missing_ok=True)  # a full disk shall still learn how the print ended
+                (self.path / RESERVE).unlink(missing_ok=True)  # free space, so that the final state fits on a full disk
 
     def close(self) -> None:
-        """Write the timing and let go of the files; more than once does no harm."""
+        """Write the timing and close the files; may be called more than once."""
         with self._lock:
             if self._events < 0:
                 return
@@ -153,7 +152,7 @@ class RunFolder:
             self.close()
         except StorageError:
             if error is None:
-                raise  # else the first error is the one to tell
+                raise  # else the first error is raised
 
     def _put(self, file: int, data: bytes, name: str) -> None:
         with self._lock:
@@ -166,7 +165,7 @@ class RunFolder:
                 raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
 
     def _cut(self) -> None:
-        """Cut off what a kill tore."""
+        """Cut off an incomplete record."""
         whole = len(MAGIC) + len(read_run(self.path).shown) * FRAME_RECORD.itemsize
         os.truncate(self.path / "shown.bin", whole)
         lines = read_bytes(self.path / "events.jsonl", MOST_RECORD)
@@ -175,19 +174,19 @@ class RunFolder:
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """A run as its folder tells it."""
+    """A run, read from its folder."""
 
     path: Path
     asked: dict[str, Any]
     state: PrintState
     message: str
-    shown: np.ndarray  # `FRAME_RECORD`, one a frame, in order
+    shown: np.ndarray  # `FRAME_RECORD`, one per frame, in order
     events: tuple[dict[str, Any], ...]
-    torn: int  # bytes of a last record that a kill or a full disk cut short
+    torn: int  # bytes of an incomplete last record
 
 
 def read_run(path: str | Path) -> RunRecord:
-    """Read the folder of a run, also of one that was killed. Raises `StorageError` for what is none."""
+    """Read the folder of a run, also of a killed one. Raises `StorageError` for other folders."""
     place = Path(path)
     try:
         asked = dict(parse_json(read_text(place / "run.json")))
@@ -200,14 +199,14 @@ def read_run(path: str | Path) -> RunRecord:
         if not place.is_dir():
             raise explained("read", place, error) from error
         lacks = Path(str(error.filename)).name
-        raise StorageError(f"{str(path)!r} is no folder of a run: it has no {lacks}; check the path") from error
+        raise StorageError(f"{str(path)!r} is not the folder of a run: it has no {lacks}; check the path") from error
     except OSError as error:
         raise explained("read", place, error) from error
     except (ValueError, KeyError, TypeError) as error:
-        raise StorageError(f"{str(path)!r} is no folder of a run: {error}; check the path") from error
+        raise StorageError(f"{str(path)!r} is not the folder of a run: {error}; check the path") from error
     if not data.startswith(MAGIC):
         raise StorageError(
-            f"{str(place / 'shown.bin')!r} is no record of frames, or one of version 0.2 or earlier; check the path, "
+            f"{str(place / 'shown.bin')!r} is not a record of frames, or from version 0.2 or earlier; check the path, "
             "or read it with the version that wrote it"
         )
     body, size = memoryview(data)[len(MAGIC) :], FRAME_RECORD.itemsize
@@ -218,7 +217,7 @@ def read_run(path: str | Path) -> RunRecord:
 
 
 def _told(lines: Iterable[bytes]) -> tuple[dict[str, Any], ...]:
-    """The events of lines; of polls in a row, which come many times a second, the last."""
+    """The events of lines; of successive polls only the last."""
     found: list[dict[str, Any]] = []
     for line in lines:
         if not line.endswith(b"\n") or (event := _event(line)) is None:
@@ -230,7 +229,7 @@ def _told(lines: Iterable[bytes]) -> tuple[dict[str, Any], ...]:
 
 
 def _event(line: bytes) -> dict[str, Any] | None:
-    """An event; None for a line that a full disk tore."""
+    """An event; None for an incomplete line."""
     try:
         event = parse_json(line)
     except ValueError:
@@ -244,13 +243,13 @@ def _whole(body: memoryview, number: int, size: int) -> bool:
 
 
 def _views(run: RunRecord) -> dict[str, Any]:
-    """The end of a run, and the light of its frames where the folder keeps the planned light."""
+    """The end of a run, and the light of its frames if the folder has the planned light."""
     found = account(run)
     return {"state": run.state.value} | ({} if found is None else {"light": found.facts()})
 
 
 def digest(job: Path) -> str:
-    """The check sum of what a job's folder says of its frames; of the names and sizes of slices."""
+    """The check sum of a job folder's record of its frames, or of the names and sizes of slices."""
     manifest = job / "manifest.json"
     if manifest.is_file():
         return sha256(read_bytes(manifest)).hexdigest()
@@ -259,7 +258,7 @@ def digest(job: Path) -> str:
 
 
 def timing(shown: np.ndarray) -> dict[str, Any]:
-    """Lateness of the frames: p50, p99 and greatest [ns], and a histogram in doubling bins from 1 µs."""
+    """Lateness of the frames: p50, p99 and greatest [ns], and a histogram with doubling bins from 1 µs."""
     late = shown["late"].astype(np.float64)
     edges = [0, *(1000 * 2**power for power in range(16))]
     p50, p99, most = np.percentile(late, [50, 99, 100]) if len(late) else (0.0, 0.0, 0.0)

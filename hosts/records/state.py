@@ -1,4 +1,4 @@
-"""The state of a print and how it may change, and the board that shows it and takes an operator's orders."""
+"""The state of a print and its changes, and the board that shows it and takes an operator's orders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vamgpu.printing.scatter import ScatterReading
 
 
 class WrongState(VamError, RuntimeError):
-    """A print was asked for something that its state does not allow."""
+    """The state of the print does not allow a request."""
 
 
 class PrintState(StrEnum):
@@ -23,20 +23,20 @@ class PrintState(StrEnum):
     STANDBY = "standby"
     PRINTING = "printing"
     PAUSED = "paused"
-    HELD = "held"  # dark by what may pass; it can go on
+    HELD = "held"  # dark for a temporary reason; it can continue
     COMPLETE = "complete"  # every frame has its light
-    INCOMPLETE = "incomplete"  # at its end, with underexposed frames
+    INCOMPLETE = "incomplete"  # ended with underexposed frames
     CANCELLED = "cancelled"
-    ERROR = "error"  # it cannot go on
+    ERROR = "error"  # it cannot continue
 
     @property
     def ended(self) -> bool:
-        """Whether nothing follows but another print."""
+        """Whether the print has ended."""
         return self in (PrintState.COMPLETE, PrintState.INCOMPLETE, PrintState.CANCELLED, PrintState.ERROR)
 
     @property
     def waits(self) -> bool:
-        """Whether it is dark and can go on."""
+        """Whether it is dark and can continue."""
         return self in (PrintState.PAUSED, PrintState.HELD)
 
 
@@ -52,7 +52,7 @@ NEXT: dict[PrintState, frozenset[PrintState]] = {
     PrintState.CANCELLED: frozenset(),
     PrintState.ERROR: frozenset(),
 }
-"""States that may follow each state. An error may follow all that have not ended; nothing follows an end."""
+"""States that may follow each state. An error may follow any state before the end; nothing follows an end."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class StateChange:
 
 
 class PrintStates:
-    """The state of one print. Any thread may ask for a change; listeners hear of each, in order, in that thread."""
+    """The state of one print. Any thread may change it; listeners are called in order, in that thread."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -75,27 +75,27 @@ class PrintStates:
 
     @property
     def state(self) -> PrintState:
-        """Where the print is now."""
+        """The present state."""
         return self._state
 
     @property
     def message(self) -> str:
-        """Why it is there."""
+        """The reason for the state."""
         return self._message
 
     def listen(self, listener: Callable[[StateChange], None]) -> None:
-        """Hear of every change from now on."""
+        """Call a listener for every change from now on."""
         with self._lock:
             self._listeners.append(listener)
 
     def to(self, state: PrintState, message: str = "") -> bool:
-        """Go to ``state``; False where the print is there already. Raises `WrongState` where no way leads there."""
+        """Change to ``state``; False if it is the present one. Raises `WrongState` if the change is not allowed."""
         with self._lock:
             before = self._state
             if state is before and (message == self._message or state is not PrintState.HELD):
                 return False
             if state not in NEXT[before]:
-                ways = ", ".join(sorted(each.value for each in NEXT[before])) or "nothing; begin another print"
+                ways = ", ".join(sorted(each.value for each in NEXT[before])) or "nothing; start another print"
                 raise WrongState(f"the print is {before.value} and cannot become {state.value}; from here: {ways}")
             self._state, self._message = state, message
             for listener in tuple(self._listeners):
@@ -103,7 +103,7 @@ class PrintStates:
             return True
 
     def end(self, state: PrintState, message: str = "") -> bool:
-        """Go to an end unless one was reached before: the first end, and its reason, stay."""
+        """Change to an end state; an earlier end, and its reason, stay."""
         with self._lock:
             return not self._state.ended and self.to(state, message)
 
@@ -112,10 +112,10 @@ class PrintStates:
 class Estimated:
     """An estimated parameter of a print."""
 
-    name: str  # with its unit
+    name: str  # name with unit
     value: float
     error: float  # standard deviation
-    usual: tuple[float, float] | None = None  # range expected before anything was seen
+    usual: tuple[float, float] | None = None  # range expected before the print
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,45 +126,45 @@ class Snapshot:
     message: str = ""
     job: str = ""
     slot: int = 0
-    slots: int = 0  # 0 where there is no end
-    frame: int = -1  # on show
+    slots: int = 0  # 0 without an end
+    frame: int = -1  # frame shown now
     position: float = 0.0
     unit: str = "deg"
-    focus: float | None = None  # of the lens [1/m]; None without one
-    fill: float = 0.0  # of the buffers, 0..1
+    focus: float | None = None  # power of the lens [1/m]; None without one
+    fill: float = 0.0  # fill level of the buffers, 0..1
     margin: int = 0  # time left when the last frame was ready [ns]
     light: bool = False
     power: float = 0.0
-    dark: int = 0  # frames that black stood for
-    spent: float = 0.0  # share of the budget of light
+    dark: int = 0  # frames replaced by black
+    spent: float = 0.0  # used share of the budget of light
     preview: np.ndarray | None = None  # uint8 [row, column]
     others: tuple[np.ndarray, ...] = ()  # previews of further projectors
     left: float | None = None  # time to the end, without pauses [s]
-    resuming: bool = False  # whether it gets ready to go on
-    deadline: float | None = None  # until when it can go on, by `time.monotonic` [s]
-    lease: float | None = None  # how long the controller keeps the light by itself [s]
+    resuming: bool = False  # whether it prepares to continue
+    deadline: float | None = None  # time until which it can continue, by `time.monotonic` [s]
+    lease: float | None = None  # time for which the controller keeps the light on without the host [s]
     renewed: float | None = None  # age of the last renewal when polled [s]
     polled: float | None = None  # by `time.monotonic` [s]
-    interlock_closed: bool | None = None  # asked in the dark; None: unknown
-    lens_temperature: float | None = None  # [degC], asked in the dark; None: unknown
-    camera: np.ndarray | None = None  # its last image
+    interlock_closed: bool | None = None  # read in the dark; None: unknown
+    lens_temperature: float | None = None  # [degC], read in the dark; None: unknown
+    camera: np.ndarray | None = None  # last image of the camera
     scatter: Sequence[ScatterReading] = ()  # oldest first; may grow
-    threshold: float | None = None  # of scatter that stops the print
-    plan: int = 0  # version of the frames to come
+    threshold: float | None = None  # scatter density that stops the print
+    plan: int = 0  # version of the coming frames
     stop: int | None = None  # turn before which the light ends
-    parameters: Sequence[Estimated] = ()  # of live estimation
+    parameters: Sequence[Estimated] = ()  # parameters of live estimation
     maps: Mapping[str, np.ndarray] = field(default_factory=dict)  # uint8 [row, column, color] by name
     live: str = ""  # state of the planning process
 
 
 class Board:
-    """The newest snapshot, and the buttons. Writing costs the printing thread one reference; readers never block it."""
+    """The newest snapshot, and the buttons. The printing thread replaces one reference; readers never block it."""
 
     draws_previews = True
-    """Whether the process that prints draws frames for it."""
+    """Whether the printing process draws its frames."""
 
     def __init__(self, **fields: object) -> None:
-        self._lock = threading.RLock()  # a signal may put the light out, and tell it, in the midst of telling
+        self._lock = threading.RLock()  # a signal may turn the light off, and show it, during another change
         self._now = Snapshot(**fields)  # type: ignore[arg-type]
         self._stops: list[Callable[[str], None]] = []
         self._stopped: str | None = None
@@ -181,13 +181,13 @@ class Board:
             self._now = Snapshot(**(vars(self._now) | fields))  # type: ignore[arg-type]
 
     def on_stop(self, stop: Callable[[str], None]) -> None:
-        """Add a function that an emergency stop calls, in this order: the light first. An earlier stop is not lost."""
+        """Add a function for an emergency stop, called in this order: the light first. An earlier stop is not lost."""
         self._stops.append(stop)
         if self._stopped is not None:
             stop(self._stopped)
 
     def stop(self, why: str) -> None:
-        """Emergency stop in the caller's thread, which waits for no print to poll; all are called, come what may."""
+        """Emergency stop in the caller's thread, without waiting for a poll; all are called, even after errors."""
         self._stopped = why
         failed: list[Exception] = []
         for stop in tuple(self._stops):
@@ -199,10 +199,10 @@ class Board:
             raise failed[0]
 
     def button(self, name: str, press: Callable[[], None]) -> None:
-        """Offer a button: start, pause, resume or cancel."""
+        """Add a button: start, pause, resume or cancel."""
         self._buttons[name] = press
 
     @property
     def buttons(self) -> dict[str, Callable[[], None]]:
-        """The buttons on offer."""
+        """The available buttons."""
         return dict(self._buttons)

@@ -1,4 +1,4 @@
-"""The calibrations of a rig: each measurement a folder beside the rig's file, the newest of each kind in force."""
+"""The calibrations of a rig: folders beside the rig's file, of which the newest of each kind is applied."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from vamgpu.storage.numpy_files import read_npz
 from vamgpu.storage.reading import parse_toml, read_text
 
 KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout")
-SUFFIX = ".calibration"  # of the folder beside the rig's file
+SUFFIX = ".calibration"  # name of the folder beside the rig's file
 STAMP = "%Y-%m-%dT%H%M%S"
 NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4}}-\d\d-\d\dT\d{{6}})(?:-\d+)?")
 DAY = 86400.0
-MEASURED = "measured"  # table of a result that holds its numbers
+MEASURED = "measured"  # table of a result with its numbers
 NONE = "none"  # in [calibration]: do not apply this kind
 
 
 def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
-    """The tables of a result. Raises `StorageError` for none, `BadInput` for a calibration of another kind."""
+    """The tables of a result. Raises `StorageError` if it cannot be read, `BadInput` for another kind."""
     file = Path(folder) / "result.toml" if Path(folder).is_dir() else Path(folder)
     try:
         data = parse_toml(read_text(file))
     except (OSError, UnicodeDecodeError) as error:
         raise StorageError(f"cannot read the calibration {str(folder)!r}: {error}; check the path") from error
     except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{str(file)!r} is no valid TOML: {error}") from error
+        raise BadInput(f"{str(file)!r} is not valid TOML: {error}") from error
     if "calibration" not in data or (kind is not None and data["calibration"] != kind):
         raise BadInput(
             f"{str(file)!r} holds {data.get('calibration', 'no calibration')}; expected one of {kind or 'any'}"
@@ -50,7 +50,7 @@ def read(folder: str | Path, kind: str | None = None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Calibration:
-    """One measurement of a rig. kind: one of `KINDS`.  taken: when, local time.  path: of its folder."""
+    """One measurement of a rig. kind: one of `KINDS`.  taken: local time.  path: its folder."""
 
     kind: str
     taken: datetime
@@ -58,35 +58,35 @@ class Calibration:
 
     @property
     def name(self) -> str:
-        """Name of its folder, by which a rig's file may choose it."""
+        """Name of its folder, which a rig's file may choose."""
         return self.path.name
 
     def days(self, now: datetime | None = None) -> float:
-        """Since it was taken [days]."""
+        """Age [days]."""
         return ((now or datetime.now()) - self.taken).total_seconds() / DAY
 
     def tables(self) -> dict[str, Any]:
-        """All that it found. Raises `StorageError`, `BadInput` where its file is damaged."""
+        """Its results. Raises `StorageError`, `BadInput` if its file is damaged."""
         return read(self.path, self.kind)
 
 
 def folder_of(rig: RigConfig) -> Path | None:
-    """Where a rig's calibrations are; None for a rig that has no file."""
+    """Folder of a rig's calibrations; None for a rig without a file."""
     return Path(rig.source).with_suffix(SUFFIX) if Path(rig.source).suffix == ".toml" else None
 
 
 def place_of(rig: RigConfig) -> Path:
-    """Where a rig's calibrations are. Raises `BadInput` for a rig that has no file."""
+    """Folder of a rig's calibrations. Raises `BadInput` for a rig without a file."""
     if (place := folder_of(rig)) is None:
         raise BadInput(
-            f"the rig {rig.source!r} is no file ending in .toml, beside which its calibrations would be; give such a "
-            "file, or --out for a result of its own"
+            f"the rig {rig.source!r} is not a file ending in .toml, so it has no folder of calibrations; give such a "
+            "file, or --out for a separate result"
         )
     return place
 
 
 def taken_of(rig: RigConfig) -> tuple[Calibration, ...]:
-    """All calibrations of a rig, the newest first; what has another name in their folder is none."""
+    """All calibrations of a rig, the newest first; other names in their folder are ignored."""
     place = folder_of(rig)
     if place is None or not place.is_dir():
         return ()
@@ -99,7 +99,7 @@ def taken_of(rig: RigConfig) -> tuple[Calibration, ...]:
 
 
 def in_force(rig: RigConfig) -> dict[str, Calibration]:
-    """Kind → the calibration that is applied: the newest, or the one that ``[calibration]`` names."""
+    """Kind → the applied calibration: the newest, or the one that ``[calibration]`` names."""
     chosen: dict[str, Calibration] = {}
     taken, section = taken_of(rig), rig.setup.calibration
     for kind in KINDS:
@@ -119,19 +119,19 @@ def in_force(rig: RigConfig) -> dict[str, Calibration]:
 
 @dataclass(frozen=True)
 class MeasuredRunout:
-    """A vial's runout, with the projector and the number of its columns that it was measured with."""
+    """A vial's runout, with the projector and its number of columns in the measurement."""
 
     found: Runout
     projector: int
     columns: int
 
     def shift(self, frames: Frames) -> float:
-        """Columns along r by which frames move, so that their axis is where the turntable's is."""
+        """Columns along r by which frames move to put their axis on that of the turntable."""
         off = self.found.axis - 0.5 * (self.columns - 1)
         return -off if frames.settings.flip_r else off
 
     def moves(self, frames: Frames, turning: bool) -> np.ndarray:
-        """Columns [frame, row] by which rows move besides."""
+        """Columns [frame, row] by which rows also move."""
         count, rows, _ = frames.shape
         angles = Turntable(count).poses if frames.motion is None else frames.motion.poses
         return self.found.columns(np.tile(angles, count // angles.size), rows, turning=turning)
@@ -139,22 +139,22 @@ class MeasuredRunout:
 
 @dataclass(frozen=True, eq=False)
 class MachineCalibration:
-    """A rig's calibrations as prints apply them."""
+    """A rig's calibrations, as applied to prints."""
 
-    gray: tuple[GrayCurve | None, ...] = ()  # of each projector; None where it was not measured
+    gray: tuple[GrayCurve | None, ...] = ()  # for each projector; None if it was not measured
     flat: tuple[np.ndarray | None, ...] = ()
-    shift: float | None = None  # of the axis [columns]
-    lens: tuple[float, float] | None = None  # power on the axis [dpt], focus over power [mm/dpt]
+    shift: float | None = None  # position of the axis [columns]
+    lens: tuple[float, float] | None = None  # power that focuses on the axis [dpt], focus shift per power [mm/dpt]
     runout: MeasuredRunout | None = None
-    turning: bool = False  # prints know the turntable's angle
-    used: Mapping[str, str] = field(default_factory=dict)  # kind → name of what is applied
-    notes: tuple[str, ...] = ()  # warnings for people
+    turning: bool = False  # whether prints have the turntable's angle
+    used: Mapping[str, str] = field(default_factory=dict)  # kind → name of the applied calibration
+    notes: tuple[str, ...] = ()  # warnings for the user
 
     def __bool__(self) -> bool:
         return bool(self.used)
 
     def frames(self, frames: Frames, projector: int = 0, *, vial: bool = True) -> Frames:
-        """The light of a job's frames as a projector of this machine shows it. Raises `BadInput`, `ShapeMismatch`."""
+        """A job's frames corrected for a projector of this machine. Raises `BadInput`, `ShapeMismatch`."""
         seen = self.runout if vial and self.runout is not None and self.runout.projector == projector else None
         gray = self.gray[projector] if projector < len(self.gray) else None
         flat = self.flat[projector] if projector < len(self.flat) else None
@@ -173,7 +173,7 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
     tables = {kind: each.tables() for kind, each in chosen.items()}
     count, limit = len(rig.setup.display), rig.setup.calibration.warn_after / DAY
     notes = [
-        f"the calibration {each.name} is {each.days(now):.0f} days old; expected {limit:.0f} at most: measure again, "
+        f"the calibration {each.name} is {each.days(now):.0f} days old; expected at most {limit:.0f}: measure again, "
         "or raise warn_after in [calibration]"
         for each in chosen.values() if each.days(now) > limit
     ]  # fmt: skip
@@ -192,9 +192,9 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
     runout = _runout(chosen["runout"], measured["runout"]) if "runout" in measured else None
     if runout is not None and not turning:
         notes.append(
-            f"the runout {chosen['runout'].name} is applied as far as it is the same at every angle; prints on this "
-            "clock do not know the turntable's angle, so that the pin's eccentricity of "
-            f'{runout.found.eccentricity:.2g} columns stays: center the vial, or take [clock] driver = "stage"'
+            f"the runout {chosen['runout'].name} is applied except for its dependence on the angle; prints on this "
+            "clock do not have the turntable's angle, so the pin's eccentricity of "
+            f'{runout.found.eccentricity:.2g} columns stays: center the vial, or use [clock] driver = "stage"'
         )
     return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turning, used, tuple(notes))
 
@@ -207,13 +207,13 @@ def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:
 
 
 def _flat(found: Calibration, projector: int) -> np.ndarray | None:
-    """The flat field [row, column] of a projector's mirrors; None where it was not measured."""
+    """The flat field [row, column] of a projector's mirrors; None if it was not measured."""
     field = read_npz(found.path / "readings.npz").get(f"flat_{projector}")
     return None if field is None else np.asarray(field, np.float64)
 
 
 def _middle(flat: np.ndarray, frames: Frames) -> np.ndarray:
-    """The part of a projector's flat field that frames in its middle lie on."""
+    """The part of a projector's flat field under frames in its middle."""
     rows, columns = frames.shape[1:]
     top, left = (flat.shape[0] - rows) // 2, (flat.shape[1] - columns) // 2
     if top < 0 or left < 0:

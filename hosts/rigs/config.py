@@ -1,4 +1,4 @@
-"""The file of a rig: which parts fill its roles, where they are, and what they may do."""
+"""The file of a rig: the parts that fill its roles, their addresses and limits."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from vamgpu.schema.registry import find
 from vamgpu.schema.section import Misplaced, Section
 from vamgpu.storage.reading import MOST_TOML, read_text
 
-SHORTEST_LEASE_MS = 20  # A host renews it four times meanwhile
+SHORTEST_LEASE_MS = 20  # A host renews it four times in this time
 
 
 class RigSection(Section):
-    """The rig itself. machine: what jobs it prints."""
+    """The rig itself. machine: kind of jobs that it prints."""
 
     name: str
     machine: Literal["vial", "web", "slices", "any"]
@@ -41,11 +41,10 @@ class ControllerSection(Section):
 
 
 class SafetySection(Section):
-    """Limits of the light. tolerance: of motion, in poses.  budget: light over what the plan needs.
-
-    lease: how long the controller keeps the light by itself, 20 ms to 1 s.  resume: the longest pause after which a
-    print goes on; resin forgets a dose meanwhile.  drift: of the frames against the motion that is accepted where no
-    clock keeps them in step [deg/min] or [mm/min].
+    """Limits of the light. tolerance: largest error of the motion, in poses.  budget: allowed light, relative to that
+    of the plan.  lease: time for which the controller keeps the light on without the host, 20 ms to 1 s.  resume:
+    longest pause after which a print continues; resin loses its dose during a pause.  drift: accepted drift of the
+    frames against the motion if no clock keeps them in step [deg/min] or [mm/min].
     """
 
     lease: Time = 0.25
@@ -77,7 +76,7 @@ Chosen = Annotated[str, AfterValidator(_chosen)] | None
 
 
 class CalibrationSection(Section):
-    """Which calibrations of the rig are applied: of each kind the newest, or that of a date, or ``"none"``.
+    """Applied calibrations of the rig: for each kind the newest, or that of a date, or ``"none"``.
 
     warn_after: age from which a calibration is reported as old.
     """
@@ -92,7 +91,7 @@ class CalibrationSection(Section):
 
 
 class CameraStageSection(Section):
-    """The stage that carries the camera along the light. microsteps: a millimeter; a Standa's have 256 in a step.
+    """The stage that moves the camera along the light. microsteps: number per millimeter; Standa's have 256 per step.
 
     middle: its position [mm] on the axis of rotation, from which positions are counted.
     """
@@ -107,7 +106,7 @@ class CameraStageSection(Section):
 
 
 EMULATED = """\
-# A rehearsal: every machine is emulated and time is a program's, so that nothing shines and an hour takes seconds.
+# A dry run: every machine is emulated on a simulated clock, so there is no light, and an hour takes seconds.
 
 [rig]
 name = "emulated"
@@ -142,12 +141,12 @@ middle = "20 mm"
 
 
 def _each(value: Any) -> Any:
-    """``[display]`` is one, ``[[display]]`` may be several."""
+    """``[display]`` is one display, ``[[display]]`` may be several."""
     return tuple(value) if isinstance(value, list) else (value,) if isinstance(value, dict) else value
 
 
 class RigFile(Section):
-    """A whole file of a rig: a table for each role, whose ``driver`` names the part that fills it."""
+    """A whole rig file: a table for each role, whose ``driver`` names the part that fills it."""
 
     rig: RigSection
     controller: ControllerSection | None = None
@@ -179,7 +178,7 @@ class RigFile(Section):
         real, emulated = ([name for name, one in parts if one is which] for which in (False, True))
         if real and emulated:
             raise Misplaced(
-                f"is emulated and {real[0]} is real; expected all machines of one kind, as time is of one", emulated[0]
+                f"is emulated and {real[0]} is real; expected all machines of one kind, with one clock", emulated[0]
             )
         if (wrong := refusal(self)) is not None:  # type: ignore[arg-type]
             raise wrong
@@ -187,7 +186,7 @@ class RigFile(Section):
 
     @property
     def emulated(self) -> bool:
-        """Whether this is a rehearsal."""
+        """Whether the machines are emulated."""
         return self.motion.emulated
 
     @property
@@ -212,8 +211,8 @@ class RigConfig:
 
     setup: RigFile
     text: str
-    source: str  # where it came from
-    settings: tuple[str, ...] = ()  # that replace its values
+    source: str  # path of the file
+    settings: tuple[str, ...] = ()  # values that replace those of the file
 
 
 def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
@@ -224,16 +223,16 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
         settings: Values that replace those of the file, as ``table.key=value``.
 
     Returns:
-        The checked rig, with the text of its file.
+        The checked rig with the text of its file.
 
     Raises:
-        JobError: The file cannot be read, or has wrong values; the message names the line of each.
+        JobError: The file cannot be read, or has invalid values; the message names their lines.
     """
     if str(path) == "emulated":
         return parse_rig(EMULATED, settings, source="emulated")
     try:
         text = read_text(path, MOST_TOML)
-    except (OSError, ValueError, TypeError) as error:  # no UTF-8, or no path
+    except (OSError, ValueError, TypeError) as error:  # not UTF-8, or not a path
         why = getattr(error, "strerror", None) or error
         raise JobError(
             f"cannot read the rig {str(path)!r}: {why}; expected a TOML file, or the word emulated"
@@ -242,7 +241,7 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
 
 
 def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -> RigConfig:
-    """A rig from TOML text. Raises `JobError` naming every wrong value at once."""
+    """A rig from TOML text. Raises `JobError`, which names every invalid value."""
     if not isinstance(text, str):
         raise JobError(f"the rig's text is {text!r}; expected the text of a TOML file")
     try:
@@ -254,11 +253,11 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
 
 
 OLD = {"projector": "display", "stage": "motion", "camera": "feedback", "photodiode": "feedback"}
-"""Tables of version 0.2 → those of today."""
+"""Tables of version 0.2 → current tables."""
 
 
 def _completed(data: dict[str, Any]) -> None:
-    """Add motion, light and clock that the other parts suggest. Raises `JobError` for tables of version 0.2."""
+    """Add the motion, light and clock that follow from the other parts. Raises `JobError` for tables of version 0.2."""
     if old := [name for name in OLD if name in data]:
         raise JobError(f"[{old[0]}] is a table of version 0.2; expected [{OLD[old[0]]}], see hosts/README.md")
     controller, light = data.get("controller"), data.setdefault("light", {})
@@ -274,7 +273,7 @@ def _completed(data: dict[str, Any]) -> None:
 
 
 def _cabled(display: Any) -> bool:
-    """Whether a display is on a video cable; False for one that there is not."""
+    """Whether a display is on a video cable; False without a display."""
     try:
         return not find("rig_display", display["driver"]).triggered
     except (BadInput, KeyError, TypeError, AttributeError):

@@ -1,4 +1,4 @@
-"""The real machines of a rig, opened and checked before any light; nothing stands in for one that is missing."""
+"""The real machines of a rig, opened and checked before any light; a missing machine is never emulated."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) ->
     """Open the real machines of a rig. No emulator replaces a machine that is missing.
 
     Args:
-        rig: The rig, of `read_rig`.
-        camera: Open the camera that watches the resin too.
-        focus: Of the plan [dpt]: a lens that the host tells is set to its one power, or to that of the axis.
+        rig: The rig, from `read_rig`.
+        camera: Also open the camera that watches the resin.
+        focus: Lens powers of the plan [dpt]; a lens controlled by the host gets the only one, or that of the axis.
 
     Returns:
-        The machines; let go of them with `close`.
+        The machines; release them with `close`.
 
     Raises:
-        DeviceNotFound: A machine is not there.
+        DeviceNotFound: A machine is missing.
         DeviceBusy: Another program uses it.
-        WrongDevice: Another machine answers than the rig file says.
+        WrongDevice: The machine that answers is not that of the rig file.
         DeviceRefused: A machine is not ready.
     """
     held: list[Any] = []
@@ -51,7 +51,7 @@ def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) ->
 
 
 def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
-    """Each part opens its own machine; ``hold`` keeps what is to be closed where a later one fails."""
+    """Each part opens its own machine; ``hold`` closes the earlier ones if a later one fails."""
     measuring = {driver_of(each): each for each in setup.feedback if each.sees == "motion"}
     motion, stepping = setup.motion, driver_of(setup.motion) == "controller"
     controller = None
@@ -84,13 +84,13 @@ def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
 
 
 def close(machines: Machines) -> None:
-    """Let go of all machines, the last opened first, whatever becomes of one.
+    """Release all machines, the last opened first, even if one fails.
 
     Args:
-        machines: What `opened` or `rehearsal` returned.
+        machines: The machines from `opened` or `rehearsal`.
 
     Raises:
-        DeviceError: What failed first; the other machines are closed all the same.
+        DeviceError: The first failure; the other machines are closed anyway.
     """
     names = ("controller", "lamp", "stage", "lens", "projector", "mirrors", "camera")
     found: list[Any] = [getattr(machines, name, None) for name in names]

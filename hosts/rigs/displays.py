@@ -1,4 +1,4 @@
-"""Parts that make frames: mirrors behind a trigger, and projectors on a video cable."""
+"""Parts that show frames: triggered mirrors, and projectors on a video cable."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vamgpu.schema.section import Listed
 
 
 class AlpDisplay(MirrorPart):
-    """Mirrors by Vialux.  library: path of the maker's library.  serial: number of the device; 0 for any."""
+    """Mirrors by Vialux.  library: path of the maker's library.  serial: serial number of the device; 0 for any."""
 
     library: str
     serial: int = 0
@@ -30,7 +30,7 @@ class VideoDisplay(CablePart):
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """Channels of a video frame (0 red, 1 green, 2 blue), as their frames are shown."""
+        """Color channels of a video frame (0 red, 1 green, 2 blue), in the order in which they are shown."""
         return tuple({"red": 0, "green": 1, "blue": 2}[name] for name in self.order or ORDERS[self.bits])
 
     def open(self) -> Any:
@@ -42,8 +42,8 @@ class VideoDisplay(CablePart):
 class LightCrafterDisplay(VideoDisplay):
     """A LightCrafter (DLPC350) in video pattern mode: frames by cable, settings and its own LEDs by USB.
 
-    control: usb, or usb: and its serial number.  leds: that light the frames.  current: of them, share of their
-    greatest; the projector keeps its own where none is said.  slots: none, as bits say how many.
+    control: usb, or usb: and its serial number.  leds: LEDs that light the frames.  current: current of the LEDs,
+    relative to the greatest; if left out, the projector keeps its own.  slots: not used; bits sets the number.
     """
 
     lamps: ClassVar[bool] = True
@@ -56,18 +56,18 @@ class LightCrafterDisplay(VideoDisplay):
         if self.control.partition(":")[0] != "usb":
             raise ValueError(f'control is "{self.control}"; expected "usb", or "usb:" and the serial number')
         if not self.leds or self.slots is not None:
-            raise ValueError("expected leds that light the frames, and no slots: bits say how many frames are shown")
+            raise ValueError("expected leds that light the frames, and no slots: bits sets the number of frames")
         exposure = self.exposure
         dlpc350_protocol.times(self.bits, len(self.channels), exposure, exposure, floor(1e6 / self.refresh))
         return self
 
     @property
     def exposure(self) -> int:
-        """Time of each frame [us]: all of its share of a video frame."""
+        """Time of each frame [us]: its whole share of a video frame."""
         return floor(1e6 / self.refresh / len(self.channels))
 
     def open(self) -> Any:
-        """See `DisplayPart`; its LEDs are dark, and switched by the ``lamp`` of what is returned."""
+        """See `DisplayPart`; its LEDs are off, and the ``lamp`` of the returned projector switches them."""
         box = LightCrafter.open(self.control.partition(":")[2] or None)
         with closed_on_error(box):
             if self.current is not None:
@@ -78,6 +78,6 @@ class LightCrafterDisplay(VideoDisplay):
 
 
 class EmulatedDisplay(MirrorPart):
-    """The mirrors of a rehearsal.  size: rows, columns; as large as the job where none are said."""
+    """Emulated mirrors.  size: rows, columns; by default those of the job."""
 
     emulated: ClassVar[bool] = True

@@ -21,8 +21,8 @@ TURN = 360.0
 class EncoderFeedback(FeedbackPart):
     """An encoder on the axis, at the controller's input.
 
-    counts: quadrature edges of a millimeter or degree, below 0 where it counts down.  tolerance: how far from it the
-    motor may be [mm] or [deg]; what is beyond closes the light.
+    counts: quadrature edges per millimeter or degree, negative if it counts down.  tolerance: allowed difference
+    between encoder and motor [mm] or [deg]; beyond it the light goes off.
     """
 
     sees: ClassVar[Sees] = "motion"
@@ -39,15 +39,15 @@ class EncoderFeedback(FeedbackPart):
         return self
 
     def sensor(self) -> Encoder:
-        """The sensor as the controller takes it."""
+        """The sensor for the controller."""
         return Encoder(self.counts, self.tolerance)
 
 
 class IndexFeedback(FeedbackPart):
-    """A mark that is seen once a turn, at the controller's input or a computer's.
+    """A mark that a sensor detects once per turn, at an input of the controller or of a computer.
 
-    pin: of the computer's, for a stepper that the computer gives pulses.  distance: from mark to mark [mm] or [deg];
-    a turn on vials.  tolerance: how far from its place the motor may be at it [mm] or [deg]; beyond closes the light.
+    pin: input pin of the computer, for its stepper.  distance: distance from mark to mark [mm] or [deg]; by default a
+    turn.  tolerance: allowed error of the motor at the mark [mm] or [deg]; beyond it the light goes off.
     """
 
     sees: ClassVar[Sees] = "motion"
@@ -56,17 +56,18 @@ class IndexFeedback(FeedbackPart):
     tolerance: Tolerance = 0.1
 
     def sensor(self) -> Index:
-        """The sensor as the controller takes it."""
+        """The sensor for the controller."""
         return Index(self.distance or TURN, self.tolerance)
 
 
 class CameraFeedback(FeedbackPart):
     """A camera that looks along the light: through GenICam, or through Micro-Manager.
 
-    producer: file of its maker's GenICam driver.  serial: of that camera.  config: Micro-Manager's configuration file.
-     label: of the camera in it.  exposure: of an image.  gain: in the camera's unit, mostly dB.  format: of pixels,
-    such as Mono8.  trigger: input whose edge takes an image, "" for none.  pixel: in the plane that it sees.  bits: of
-    its levels.  discard: images that are on their way when mirrors or lens have changed.
+    producer: file of its maker's GenICam driver.  serial: serial number of that camera.  config: Micro-Manager's
+    configuration file.  label: label of the camera in it.  exposure: exposure time of an image.  gain: gain in the
+    camera's unit, mostly dB.  format: pixel format, such as Mono8.  trigger: input whose edge takes an image, "" for
+    none.  pixel: edge of a pixel in the plane that it sees.  bits: bits per pixel.  discard: images to discard after a
+    change of mirrors or lens.
     """
 
     sees: ClassVar[Sees] = "resin"
@@ -90,7 +91,7 @@ class CameraFeedback(FeedbackPart):
             raise ValueError("expected producer, of a GenICam camera, or config and label, of Micro-Manager's")
         others = [name for name in ("serial", "gain", "format", "trigger") if getattr(self, name) is not None]
         if self.config is not None and others:
-            raise ValueError(f"Micro-Manager's configuration file says {others[0]}; set it there, and remove it here")
+            raise ValueError(f"Micro-Manager's configuration file sets {others[0]}; set it there, and remove it here")
         return self
 
     def open(self) -> Any:
@@ -106,15 +107,15 @@ class CameraFeedback(FeedbackPart):
 
 
 class EmulatedCameraFeedback(CameraFeedback):
-    """The camera of a rehearsal."""
+    """The emulated camera."""
 
     emulated: ClassVar[bool] = True
 
 
 class PowerMeterFeedback(FeedbackPart):
-    """A power meter, or a photodiode on one.  port: address.  wavelength: [nm].
+    """A power meter, or a photodiode on one.  port: address.  wavelength: wavelength of the light [nm].
 
-    average: samples a reading.  settle: how long it takes to follow light.
+    average: samples per reading.  settle: time until it follows a change of light.
     """
 
     sees: ClassVar[Sees] = "light"
@@ -125,7 +126,7 @@ class PowerMeterFeedback(FeedbackPart):
 
 
 class EmulatedPowerMeterFeedback(PowerMeterFeedback):
-    """The photodiode of a rehearsal."""
+    """The emulated photodiode."""
 
     emulated: ClassVar[bool] = True
     port: str = ""

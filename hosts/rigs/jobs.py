@@ -35,31 +35,31 @@ Kind = Literal["vial", "web", "slices"]
 
 @dataclass(frozen=True, eq=False)
 class PrintJob:
-    """A job as a rig prints it."""
+    """A job for a rig."""
 
     kind: Kind
     path: str
     shape: tuple[int, int]  # rows and columns of its frames
-    poses: int  # of a whole turn, web or platform
-    source: Callable[[MirrorArray], FrameSource]  # makes those for an array of mirrors
+    poses: int  # motion of a whole turn, web or platform
+    source: Callable[[MirrorArray], FrameSource]  # makes the frames for an array of mirrors
     bits: int = 8
-    advance: float | None = None  # from pose to pose [mm]; None of vials
-    speed: float | None = None  # that it was made for [mm/s]; None where it does not say
-    depths: tuple[float, ...] = ()  # of its focus planes [mm]; none for one focus
-    bath: float = 1.0  # its index
-    frames: Frames | None = None  # of a vial
-    stretch: Callable[[int, int], Frames] | None = None  # frames of a web between two poses
-    masks: np.ndarray | None = None  # which plane shows which column
-    segment: int = 0  # poses of one, before which its frames may be replaced
+    advance: float | None = None  # travel from pose to pose [mm]; None for vials
+    speed: float | None = None  # speed that it was made for [mm/s]; None if it is not given
+    depths: tuple[float, ...] = ()  # depths of its focus planes [mm]; none for one focus
+    bath: float = 1.0  # refractive index of the bath
+    frames: Frames | None = None  # angles of a vial
+    stretch: Callable[[int, int], Frames] | None = None  # frames of a web per pose
+    masks: np.ndarray | None = None  # focus plane of each column
+    segment: int = 0  # poses of a segment, whose frames may be replaced before it
 
     @property
     def motion(self) -> Turntable | None:
-        """Where the frames of a vial are for; None where its folder is of an earlier version, which means evenly."""
+        """Angles of a vial's frames; None for a folder of an earlier version, with equally spaced angles."""
         return None if self.frames is None else self.frames.motion
 
     @property
     def turn(self) -> int | Turntable:
-        """The motion of a vial, or its number of even poses."""
+        """The motion of a vial, or its number of equally spaced angles."""
         return self.motion or self.poses
 
 
@@ -81,11 +81,11 @@ def print_job(
         if (place / MANIFEST).exists():
             raise
         raise StorageError(
-            f"{str(path)!r} is no job: expected the folder of a vial or a web, as `vam solve` writes them, or one of "
-            "slices, as `vam curethrough correct` does; check the path"
+            f"{str(path)!r} is not a job: expected the folder of a vial or a web from `vam solve`, or one of "
+            "slices from `vam curethrough correct`; check the path"
         ) from error
     if is_interrupted(place):
-        raise BadInput(f"{str(path)!r} is a plan that was interrupted; finish it with `vam solve` before it is printed")
+        raise BadInput(f"{str(path)!r} is an interrupted plan; finish it with `vam solve` before printing")
     count, *shape = frames.shape
     return PrintJob(
         "vial", str(path), (shape[0], shape[1]), count, partial(VialFrames, frames), frames.bits, frames=frames
@@ -93,12 +93,11 @@ def print_job(
 
 
 def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) -> PrintJob:
-    """again: shows the light of frames on another machine; None shows them as they are."""
+    """again: corrects frames for another machine; None leaves them as they are."""
     folder = WebFolder.open(place)
     if not folder.complete:
         raise BadInput(
-            f"{str(place)!r} has {folder.frames} frames and is not complete; finish it with `vam solve` before it is "
-            "printed"
+            f"{str(place)!r} has {folder.frames} frames and is not complete; finish it with `vam solve` before printing"
         )
     try:
         focus, (columns, rows) = folder.details["frames"]["focus"], folder.details["beam"]["pixels"]
@@ -136,14 +135,14 @@ def _slices(place: Path, device: Device) -> PrintJob:
         machine = _record(place, stack).get("machine", {})
         if "exposure" in machine:
             raise SliceError(
-                f"{str(place)!r} was corrected for a printer that stops at every layer; correct it for a platform that "
-                "moves: printer.speed in place of printer.exposure"
+                f"{str(place)!r} was corrected for a printer that stops at every layer; correct it for a moving "
+                "platform: printer.speed in place of printer.exposure"
             )
         height = machine.get("slice_height") or layer_height(stack)
         if height is None:
             raise SliceError(
-                f"{str(place)!r} does not say how high its slices are; expected a folder that `vam curethrough "
-                "correct` wrote"
+                f"{str(place)!r} does not give the height of its slices; expected a folder from `vam "
+                "curethrough correct`"
             )
         count, *shape = stack.shape
         return PrintJob(
@@ -154,12 +153,12 @@ def _slices(place: Path, device: Device) -> PrintJob:
 
 
 def _one_by_one(stack: Any, low: int, high: int) -> np.ndarray:
-    """Slices: a stack that is asked for several at once gets those before them ready, and these come after."""
+    """Slices: a request for several at once also prepares those before them, which are read next."""
     return np.concatenate([stack[number : number + 1] for number in range(low, high)])
 
 
 def _record(place: Path, stack: Any) -> dict[str, Any]:
-    """The record of slices; empty where there is none."""
+    """The record of slices; empty if there is none."""
     try:
         if isinstance(stack, ZipStack):
             held = any(info.filename == RECORD for info in stack.others)
@@ -168,4 +167,4 @@ def _record(place: Path, stack: Any) -> dict[str, Any]:
             text = read_text(place / RECORD) if (place / RECORD).is_file() else "{}"
         return dict(parse_json(text))
     except (OSError, TypeError, ValueError) as error:
-        raise StorageError(f"{str(place / RECORD)!r} is no record: {error}; write the slices again") from error
+        raise StorageError(f"{str(place / RECORD)!r} is not a record: {error}; write the slices again") from error

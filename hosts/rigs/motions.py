@@ -1,4 +1,4 @@
-"""Parts that move, the controller's own motor, stages and steppers, and clocks that decide when a frame comes."""
+"""Parts that move (the controller's own motor, stages and steppers), and clocks that time the frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vamgpu.schema.quantities import Count
 class ControllerMotion(MotionPart):
     """The motor that the controller steps; rows are triggered by its steps.
 
-    ramp: how fast the motion changes its speed [mm/s2] or [deg/s2]; without it as the controller's firmware does.
+    ramp: acceleration of the motion [mm/s2] or [deg/s2]; by default that of the controller's firmware.
     """
 
     triggers: ClassVar[bool] = True
@@ -31,14 +31,14 @@ class ControllerMotion(MotionPart):
     def _stepped(self) -> ControllerMotion:
         if self.ramp is not None and self.ramp * self.microsteps > STEEPEST:
             found = self.ramp * self.microsteps
-            raise ValueError(f"ramp = {self.ramp:g} is {found:.4g} microsteps/s2; expected {STEEPEST:.4g} at most")
+            raise ValueError(f"ramp = {self.ramp:g} is {found:.4g} microsteps/s2; expected at most {STEEPEST:.4g}")
         return self
 
 
 class ZaberMotion(StagePart):
     """A stage by Zaber, whose trigger output can fire at every pose.
 
-    port: serial port, or socket://host:port.  device, axis: its numbers on the line.
+    port: serial port, or socket://host:port.  device: device number on the line.  axis: axis number of the device.
     """
 
     triggers: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class ZaberMotion(StagePart):
 class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
-    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps of a millimeter or degree; each has 256.
+    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, of 256 each.
     """
 
     port: str
@@ -67,20 +67,20 @@ class StandaMotion(StagePart):
 class ThorlabsMotion(StagePart):
     """A stage on a motion cube by Thorlabs (K-Cube, T-Cube).
 
-    port: serial port.  microsteps: counts of its encoder, a millimeter or degree.
+    port: serial port.  microsteps: encoder counts per millimeter or degree.
     """
 
     port: str
-    microsteps: Microsteps  # type: ignore[assignment]  # no two stages of theirs have the same
+    microsteps: Microsteps  # type: ignore[assignment]  # it differs between their stages
 
     def open(self, unit: str) -> Stage:
         return ThorlabsStage.open(self.port, self.microsteps, unit)
 
 
 class MicroManagerMotion(StagePart):
-    """A stage that Micro-Manager drives, through pymmcore-plus; it knows places alone, so no print runs on it.
+    """A stage that Micro-Manager drives, through pymmcore-plus; it only moves to positions, so it cannot run prints.
 
-    config: its configuration file.  label: of the stage in it.  speed_property: that holds its speed [mm/s].
+    config: its configuration file.  label: label of the stage in it.  speed_property: property with its speed [mm/s].
     """
 
     runs: ClassVar[bool] = False
@@ -93,15 +93,15 @@ class MicroManagerMotion(StagePart):
         """See `MotionPart`. Raises `BadInput` for degrees."""
         if unit != "mm":
             raise BadInput(
-                f"the stage {self.label!r} of Micro-Manager moves in mm, and {unit} are needed: take another"
+                f"the stage {self.label!r} of Micro-Manager moves in mm, and the job needs {unit}: use another"
             )
         return MicroManagerStage.open(self.config, self.label, self.speed_property)
 
 
 class StepperMotion(MotionPart):
-    """A stepper that a computer's hardware PWM gives pulses, such as a Raspberry Pi's; nobody measures where it is.
+    """A stepper driven by a computer's hardware PWM, such as a Raspberry Pi's; its position is not measured.
 
-    chip, channel: of the PWM, as in /sys/class/pwm.  ramp: how fast it changes its speed [mm/s2] or [deg/s2].
+    chip: chip of the PWM, as in /sys/class/pwm.  channel: channel of the PWM.  ramp: acceleration [mm/s2] or [deg/s2].
     """
 
     reports: ClassVar[bool] = False
@@ -112,7 +112,7 @@ class StepperMotion(MotionPart):
     tolerance: Ppm = CRYSTAL
 
     def open(self, unit: str, pin: int | None = None) -> Stage:
-        """See `MotionPart`. pin: that sees its index; None where none does."""
+        """See `MotionPart`. pin: input of its index; None without an index."""
         clock = RealClock()
         pulses = stepper.SysfsPwm(self.chip, self.channel)
         index = None if pin is None else GpioIndex.open(pin, clock)
@@ -120,7 +120,7 @@ class StepperMotion(MotionPart):
 
 
 class EmulatedMotion(MotionPart):
-    """The motion of a rehearsal."""
+    """The emulated motion."""
 
     emulated: ClassVar[bool] = True
     triggers: ClassVar[bool] = True
@@ -131,12 +131,12 @@ class ControllerClock(Part):
 
 
 class StageClock(Part):
-    """The stage's trigger output triggers the mirrors at every pose."""
+    """The trigger output of the stage triggers the mirrors at every pose."""
 
 
 class RefreshClock(Part):
-    """The projector's vertical blanking; the angle that the stage says chooses the frame of every refresh."""
+    """The projector's vertical blanking; at every refresh, the angle that the stage reports selects the frame."""
 
 
 class FreeClock(Part):
-    """Nobody: projector and motion each follow a clock of their own, and drift apart."""
+    """No common clock: projector and motion each run on their own clock, and drift apart."""

@@ -1,4 +1,4 @@
-"""Lights, by who switches them, and tunable lenses."""
+"""Lights, by the part that switches them, and tunable lenses."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class ControllerLight(LightPart):
 
 
 class LaserLight(LightPart):
-    """A laser or LED whose driver has a TTL input that enables it; AND it with the projector's synch output, if any.
+    """A laser or LED with a TTL enable input; AND the line with the projector's sync output, if there is one.
 
-    port: serial port whose control line enables it.  line: which of its lines.
+    port: serial port whose control line enables it.  line: name of the control line.
     """
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "line"
@@ -33,19 +33,19 @@ class LaserLight(LightPart):
 
 
 class DisplayLight(LightPart):
-    """The projector's own light, which its frames switch: dark is black frames, or mirrors at rest."""
+    """The projector's own light, which its frames switch: black frames or resting mirrors are dark."""
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "display"
 
 
 class OptotuneLens(LensPart):
-    """A lens by Optotune on a Lens Driver 4 or 4i.  port: serial port.  firmware: type letter it must have."""
+    """A lens by Optotune on a Lens Driver 4 or 4i.  port: serial port.  firmware: required type letter."""
 
     port: str
     firmware: str | None = None
 
     def open(self) -> LensDriver:
-        """Open the lens, checked against the rig's file and the powers that it must reach."""
+        """Open the lens, and check it against the rig's file and the required powers."""
         lens = LensDriver.open(self.port, self.firmware)
         with closed_on_error(lens):
             found = lens.focal_power_mode()
@@ -60,6 +60,6 @@ class OptotuneLens(LensPart):
 
 
 class EmulatedLensPart(LensPart):
-    """The lens of a rehearsal."""
+    """The emulated lens."""
 
     emulated: ClassVar[bool] = True

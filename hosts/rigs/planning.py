@@ -1,4 +1,4 @@
-"""Jobs on a rig, before any machine is touched: which frames when, on which mirrors, through which focus."""
+"""Jobs on a rig, before any machine is touched: time, mirrors and focus of every frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.quantity import parse
 
 HOUR = 3600.0
-UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # of a speed that is a plain number
+UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # unit of a speed that is a plain number
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +42,16 @@ class PrintPlan:
 
     Attributes:
         jobs: One `PrintJob` for each projector.
-        schedule: Time, place and frame of every slot.
-        mirrors: The mirrors of each projector, in rows and columns.
-        rig: The rig that the plan is for.
+        schedule: Time, position and frame of every slot.
+        mirrors: Rows and columns of the mirrors of each projector.
+        rig: The rig.
         focus: Power of the lens in each focus plane [dpt]; empty without a lens.
         display: Timing of the video cable; None for mirrors behind a trigger.
         rehearsed: Whether the machines are emulated.
-        calibration: What the rig's calibrations change of the jobs' frames and lens.
+        calibration: The rig's calibrations, as applied to frames and lens.
         stop: Scatter at which the print ends, see `vamgpu.hosts.rig.stopping`; None runs all turns.
-        dose: What a vial gets, over what was proved; None where nobody knows that.
-        proven: The proof that planning took of a vial that emulated machines print, else None.
+        dose: Dose of a vial relative to the proved dose; None if it is not known.
+        proven: Proof from planning, for a vial on emulated machines, else None.
     """
 
     jobs: tuple[PrintJob, ...]
@@ -73,7 +73,7 @@ class PrintPlan:
 
     @property
     def guarantees(self) -> Guarantees:
-        """The rig's guarantees at the plan's speed, those that lack included."""
+        """The rig's guarantees at the plan's speed, with those that do not hold."""
         return guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
 
     @property
@@ -83,7 +83,7 @@ class PrintPlan:
 
     @property
     def timings(self) -> tuple[MirrorTiming, ...]:
-        """The mirrors as a preflight judges them."""
+        """The mirrors for the preflight."""
         return tuple(MirrorTiming(pixels=(each.columns, each.rows), row_bytes=each.row_bytes) for each in self.mirrors)
 
     def sources(self) -> tuple[FrameSource, ...]:
@@ -91,7 +91,7 @@ class PrintPlan:
         return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
 
     def lines(self) -> tuple[tuple[str, str], ...]:
-        """Name and value of each line that a person reads before a print."""
+        """Name and value of each line shown before a print."""
         table, shape, setup = self.schedule, self.jobs[0].shape, self.rig.setup
         planes = len(self.jobs[0].depths)
         focus = ", ".join(f"{power:.3f}" for power in self.focus) + " dpt"
@@ -102,8 +102,8 @@ class PrintPlan:
             ("focus planes", f"{planes} at {focus}" if self.focus else ""),
             ("duration", f"{table.duration * 1e-9:.2f} s at {speed:.4g} {unit}"),
             ("rate", f"{table.rate:.4g} frames/s, lit {100 * table.duty:.1f} % of the time"),
-            ("light a frame", f"{int(table.on[0]) * 1e-6:.3f} ms"),
-            ("memory", f"{self.bits * len(table)} bit planes in all" if self.display is None else ""),
+            ("light per frame", f"{int(table.on[0]) * 1e-6:.3f} ms"),
+            ("memory", f"{self.bits * len(table)} bit planes in total" if self.display is None else ""),
             ("calibrations", ", ".join(self.calibration.used.values())),
             ("lease", f"{1e3 * setup.safety.lease:.0f} ms" if setup.light.gate == "controller" else ""),
             ("stop", "" if self.stop is None else f"at scatter density {self.stop.threshold:g}, or after its turns"),
@@ -114,13 +114,13 @@ class PrintPlan:
         return (*(row for row in rows if row[1]), *lacking, *notes)
 
     def _exposure(self) -> tuple[tuple[str, str], ...]:
-        """Turns of a vial, and the dose that they give."""
+        """Turns of a vial, and their dose."""
         if self.kind != "vial":
             return ()
         turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
         if dose is None:
-            return (("exposure", shown), ("dose", "not known: no proof says what this job's exposure is"))
+            return (("exposure", shown), ("dose", "not known: this job has no proof with its exposure"))
         light = dose.share * dose.proved.seconds
         return (
             ("exposure", f"{shown} for {light:.3g} s of full light"),
@@ -137,31 +137,31 @@ def plan(
     """Plan jobs on a rig, one for each projector, without touching a machine.
 
     Args:
-        jobs: Folder of the job, or one folder for each projector: all of vials, all of webs, or all of slices.
-        rig: The rig, of `read_rig`.
+        jobs: Folder of the job, or one folder for each projector: all for vials, all for webs, or all of slices.
+        rig: The rig, from `read_rig`.
         speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit. None takes 40 deg/s
-            for vials, and for others the speed that the job was made for.
-        turns: Turns of a vial, all with the light that the rig has; 1 for all others. None takes as many as the
-            exposure of the proof needs, dimmed to the dose that was proved.
-        rehearsed: Plan for emulated machines as large as the job, whatever the rig.
+            for vials, and the speed of the job for others.
+        turns: Turns of a vial, at the full light of the rig; 1 for all others. None takes as many as the proved
+            exposure needs, dimmed to give the proved dose.
+        rehearsed: Plan for emulated machines as large as the job, on any rig.
         device: Device that packs the frames, or its name; None takes the best one, and NumPy for emulated machines.
-        exposure: What is known of the proof of a vial already; None proves the job, which takes the time of `vam
-            prove`. False leaves the dose unknown.
+        exposure: Proved dose of a vial, if known; None proves the job, which takes the time of `vam prove`. False
+            leaves the dose unknown.
 
     Returns:
-        The plan. Its `PrintPlan.dose` says what a vial gets.
+        The plan. Its `PrintPlan.dose` is the dose of a vial.
 
     Raises:
         StorageError, SliceError: A folder holds no complete job.
         BadInput: The jobs do not fit the rig or each other, or a number is out of range; or without ``turns``, no whole
-            number of turns gives a dose at which the verdict of the proof holds, or nobody knows the exposure.
-        TimingInfeasible: The speed is too high; the message says what limits it, and the greatest speed.
+            number of turns gives a dose at which the verdict of the proof holds, or the exposure is not known.
+        TimingInfeasible: The speed is too high; the message gives the limit and the greatest speed.
 
     Warns:
         DoseWarning: ``turns`` give a dose at which the verdict of the proof does not hold.
     """
     if not isinstance(rig, RigConfig):
-        raise BadInput(f'rig is {rig!r}; expected what read_rig gives, for instance read_rig("lab.toml")')
+        raise BadInput(f'rig is {rig!r}; expected a rig from read_rig, such as read_rig("lab.toml")')
     rehearsed = rehearsed or rig.setup.emulated
     paths = (jobs,) if isinstance(jobs, (str, Path)) else every("jobs", jobs)
     if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
@@ -203,9 +203,9 @@ def _known(
     exposure: ProvedDose | Literal[False] | None, loaded: tuple[PrintJob, ...], device: str | Device | None,
     taken: list[Proven],
 ) -> ProvedDose | str:  # fmt: skip
-    """What is known of a vial's proof, or why nothing is; a proof that it takes is appended to ``taken``."""
+    """The proved dose of a vial, or why it is not known; a new proof is appended to ``taken``."""
     if exposure is False:
-        return "the dose was not asked for (exposure=False)"
+        return "the dose was left out (exposure=False)"
     if exposure is not None:
         return exposure
     if isinstance(found := proved(loaded, device), str):
@@ -215,10 +215,10 @@ def _known(
 
 
 def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
-    """Raise `BadInput` for jobs that the rig cannot print, or not together."""
+    """Raise `BadInput` for jobs that the rig cannot print, or cannot print together."""
     setup, names = rig.setup, {"vial": "vials", "web": "webs"}
     if not loaded:
-        raise BadInput("no job was given; expected a folder for each projector")
+        raise BadInput("there is no job; expected a folder for each projector")
     if len(loaded) != len(setup.display) and not setup.emulated:
         raise BadInput(
             f"got {len(loaded)} jobs for the {len(setup.display)} projectors of the rig {setup.rig.name!r}; "
@@ -236,23 +236,23 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
         for what, one, two in (
             ("kind", first.kind, other.kind), ("number of poses", first.poses, other.poses),
             ("angles", first.motion, other.motion),
-            ("bits", first.bits, other.bits), ("way from pose to pose [mm]", first.advance, other.advance),
+            ("bits", first.bits, other.bits), ("travel from pose to pose [mm]", first.advance, other.advance),
             ("focus planes [mm]", first.depths, other.depths), ("speed [mm/s]", first.speed, other.speed),
         ):  # fmt: skip
             if one != two:
                 raise BadInput(
-                    f"jobs that are printed together share their {what}; {first.path!r} has {one}, {other.path!r} has "
-                    f"{two}: solve them alike"
+                    f"jobs that are printed together must have the same {what}; {first.path!r} has {one}, "
+                    f"{other.path!r} has {two}: solve them alike"
                 )
 
 
 def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
-    """In deg/s or mm/s."""
+    """Speed in deg/s or mm/s."""
     unit = UNITS[first.kind]
     if speed is None:
         going = USUAL if first.kind == "vial" else first.speed
         if going is None:
-            raise BadInput(f"{first.path!r} does not say how fast it moves; give its speed [{unit}]")
+            raise BadInput(f"{first.path!r} has no speed; give its speed [{unit}]")
         return going
     if isinstance(speed, Fraction):
         speed = float(speed)
@@ -290,7 +290,7 @@ def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> 
     if lens.controlled_by == "host" and len(powers) > 1:
         raise BadInput(
             f"{first.path!r} changes its focus among {len(powers)} planes in time with its frames, and the host sets "
-            'one before the print; set controlled_by = "controller" in [lens], or solve the job with lens.bins = 1'
+            'only one before the print; set controlled_by = "controller" in [lens], or solve the job with lens.bins = 1'
         )
     if not lens.lowest <= min(powers) <= max(powers) <= lens.highest:
         raise BadInput(
@@ -302,7 +302,7 @@ def _focus(first: PrintJob, rig: RigConfig, calibration: MachineCalibration) -> 
 
 def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[MirrorArray, ...], HdmiTiming]:
     """The mirrors of a video projector and the timing of its cable."""
-    section: Any = rig.setup.display[0]  # on a cable, or the emulated one, which is of either kind
+    section: Any = rig.setup.display[0]  # on a cable, or emulated, which can be of either kind
     rows, columns = first.shape if rehearsed else section.array
     screen = MirrorArray(rows, columns, columns)
     screen.place(*first.shape)
@@ -314,10 +314,10 @@ def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[Mir
 
 
 def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, display: HdmiTiming, turns: int) -> Schedule:
-    """A vial or web before a video projector."""
+    """A vial or web in front of a video projector."""
     common: dict[str, Any] = {"speed": speed, "display": display, "power": rig.setup.light.power}
     if first.advance is None:
         return vial(first.turn, turns=turns, **common)
     if turns != 1:
-        raise BadInput(f"turns is {turns}; expected 1, as only vials come round again")
+        raise BadInput(f"turns is {turns}; expected 1, because only vials have several turns")
     return web_on_cable(first.poses, advance=first.advance, **common)

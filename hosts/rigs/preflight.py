@@ -1,4 +1,4 @@
-"""Before the light: does the job fit these mirrors, their memory, and the wire to them? Refuses with numbers."""
+"""Check before the light that the job fits these mirrors, their memory and their wire; errors state the numbers."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from vamgpu.hosts.schedules.timing import SECOND, numeric, whole
 
 log: logging.Logger = logging.getLogger(__name__)
 
-MARGIN = 1.5  # how much faster than it is used a wire must be measured
-LINE = 0.3  # how long a controller's answers are counted [s]
-LOADING = 30.0  # longest time [s] that all frames of a print may take to the mirrors before its light opens
+MARGIN = 1.5  # least ratio of measured to needed speed of a wire
+LINE = 0.3  # time for which a controller's answers are counted [s]
+LOADING = 30.0  # longest time [s] for uploading all frames of a print before its light opens
 
 
 class Residence(Enum):
-    """Where the frames are when the light opens."""
+    """Place of the frames when the light opens."""
 
     RESIDENT = "all at the mirrors"
-    STREAMED = "two sequences in turn, filled while the other is shown"
+    STREAMED = "two sequences by turns, one filled while the other is shown"
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,16 @@ class Preflight:
     """Whether frames fit the memory of mirrors, and their wire."""
 
     residence: Residence
-    planes: int  # that the job needs
+    planes: int  # planes that the job needs
     memory: int  # planes that the mirrors have
     demand: float  # bytes/s that the job uses on average
     measured: float  # bytes/s that the wire carries
-    stall: float  # of what makes frames, before one is lost [s]
-    freeze: float  # of the whole host [s]
+    stall: float  # longest stall of the frames' source before one is lost [s]
+    freeze: float  # longest stall of the whole host [s]
 
     def __str__(self) -> str:
-        wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on a wire that takes no time"
-        held = f"; frames made ahead last {self.stall:.3g} s, those at the mirrors {self.freeze:.3g} s"
+        wire = f"of {1e-6 * self.measured:.3g} MB/s" if np.isfinite(self.measured) else "on an instantaneous wire"
+        held = f"; prepared frames last {self.stall:.3g} s, those at the mirrors {self.freeze:.3g} s"
         return (
             f"{self.planes} planes, room for {self.memory}: {self.residence.value}; "
             f"{1e-6 * self.demand:.3g} MB/s {wire}{held if np.isfinite(self.stall) else ''}"
@@ -64,7 +64,7 @@ class Judged:
     found: tuple[Preflight, ...]
     depth: int  # frames in each sequence
     sequences: int
-    turn: int | None = None  # slots that are uploaded once and come round; None where no turn does, or fits
+    turn: int | None = None  # slots that are uploaded once and repeated; None if no turn repeats, or fits
 
     def __str__(self) -> str:
         lines = "; ".join(dict.fromkeys(map(str, self.found)))
@@ -75,9 +75,9 @@ def judged(
     schedule: Schedule, mirrors: Sequence[Dmd], clock: Clock, *, bits: int = 8, seconds: float = 2.0,
     live: int | None = None,
 ) -> Judged:  # fmt: skip
-    """Judge a schedule on opened mirrors, in the dark. live: slots after which coming frames may be replaced."""
+    """Check a schedule on opened mirrors, in the dark. live: slots after which later frames may be replaced."""
     if not mirrors or not len(schedule):
-        raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; expected one or more of both")
+        raise BadInput(f"got {len(mirrors)} mirrors and {len(schedule)} slots; expected at least one of both")
     timings = [MirrorTiming(pixels=(dmd.width, dmd.height), row_bytes=dmd.row_bytes) for dmd in mirrors]
     for dmd in mirrors:
         _in_time(schedule, dmd, bits)
@@ -90,16 +90,16 @@ def judged(
     turn = round_again(schedule, 2 * depth)
     parts = -(-(turn or frames) // depth)
     if live is not None:
-        parts = max(3, -(-live // depth))  # of one turn or segment: nothing is packed beyond its end
+        parts = max(3, -(-live // depth))  # of one turn or segment: packing stops at its end
         turn, depth = live, max(2, -(-live // parts))
         even, spare = depth, parts + 2
     elif turn is not None:
         parts = max(2, parts)
         even = -(-turn // parts)
-        spare = 2  # the black frames before the first slot, and what is left where one frame was late
+        spare = 2  # the black frames before the first slot, and the rest after a late frame
     else:
         even, spare = depth, 0
-    comes = live is None or schedule.unit == "deg"  # round again; other segments of a web do not
+    comes = live is None or schedule.unit == "deg"  # repeated; segments of a web are not
     resident = comes and (parts + spare) * even * bits <= free and (turn or frames) * frame / slowest <= LOADING
     depth = even if resident else depth
     sequences = max(2, parts + spare) if resident else 2
@@ -115,7 +115,7 @@ def judged(
 
 
 def round_again(schedule: Schedule, least: int = 1) -> int | None:
-    """Slots of whole turns, ``least`` or more, after which the frames of a vial come again; None where none do."""
+    """Slots of whole turns, at least ``least``, after which the frames of a vial repeat; None if none do."""
     turn, frames = schedule.frames, schedule.frame
     if schedule.unit != "deg" or len(schedule) <= turn or (frames[turn:] != frames[:-turn]).any():
         return None
@@ -123,7 +123,7 @@ def round_again(schedule: Schedule, least: int = 1) -> int | None:
 
 
 def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: float = LINE) -> float:
-    """Measure the controller's answers a second, in the dark; TimingInfeasible where rows would run out."""
+    """Measure the controller's answers per second, in the dark; TimingInfeasible if rows would run out."""
     length = positive("seconds", seconds)
     if not clock.real:
         return float("inf")
@@ -133,8 +133,8 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
     if rows > controller.capacity and measured < MARGIN * schedule.rate:
         most = float(schedule.speed) * measured / (MARGIN * schedule.rate)
         raise TimingInfeasible(
-            f"the controller answers {measured:.4g} times a second where {MARGIN:g} × {schedule.rate:.4g} rows/s are "
-            f"expected, and holds {controller.capacity} of {rows} rows: move at {most:.4g} {unit} at most, or raise "
+            f"the controller answers {measured:.4g} times per second; expected {MARGIN:g} × {schedule.rate:.4g} rows/s "
+            f"and holds {controller.capacity} of {rows} rows: move at most at {most:.4g} {unit}, or raise "
             "baud in [controller] and in its firmware",
             "serial line", most, unit,
         )  # fmt: skip
@@ -142,7 +142,7 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
 
 
 def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
-    """Raise `TimingInfeasible` for frames that follow each other faster than the device itself allows."""
+    """Raise `TimingInfeasible` for frames that follow faster than the device allows."""
     sequence = dmd.sequence(1, bits)
     try:
         allowed = sequence.limits()
@@ -153,7 +153,7 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
         slowest = float(schedule.speed) * float(schedule.on.max()) / (1000 * most_us)
         raise TimingInfeasible(
             f"frames are lit for {1e-9 * float(schedule.on.max()):.4g} s; these mirrors show one for "
-            f"{1e-6 * most_us:.4g} s at most: move at {slowest:.4g} {schedule.unit}/s at least",
+            f"at most {1e-6 * most_us:.4g} s: move at least at {slowest:.4g} {schedule.unit}/s",
             "mirrors", slowest, f"{schedule.unit}/s",
         )  # fmt: skip
     gap, on = schedule.gap, int(schedule.on.max())
@@ -161,13 +161,13 @@ def _in_time(schedule: Schedule, dmd: Dmd, bits: int) -> None:
         most = float(schedule.speed) * min(gap, on + 1000) / least
         raise TimingInfeasible(
             f"frames of {bits} bits are lit for {1e-6 * on:.4g} ms every {1e-6 * gap:.4g} ms; these mirrors need "
-            f"{1e-6 * least:.4g} ms: move at {most:.4g} {schedule.unit}/s at most, or tell the rig's file their time",
+            f"{1e-6 * least:.4g} ms: move at most at {most:.4g} {schedule.unit}/s, or set their time in the rig's file",
             "mirrors", most, f"{schedule.unit}/s",
         )  # fmt: skip
 
 
 def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:
-    """Bytes a second to mirrors, in pieces as large as those of a print."""
+    """Bytes per second to the mirrors, in pieces as large as those of a print."""
     count = max(1, min(PIECE // (bits * dmd.height * dmd.row_bytes), dmd.free_planes() // bits))
     sequence = dmd.sequence(count, bits)
     try:
@@ -182,20 +182,20 @@ def fits(frames: tuple[int, int], mirrors: MirrorTiming | HdmiTiming) -> None:
     if tuple(frames) != (rows, columns):
         raise WrongDevice(
             f"the job's frames have {frames[0]} × {frames[1]} pixels, the mirrors {rows} × {columns}: it was made "
-            "for another device; pack it again for this one, or check the rig's file"
+            "for another device; pack it again for these mirrors, or check the rig's file"
         )
 
 
 def measure(put: Callable[[np.ndarray], None], frames: np.ndarray, clock: Clock, seconds: float = 5.0) -> float:
-    """Bytes a second that ``put`` takes of frames again and again; black ones do no harm and are as large."""
+    """Bytes per second of repeated ``put`` of frames, which are black, and as large as those of a print."""
     length = positive("seconds", seconds)
     if frames.nbytes == 0:
-        raise BadInput("measuring with frames of 0 bytes; expected more")
+        raise BadInput("the frames to measure with have 0 bytes; expected more")
     return frames.nbytes * _rate(lambda: put(frames), clock, length)
 
 
 def _rate(act: Callable[[], object], clock: Clock, seconds: float) -> float:
-    """Count how often a second an act is done, repeated for so long."""
+    """Count repetitions of an act per second, over a time."""
     start, count = clock.now(), 0
     while True:
         act()
@@ -209,9 +209,9 @@ def preflight(
     schedule: Schedule, mirrors: MirrorTiming, measured: float, *, bits: int = 8, batch: int = 8, depth: int = 8,
     memory: int | None = None, stored: int | None = None,
 ) -> Preflight:  # fmt: skip
-    """Judge a job by the measured bytes a second, for batches of an upload queue of a depth."""
+    """Check a job against the measured bytes per second, for the batches of an upload queue."""
     if not numeric(measured) or not measured > 0:
-        raise BadInput(f"measured is {measured!r} bytes a second; expected more than 0: run the measurement again")
+        raise BadInput(f"measured is {measured!r} bytes per second; expected more than 0: run the measurement again")
     measured = float(measured)
     bits, batch, depth = whole("bits", bits), whole("batch", batch), whole("depth", depth)
     free, planes = mirrors.memory if memory is None else memory, (stored or triggers(schedule)) * bits
@@ -222,14 +222,14 @@ def preflight(
         return found
     if 2 * batch * bits > free:
         raise TimingInfeasible(
-            f"two sequences of {batch} frames are {2 * batch * bits} planes; {free} are free: take smaller batches",
+            f"two sequences of {batch} frames are {2 * batch * bits} planes; {free} are free: use smaller batches",
             "memory", 0.0, f"{schedule.unit}/s",
         )  # fmt: skip
     if measured < MARGIN * demand:
         most = float(schedule.speed) * measured / (MARGIN * demand)
         raise TimingInfeasible(
-            f"{planes} planes do not fit into {free}, and the wire carries {1e-6 * measured:.4g} MB/s where "
-            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s are needed: move at {most:.4g} {schedule.unit}/s at most, or show "
+            f"{planes} planes do not fit into {free}, and the wire carries {1e-6 * measured:.4g} MB/s; expected "
+            f"{MARGIN:g} × {1e-6 * demand:.4g} MB/s: move at most at {most:.4g} {schedule.unit}/s, or show "
             "frames of 1 bit", "data link", most, f"{schedule.unit}/s",
         )  # fmt: skip
     freeze = batch / schedule.rate  # one of the two sequences may just have ended

@@ -1,4 +1,4 @@
-"""Emulated machines as large as a plan: the drivers of a print, on a clock that a program sets or that keeps pace."""
+"""Emulated machines as large as a plan: the drivers of a print, on a simulated or a real-time clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vamgpu.printing.frames import Frames
 if TYPE_CHECKING:
     from vamgpu.live import VirtualPrinter
 
-EMULATED = 2**30  # bytes of the host's memory for the frames of emulated mirrors, which real ones have 8 times
+EMULATED = 2**30  # bytes of host memory for the frames of emulated mirrors; real ones have 8 times as much
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Rehearsal:
     """Emulated machines of a plan.
 
     Attributes:
-        machines: Their drivers, as `opened` returns those of real machines.
+        machines: Their drivers, like those from `opened`.
         emulated: The emulated rig behind the drivers: its clock, its faults, and the recorder of the dose.
         monitor: Compares the dose in the resin with the frames.
     """
@@ -41,32 +41,32 @@ class Rehearsal:
     monitor: Any
 
     def seen(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> Frames:
-        """What the resin saw of a vial's frames.
+        """Frames of a vial as the resin received them.
 
         Args:
             planned: The plan.
             engine: Number of the projector, from 0.
-            turns: Turns that were begun, over which the light is averaged; None takes those of the plan.
+            turns: Turns that began, over which the light is averaged; None takes those of the plan.
 
         Returns:
-            Frames [image, row, column] whose levels give the light that the resin got, for `vamgpu.prove`.
+            Frames [image, row, column] whose levels are the light in the resin, for `vamgpu.prove`.
 
         Raises:
-            BadInput: The job is not a vial's.
+            BadInput: The job is not for a vial.
         """
         return as_frames(planned, self.levels(planned, engine, turns), engine)
 
     def levels(self, planned: PrintPlan, engine: int = 0, turns: int | None = None) -> np.ndarray:
-        """The levels uint8 [image, row, column] of `seen`; BadInput for no vial."""
+        """The levels uint8 [image, row, column] of `seen`; BadInput for other jobs."""
         shares = self.shares(planned, engine)
         turns = turns or len(planned.schedule) // len(shares)
         return np.rint(shares / turns * (255 if planned.bits == 8 else 1)).astype(np.uint8)
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
-        """Light that the resin of a vial got so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
+        """Light in the resin of a vial so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
         frames = planned.jobs[engine].frames
         if frames is None:
-            raise BadInput(f"{planned.jobs[engine].path!r} is no vial's job; ask the dose monitor what resin saw of it")
+            raise BadInput(f"{planned.jobs[engine].path!r} is not for a vial; get its light from the dose monitor")
         images, rows, columns = frames.shape
         light = self.emulated.recorder.seconds(engine, images, turn=images)[0]
         down, across = planned.mirrors[engine].place(rows, columns)
@@ -74,7 +74,7 @@ class Rehearsal:
 
 
 def as_frames(planned: PrintPlan, levels: np.ndarray, engine: int = 0) -> Frames:
-    """Levels that the resin saw of a vial, of `Rehearsal.levels`, as frames."""
+    """Levels of a vial, from `Rehearsal.levels`, as frames."""
     frames = planned.jobs[engine].frames
     assert frames is not None
     bytes_ = levels if frames.bits == 8 else np.packbits(levels, axis=-1)
@@ -89,7 +89,7 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
 
     Args:
         planned: The plan.
-        paced: Keep pace with real time, for people who watch; else time passes as fast as it is computed.
+        paced: Keep pace with real time, for viewers; else time passes as fast as it is computed.
 
     Returns:
         The machines, the emulated rig and the dose monitor.
@@ -113,8 +113,8 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
 
 
 def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
-    """Put curing resin behind an emulated print of one vial, and its camera before it; light is over ``turns``."""
-    # it loads SciPy, which no other print needs
+    """Put curing resin into an emulated print of one vial, and a camera in front; light is relative to ``turns``."""
+    # it loads SciPy, which other prints do not need
     from vamgpu.hosts.emulators.resin import CuringCamera
 
     def light(shares: np.ndarray) -> np.ndarray:
@@ -164,7 +164,7 @@ def _video_rig(planned: PrintPlan, display: HdmiTiming, clock: Any) -> tuple[Any
     columns, rows = display.pixels
     setup = planned.rig.setup
     cable: Any = setup.display[0]
-    free = not setup.motion.reports  # its clock and the cable's are as far apart as the file says they may be
+    free = not setup.motion.reports  # its clock and the cable's differ by the greatest errors in the file
     emulated = EmulatedVideoRig(
         planned.schedule.frames, (rows, columns), bits=display.bits, latency=display.latency,
         rate_hz=round(float(display.refresh)), clock=clock, slots=display.slots,

@@ -1,4 +1,4 @@
-"""Roles of a rig: the base of every part, which says what it can do and opens its machine.
+"""Roles of a rig: the base of every part, which states its abilities and opens its machine.
 
 A part is a `Section` that `vamgpu.schema.registry` names by its role, such as ``rig_motion.zaber``; another brand is
 one file with one class, registered by one line or by an entry point of its package.
@@ -20,16 +20,16 @@ from vamgpu.schema.section import Listed, Section
 Share = Annotated[float, Field(gt=0, le=1)]
 Baud = Annotated[int, Field(ge=300, le=4_000_000)]
 Ppm = Annotated[float, Field(ge=0, le=10_000)]
-FINEST = 1e6  # most microsteps of a millimeter or degree; more are a slip of the pen
+FINEST = 1e6  # most microsteps per millimeter or degree; more are a typing error
 Microsteps = Annotated[float, Field(gt=0, le=FINEST)]
 CRYSTAL = 50.0
-"""Error of a machine's clock that is assumed [ppm]: what makers of quartz oscillators for computers
-and microcontrollers specify over temperature and age; measure the rate of a machine, and tell it, to do better."""
+"""Assumed error of a machine's clock [ppm]: the specification of quartz oscillators for computers and microcontrollers
+over temperature and age; for a smaller one, measure the rate of a machine and set its tolerance."""
 MIRRORS = (1080, 1920)
 
 
 class Part(Section):
-    """A machine, or what stands for one. emulated: whether it is one of a rehearsal."""
+    """A machine, or its emulator. emulated: whether it is an emulator."""
 
     emulated: ClassVar[bool] = False
 
@@ -37,9 +37,9 @@ class Part(Section):
 class MotionPart(Part):
     """A motion that turns the vial, or moves the web or platform.
 
-    microsteps: of a millimeter or degree.  tolerance: of the clock that its speed follows [ppm].  reports: whether it
-    says itself where it is, be that steps that it counts.  triggers: whether it has an output that fires at every so
-    many degrees or mm.  runs: whether it moves at a speed for as long as it is let; else from place to place alone.
+    microsteps: microsteps per millimeter or degree.  tolerance: error of the clock that sets its speed [ppm].  reports:
+    whether it reports its position, even if it only counts steps.  triggers: whether it has an output that fires at
+    equal steps of degrees or mm.  runs: whether it can move continuously at a speed; else it only moves to positions.
     """
 
     reports: ClassVar[bool] = True
@@ -50,16 +50,16 @@ class MotionPart(Part):
 
     @property
     def measured(self) -> bool:
-        """Whether where it is is measured; steps that are counted may be lost."""
+        """Whether its position is measured; counted steps may be lost."""
         return False
 
     def open(self, unit: str) -> Stage:
-        """Open the stage, for positions in mm or deg. Raises what its driver does."""
+        """Open the stage, for positions in mm or deg. Raises as its driver does."""
         raise NotImplementedError
 
 
 class StagePart(MotionPart):
-    """A stage that says where it is.  encoder: whether an encoder on its axis tells it; else it counts its steps."""
+    """A stage that reports its position.  encoder: whether an encoder measures it; otherwise steps are counted."""
 
     encoder: bool = False
 
@@ -71,8 +71,8 @@ class StagePart(MotionPart):
 class DisplayPart(Part):
     """A display of frames.
 
-    size: rows, columns; None for the usual ones.  triggered: whether it shows one frame at each trigger; else it
-    takes them from a video cable.  lamps: whether it has LEDs that the host switches, by a ``lamp`` of what it opens.
+    size: rows, columns; None for the usual ones.  triggered: whether it shows one frame at each trigger; else frames
+    come by a video cable.  lamps: whether it has LEDs that the host switches, with a ``lamp`` of its driver.
     """
 
     triggered: ClassVar[bool] = True
@@ -86,28 +86,29 @@ class DisplayPart(Part):
         return self.size or self.usual
 
     def open(self) -> Any:
-        """Open the projector: a `Dmd`, or an `HdmiProjector`. Raises what its driver does."""
+        """Open the projector: a `Dmd`, or an `HdmiProjector`. Raises as its driver does."""
         raise NotImplementedError
 
 
 class MirrorPart(DisplayPart):
-    """Mirrors that show a frame at each trigger.  frame_time: the shortest that a frame of 8 bits is shown."""
+    """Mirrors that show a frame at each trigger.  frame_time: shortest time of a frame of 8 bits."""
 
     frame_time: ExposureTime = 1.0 / 266.0
 
 
 Color = Literal["red", "green", "blue"]
 ORDERS: dict[int, tuple[Color, ...]] = {8: ("green", "red"), 7: ("green", "red", "blue")}
-"""Bits → channels of a video frame in the order that its frames are shown."""
+"""Bits → color channels of a video frame in the order in which they are shown."""
 SCREEN = (1140, 912)
 
 
 class CablePart(DisplayPart):
     """A projector on a video cable.
 
-    refresh: of the cable.  bits: of a frame, 7 or 8.  screen: number of the output.  order: channels of a video
-    frame, as their frames are shown.  slots: 1 on a projector that shows the colors of a video frame at once.
-     latency: video frames from cable to mirrors.  tolerance: of the clock that the refresh follows [ppm].
+    refresh: refresh rate of the cable.  bits: bits per pixel of a frame, 7 or 8.  screen: number of the output.  order:
+    color channels of a video frame in the order in which they are shown.  slots: 1 if the projector shows all colors at
+    once.  latency: delay from cable to mirrors in video frames.  tolerance: error of the clock that sets the refresh
+    [ppm].
     """
 
     triggered: ClassVar[bool] = False
@@ -121,19 +122,19 @@ class CablePart(DisplayPart):
     tolerance: Ppm = CRYSTAL
 
     def model_post_init(self, _: Any) -> None:
-        """Raise `ValueError` for channels that are not those of the bits."""
+        """Raise `ValueError` for channels that do not match the bits."""
         if self.order is not None and self.slots == 1:
             raise ValueError("slots = 1 shows all colors at once; remove order")
         if self.order is not None and sorted(self.order) != sorted(ORDERS[self.bits]):
             names = ", ".join(ORDERS[self.bits])
-            raise ValueError(f"{self.bits} bits go to {names}, each once; expected order to say in which order")
+            raise ValueError(f"{self.bits} bits go to {names}, each once; expected them in order, in any sequence")
 
 
 class LightPart(Part):
     """The light.
 
-    power: share of full drive.  irradiance: of a full-on pixel at full drive.  gate: who switches it: the
-    controller, the host by a line of its own, or the projector by what it shows.
+    power: share of full drive.  irradiance: irradiance of a full-on pixel at full drive.  gate: what switches it: the
+    controller, a separate line of the host, or the projector with its frames.
     """
 
     gate: ClassVar[Literal["controller", "line", "display"]]
@@ -141,18 +142,18 @@ class LightPart(Part):
     irradiance: Irradiance | None = None
 
     def open(self) -> Lamp | None:
-        """Open the lamp's switch; None where the projector or the controller is it. Raises what its driver does."""
+        """Open the lamp's switch; None if the projector or the controller switches it. Raises as its driver does."""
         return None
 
 
 class LensPart(Part):
     """The tunable lens.
 
-    settle: from plane to plane.  latency: that its driver thinks.  lowest, highest: powers it may be set to [dpt].
-     controlled_by: who controls it, on whose line: the controller in time with its rows, or the host before a print,
-    which leaves it at one focus.  baud: of the controller's line to it.  axis: power that focuses on the roller's axis
-    [dpt].  slope: way of the focus per power [mm/dpt], below 0; as a calibration finds both. Without a slope it is
-    that of the relays, ``focal`` lengths, in the web's bath.  focal: of the relays.
+    settle: settling time from plane to plane.  latency: response delay of its driver.  lowest: lowest power allowed
+    [dpt].  highest: highest power allowed [dpt].  controlled_by: what controls it: the controller in time with its
+    rows, or the host, which sets one focus before a print.  baud: speed of the controller's line to it.  axis: power
+    that focuses on the roller's axis [dpt], from a calibration.  slope: focus shift per power [mm/dpt], negative, from
+    a calibration; by default that of the relays, ``focal``, in the web's bath.  focal: focal lengths of the relays.
     """
 
     controlled_by: Literal["controller", "host"] = "controller"
@@ -166,16 +167,16 @@ class LensPart(Part):
     focal: Annotated[tuple[Length, Length, Length, Length], Listed] = TunableLens.focal
 
     def model_post_init(self, _: Any) -> None:
-        """Raise `ValueError` for powers that do not rise."""
+        """Raise `ValueError` if lowest is not below highest."""
         if not self.lowest < self.highest:
             raise ValueError(f"powers go from {self.lowest:g} to {self.highest:g} dpt; expected lowest below highest")
 
     def open(self) -> LensDriver:
-        """Open the lens in focal power mode. Raises what its driver does."""
+        """Open the lens in focal power mode. Raises as its driver does."""
         raise NotImplementedError
 
 
 class FeedbackPart(Part):
-    """A sensor of the motion, the light or the resin. sees: which of them."""
+    """A sensor of the motion, the light or the resin. sees: what it measures."""
 
     sees: ClassVar[Literal["motion", "resin", "light"]]

@@ -1,4 +1,4 @@
-"""Slots of jobs on triggered mirrors: the arrays that frames are for, and the schedule that shows them."""
+"""Slots of jobs on triggered mirrors: the arrays for the frames, and their schedule."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from vamgpu.hosts.schedules.mirrors import closest, rising, sla, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import DAY, SECOND
 
-GUARD = 0.02  # share of a pose that stays dark at its end, so that no light falls into the next
-BLOCK = 64  # columns that a device packs together: emulated mirrors are as wide as whole blocks
+GUARD = 0.02  # dark share of a pose at its end, so that no light reaches the next pose
+BLOCK = 64  # columns that a device packs together: emulated mirrors are whole blocks wide
 
 
 def mirror_arrays(loaded: tuple[PrintJob, ...], rig: RigConfig, rehearsed: bool) -> tuple[MirrorArray, ...]:
-    """The arrays that frames are for; emulated ones are as large as the largest of them."""
+    """The arrays for the frames; emulated ones are as large as the largest."""
     if rehearsed:
         rows = max(each.shape[0] for each in loaded)
         columns = BLOCK * max(-(-each.shape[1] // BLOCK) for each in loaded)
@@ -37,7 +37,7 @@ def _row_bytes(columns: int) -> int:
 
 
 def frame_times(rig: RigConfig, engines: int) -> list[dict[int, float]]:
-    """Shortest time of a frame [s] by its bits, of each of so many mirrors."""
+    """Shortest time of a frame [s] with ``bits``, for each array."""
     sections = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
     return [{8: section.frame_time, 1: 1e-4} for section in sections[:engines]]
 
@@ -49,7 +49,7 @@ def triggered_schedule(
     setup, planes = rig.setup, max(len(first.depths), 1)
     pose = (_nearest(first) if first.advance is None else first.advance) / speed
     if pose * SECOND > DAY:
-        raise BadInput(f"at that speed a frame lasts {pose:.3g} s; expected a day at most: move faster")
+        raise BadInput(f"at that speed a frame lasts {pose:.3g} s; expected at most a day: move faster")
     engines = tuple(
         MirrorTiming(
             frame=times, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
@@ -61,31 +61,31 @@ def triggered_schedule(
     if first.advance is None:
         return turned(first.turn, turns=turns, **common)
     if turns != 1:
-        raise BadInput(f"turns is {turns}; expected 1, as only vials come round again")
+        raise BadInput(f"turns is {turns}; expected 1, because only vials have several turns")
     if first.kind == "slices":
         return sla(first.poses, pitch=first.advance, **common)
     lens = setup.lens
     if lens is not None and lens.controlled_by == "host":
-        focus = ()  # it is there before the print
+        focus = ()  # the host sets the focus before the print
     timing = None if lens is None or not focus else LensTiming(lens.settle, baud=lens.baud, latency=lens.latency)
     return web(first.poses, advance=first.advance, lens=timing, focus=focus, **common)
 
 
 def _nearest(first: PrintJob) -> float:
-    """Degrees between the nearest two poses of a vial."""
+    """Degrees between the two nearest angles of a vial."""
     motion = first.motion
     return 360.0 / first.poses if motion is None or motion.is_even else float(closest(rising(motion)))
 
 
 def whole_poses(schedule: Schedule, microsteps: float) -> None:
-    """Raise `BadInput` for poses that are no even number of microsteps: a stage's output changes at halves of one."""
+    """Raise `BadInput` if a pose is not an even number of microsteps: a stage's output switches at half a pose."""
     pose = float(schedule.advance) * microsteps
     if abs(pose / 2 - round(pose / 2)) <= 1e-6 * pose:
         return
-    turn, remedy = 180.0 * microsteps, "take another way from pose to pose"
+    turn, remedy = 180.0 * microsteps, "use another travel from pose to pose"
     if schedule.unit == "deg" and abs(turn - round(turn)) <= 1e-6 * turn:
         fits = [count for count in range(1, 10_000) if round(turn) % count == 0]
-        remedy = f"take {min(fits, key=lambda count: abs(count - schedule.frames))} images a turn"
+        remedy = f"use {min(fits, key=lambda count: abs(count - schedule.frames))} images per turn"
     raise BadInput(
         f"an angle is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}, or "
         "correct microsteps in [motion]"

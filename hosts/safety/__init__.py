@@ -1,1 +1,1 @@
-"""The light: one holder, what must hold for it, and the lease that lets it go."""
+"""The light: one holder, its conditions, and the lease that turns it off."""

@@ -1,4 +1,4 @@
-"""Conditions of light: the state of the machines, a budget of light, and a lease that must be renewed."""
+"""Conditions for light: the state of the machines, a budget of light, and a lease that must be renewed."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from vamgpu.hosts.schedules.timing import whole
 
 
 class InterlockOpen(VamError, RuntimeError):
-    """Light was asked for while something that must hold for it does not."""
+    """Light was requested while one of its conditions did not hold."""
 
 
 class OverDose(InterlockOpen):
-    """The light has spent what the print was given."""
+    """The light has used up the print's budget."""
 
 
 @dataclass(frozen=True)
 class Observation:
     """The host's last observation of its machines."""
 
-    armed: bool = False  # all is loaded, and a person or program said go
-    lease: bool = False  # the controller's is fresh
-    motion: float | None = None  # from where it should be; None before the first poll
+    armed: bool = False  # everything is loaded, and a user or program has started the print
+    lease: bool = False  # whether the controller's lease is current
+    motion: float | None = None  # position error; None before the first poll
     shown: int | None = None  # frame
     scheduled: int | None = None  # frame
-    fault: str | None = None  # why a machine cannot be trusted
+    fault: str | None = None  # why a machine is not reliable
 
 
 def reason_dark(seen: Observation, tolerance: float) -> str | None:
-    """Why light must be off; None where it may be on. tolerance: the greatest error of motion."""
+    """Why light must be off; None if it may be on. tolerance: the greatest error of motion."""
     if seen.fault is not None:
         return seen.fault
     if not seen.armed:
@@ -41,16 +41,16 @@ def reason_dark(seen: Observation, tolerance: float) -> str | None:
     if not seen.lease:
         return "the controller's lease is stale"
     if seen.motion is None:
-        return "nobody has asked where the stage is"
-    if not abs(seen.motion) <= tolerance:  # a NaN is no position either
-        return f"the stage is {seen.motion:+.4g} from where it should be; {tolerance:.4g} is allowed"
+        return "the stage's position has not been read"
+    if not abs(seen.motion) <= tolerance:  # also if it is NaN
+        return f"the stage is off position by {seen.motion:+.4g}; {tolerance:.4g} is allowed"
     if seen.shown != seen.scheduled or seen.scheduled is None:
-        return f"frame {seen.shown} is on show; expected frame {seen.scheduled}"
+        return f"frame {seen.shown} is shown; expected frame {seen.scheduled}"
     return None
 
 
 class Budget:
-    """Light that a print may spend: power × seconds that the light was on, in the unit of its limit."""
+    """Light that a print may use: power × seconds of light, in the unit of its limit."""
 
     limit: float
 
@@ -60,24 +60,24 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Light that has been spent."""
+        """Light used so far."""
         return self._spent
 
     def arm(self, limit: float) -> None:
-        """Set another limit, for light that is planned anew: at most what was given first. Raises `BadInput`."""
+        """Set another limit for a replanned print, at most the first limit. Raises `BadInput`."""
         self.limit = min(positive("the budget of light", limit), self._most)
 
     def allows(self, power: float, on_time: int) -> bool:
-        """Whether a frame of ``on_time`` [ns] at ``power`` still fits; a millionth more is rounding."""
+        """Whether a frame of ``on_time`` [ns] at ``power`` still fits; a millionth more counts as rounding."""
         return self._spent + _light(power, on_time) <= self.limit * (1.0 + 1e-6)
 
     def spend(self, power: float, on_time: int) -> None:
-        """Count a frame; OverDose where it did not fit, which counts all the same. Nothing gives light back."""
+        """Count a frame; OverDose if it does not fit, and it still counts. Used light is never returned."""
         fits = self.allows(power, on_time)
         self._spent += _light(power, on_time)
         if not fits:
             raise OverDose(
-                f"the light has spent {self._spent:.6g} of {self.limit:.6g}; expected no more than the plan: "
+                f"the print has used {self._spent:.6g} of {self.limit:.6g} of light; expected no more than the plan: "
                 "check the powers and on-times of the schedule"
             )
 
@@ -87,23 +87,23 @@ def _light(power: float, on_time: int) -> float:
     return positive("power", power, zero=True) * positive("on_time [ns]", on_time, zero=True) * 1e-9
 
 
-DEFAULT_LENGTH = 250_000_000  # how long a controller keeps the light without a renewal [ns]
+DEFAULT_LENGTH = 250_000_000  # time for which a controller keeps the light on without renewal [ns]
 
 SHORTEST = 10_000_000  # least length of a lease [ns]
 
 
 class Lease:
-    """A lease [ns] that is renewed for signs of work, never for mere time passed."""
+    """A lease [ns] that is renewed for signs of work, never for elapsed time."""
 
-    # A host whose GPU, disk or upload hangs gives no signs for longer than ``stall`` [ns]: its light goes off, whatever
-    # threads still live.
+    # A host whose GPU, disk or upload hangs gives no signs for longer than ``stall`` [ns]: its light goes off, even if
+    # other threads still run.
 
     def __init__(
         self, clock: Clock, renew: Callable[[int], None], length: int = DEFAULT_LENGTH, stall: int | None = None,
     ) -> None:  # fmt: skip
         self.length: int = whole("the lease [ns]", length)
         if self.length < SHORTEST:
-            raise BadInput(f"a lease of {length} ns; expected 10 ms or more, which a line and a scheduler can hold")
+            raise BadInput(f"a lease of {length} ns; expected 10 ms or more, which a line and a scheduler can keep")
         self.stall: int = self.length if stall is None else whole("stall [ns]", stall)
         self._clock, self._renew = clock, renew
         self._lock = threading.Lock()
@@ -123,7 +123,7 @@ class Lease:
         self._sign = self._clock.now()
 
     def keep(self, force: bool = False) -> bool:
-        """Renew where a quarter of the lease has passed and there was work; whether it was renewed."""
+        """Renew if a quarter of the lease has passed and there was work; whether it was renewed."""
         with self._lock:
             now = self._clock.now()
             if self._revoked or self._sign is None or now - self._sign > self.stall:
@@ -131,22 +131,22 @@ class Lease:
             if not force and self._until is not None and self._until - now > 3 * self.length // 4:
                 return False
             self._renew(self.length)
-            # Counted from before the message left: the controller counts from its arrival, which is later.
+            # counted from before the message is sent: the controller counts from its arrival, which is later
             self._until = now + self.length
             return True
 
     def fresh(self, now: int | None = None) -> bool:
-        """Whether the controller still keeps the light, as far as the host can know."""
+        """Whether the controller still keeps the light on, to the host's knowledge."""
         until = self._until
         at = self._clock.now() if now is None else now
         return not self._revoked and until is not None and at < until
 
     def age(self) -> int | None:
-        """Age of the last renewal [ns]; None while the lease is not held."""
+        """Age of the last renewal [ns]; None if the lease is not held."""
         until = self._until
         return None if until is None else self._clock.now() - (until - self.length)
 
     def revoke(self) -> None:
-        """Never renew again; needs no line and cannot fail."""
+        """Stop renewing for good; needs no line and cannot fail."""
         self._revoked = True
         self._until = None

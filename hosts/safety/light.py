@@ -1,4 +1,4 @@
-"""The one holder of the light: it goes on when all that must hold does, and off first whatever happens."""
+"""The one holder of the light: it turns on only if all conditions hold, and off first in any event."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from vamgpu.hosts.safety.interlock import Budget, InterlockOpen, Lease, Observat
 
 log: logging.Logger = logging.getLogger(__name__)
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that end a process that holds the light: keys, systems, and terminals that are closed."""
+"""Signals that end a process with the light: from keys, the system, and closed terminals."""
 
-HELD_UP = 0.1  # how long a signal waits for another thread that is putting the light out [s]
+HELD_UP = 0.1  # time for which a signal waits for another thread that is turning the light off [s]
 
 
 class Switch(Protocol):
-    """Something that can make it dark: a controller's gate, a lamp's driver, a projector that shows black."""
+    """A switch that can turn the light off: a controller's gate, a lamp's driver, a projector that shows black."""
 
-    def off(self) -> None: ...  # make it dark; harmless where it is dark
+    def off(self) -> None: ...  # turn the light off; harmless if it is off
 
 
 class Lamp(Switch, Protocol):
-    """The switch that can also make light."""
+    """The switch that can also turn the light on."""
 
-    def on(self, power: float) -> None: ...  # make light of a power
+    def on(self, power: float) -> None: ...  # turn the light on at a power
 
 
 class LightGuard:
     """Holds the light of one rig, entered last and left first; a fault latches until it is left."""
 
-    # ``others`` are named switches, tried after the lamp whatever it did. ``signals``: SIGINT, SIGTERM and SIGHUP make
-    # it dark before they do what they did, in the main thread; one that is ignored, as under nohup, stays ignored.
+    # ``others`` are named switches, always tried after the lamp. ``signals``: SIGINT, SIGTERM and SIGHUP turn the light
+    # off before their usual effect, in the main thread; an ignored signal, as under nohup, stays ignored.
 
     lease: Lease
     budget: Budget | None
@@ -68,12 +68,12 @@ class LightGuard:
     def __enter__(self) -> LightGuard:
         with self._lock:
             if self._entered:
-                raise DeviceBusy("the light is held already; one holder at a time")
+                raise DeviceBusy("the light already has a holder; expected one at a time")
             self._seen, self._entered = Observation(), True
-            self._fault = self._fault if self._outside else None  # somebody may have stopped it before
+            self._fault = self._fault if self._outside else None  # it may have been stopped before
         self._guard_process()
         try:
-            self._dark("begin")  # whatever state a crashed host left
+            self._dark("begin")  # for any state that a crashed host left
             self.lease.begin()
         except BaseException:
             self.__exit__(None, None, None)
@@ -88,33 +88,33 @@ class LightGuard:
             self._entered = False
             self._release_process()
 
-    # ---- what is seen --------------------------------------------------------------------------------------
+    # ---- observation - --------------------------------------------------------------------------------------
     @property
     def lit(self) -> bool:
-        """Whether light was switched on and not off since."""
+        """Whether the light was turned on and not off since."""
         return self._lit
 
     @property
     def fault(self) -> str | None:
-        """Why the light went off for good; None while it may go on again."""
+        """Why the light went off for good; None if it may go on again."""
         return self._fault
 
     def reason(self) -> str | None:
-        """Why it must be dark now; None where light may be on."""
+        """Why the light must be off now; None if it may be on."""
         if not self._entered:
-            return "nobody holds the light"
+            return "the light has no holder"
         if self._fault is not None:
             return self._fault
         return reason_dark(replace(self._seen, lease=self.lease.fresh()), self.tolerance)
 
     def observe(self, **seen: Any) -> None:
-        """Take what is seen of the machines (fields of `Observation`); InterlockOpen where light had to go off."""
+        """Take an observation of the machines (fields of `Observation`); InterlockOpen if the light had to go off."""
         with self._lock:
             self._seen = replace(self._seen, **seen)
         self.check()
 
     def check(self) -> None:
-        """Put the light out where it may not be on. Raises `InterlockOpen` then."""
+        """Turn the light off if it may not be on, and then raise `InterlockOpen`."""
         with self._lock:
             why = self.reason() if self._lit else None
             if why is not None:
@@ -123,14 +123,14 @@ class LightGuard:
 
     # ---- on and off ----------------------------------------------------------------------------------------
     def on(self, power: float) -> None:
-        """Make light. Raises `InterlockOpen` with the reason where it must stay dark."""
+        """Turn the light on. Raises `InterlockOpen` with the reason if it must stay off."""
         with self._lock:
             why = self.reason()
             if why is not None:
                 self.off(why)
                 raise InterlockOpen(f"no light: {why}")
             power = positive("power", power)
-            self._lit = True  # first: a lamp that fails half-way may be on
+            self._lit = True  # set first: a lamp that fails half-way may be on
             try:
                 self._lamp.on(power)
             except BaseException as error:
@@ -139,7 +139,7 @@ class LightGuard:
             self._notify("on", f"{power:.6g}")
 
     def spend(self, power: float, on_time: int) -> None:
-        """Count light of ``on_time`` [ns]; over the budget it goes off for good. Raises `OverDose`."""
+        """Count light of ``on_time`` [ns]; beyond the budget it goes off for good. Raises `OverDose`."""
         if self.budget is None:
             return
         try:
@@ -149,7 +149,7 @@ class LightGuard:
             raise
 
     def off(self, why: str = "asked") -> None:
-        """Make it dark; as often as one likes, from any thread, whatever has failed before. Never raises."""
+        """Turn the light off; any number of times, from any thread, after any failure. Never raises."""
         with self._lock:
             was = self._lit
             self._dark(why)
@@ -157,14 +157,14 @@ class LightGuard:
                 self._notify("off", why)
 
     def fail(self, why: str) -> None:
-        """Make it dark for good: no light before the guard is left, and no lease either."""
-        self.lease.revoke()  # first, as it waits for nothing: with every line dead, the controller closes by itself
+        """Turn the light off for good: no light and no lease until the guard is left."""
+        self.lease.revoke()  # first, because it does not wait: with every line dead, the controller closes by itself
         with self._lock:
             self._fault, self._outside = self._fault or why, self._outside or not self._entered
             self.off(why)
 
     def _signalled(self, why: str) -> None:
-        """Make it dark from a signal, whose thread may hold what a thread waits for that is making it dark already."""
+        """Turn the light off from a signal, whose thread may hold a lock that the thread turning it off waits for."""
         self.lease.revoke()
         self.signalled = True
         if self._lock.acquire(timeout=HELD_UP):
@@ -174,7 +174,7 @@ class LightGuard:
                 self._lock.release()
 
     def _dark(self, why: str) -> None:
-        """Try every switch; a switch that fails stops no other. With all of them dead the lease is left to run out."""
+        """Try every switch, even if one fails. If all fail, the lease runs out."""
         worked = 0
         for name, switch in (("lamp", self._lamp), *self._others.items()):
             try:
@@ -190,14 +190,14 @@ class LightGuard:
 
     # ---- the process ---------------------------------------------------------------------------------------
     def _guard_process(self) -> None:
-        """Signals and the interpreter's end put the light out too."""
+        """Signals and the interpreter's end also turn the light off."""
         atexit.register(self._at_exit)
         if not self._signals or threading.current_thread() is not threading.main_thread():
             return
         mine = weakref.ref(self)
         for number in SIGNALS:
             before = signal.getsignal(number)
-            if before in (signal.SIG_IGN, None):  # the print shall outlive it, or a maker's library handles it
+            if before in (signal.SIG_IGN, None):  # the print continues after it, or a maker's library handles it
                 continue
 
             def dark_first(number: int, frame: FrameType | None, before: Any = before) -> None:
@@ -220,7 +220,7 @@ class LightGuard:
 
 
 def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
-    """Do what a signal did before the light was held."""
+    """Call the signal's handler from before the light was held."""
     if callable(before):
         before(number, frame)
     else:
@@ -228,7 +228,7 @@ def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
 
 
 class LampGate:
-    """The light behind a controller's gate: with ``steady`` it shines at once, else row by row."""
+    """The light behind a controller's gate: with ``steady`` it is on at once, else row by row."""
 
     def __init__(
         self, controller: Controller, channels: Sequence[int] = (0,), steady: bool = False,
@@ -246,12 +246,12 @@ class LampGate:
             self._controller.light(sum(1 << channel for channel in self._channels))
 
     def off(self) -> None:
-        """Light off and not allowed; where that fails, everything stops."""
+        """Turn the light off and disallow it; if that fails, everything stops."""
         try:
             self._controller.disarm()
         except (DeviceError, ProtocolError):
             self._controller.stop()
 
     def renew(self, length: int) -> None:
-        """Let the controller keep the light for ``length`` [ns] more."""
+        """Let the controller keep the light on for ``length`` [ns] more."""
         self._controller.lease(length // 1_000_000)

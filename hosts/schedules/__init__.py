@@ -1,1 +1,1 @@
-"""Which frame when: exact tables of slots, and what machines can do."""
+"""Schedules of frames: exact tables of slots, and limits of machines."""

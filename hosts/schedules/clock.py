@@ -1,4 +1,4 @@
-"""Time as hosts see it: whole nanoseconds since some start, from the machine or from a program."""
+"""Time of hosts: whole nanoseconds since some start, real or simulated."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _now = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME) if hasattr(time, "CLO
 
 @runtime_checkable
 class Clock(Protocol):
-    """Tells the time and waits. real: it goes on by itself, so that threads must work ahead of it."""
+    """A clock with sleep. real: it advances by itself, so that threads must work ahead of it."""
 
     real: bool
 
-    def now(self) -> int: ...  # the time [ns]; it never goes back
-    # return at ``until`` [ns] or soon after it; at once where that is past
+    def now(self) -> int: ...  # the time [ns], never decreasing
+    # return at ``until`` [ns] or soon after; at once if it is past
     def sleep_until(self, until: int) -> None: ...
 
 
 class RealClock:
-    """The machine's own monotonic clock, which goes on while a suspended machine sleeps, where its system tells."""
+    """The machine's monotonic clock, which counts suspended time if the system supports it."""
 
     real = True
 
@@ -33,23 +33,23 @@ class RealClock:
         return _now()
 
     def sleep_until(self, until: int) -> None:
-        """Sleep to ``until`` [ns]; returns late by what the system takes to wake a thread."""
+        """Sleep to ``until`` [ns]; returns late by the system's wake-up time."""
         if (left := until - _now()) > 0:
             time.sleep(left * 1e-9)
 
 
-TRIES = 4  # how often a question that took long is asked
+TRIES = 4  # number of tries for a query that took long
 Answer = TypeVar("Answer")
 
 
 class TimedQuery(Generic[Answer]):
-    """A question, and the time halfway to its answer. slack: how long an answer may always take [ns]."""
+    """A query, and the time halfway to its answer. slack: time that an answer may always take [ns]."""
 
     def __init__(self, clock: Clock, ask: Callable[[], Answer], slack: float) -> None:
         self._clock, self._ask, self._slack, self._quickest = clock, ask, slack, SECOND
 
     def __call__(self) -> tuple[int, Answer]:
-        """When [ns], and what."""
+        """Time [ns] and answer."""
         for _ in range(TRIES - 1):
             asked, answer, took = self._exchange()
             if took <= max(2 * self._quickest, self._slack):
@@ -58,7 +58,7 @@ class TimedQuery(Generic[Answer]):
         return asked + took // 2, answer
 
     def _exchange(self) -> tuple[int, Answer, int]:
-        """When it was asked [ns], the answer, and how long that took [ns]."""
+        """Time of the query [ns], the answer, and its duration [ns]."""
         asked = self._clock.now()
         answer = self._ask()
         took = self._clock.now() - asked

@@ -1,4 +1,4 @@
-"""Schedules of what moves past triggered mirrors: webs with a focus that follows, vials, slices of continuous SLA."""
+"""Schedules for triggered mirrors: webs with a moving focus, vials, slices of continuous SLA."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, every,
 from vamgpu.printing.focus import slots
 
 FULL = 360
-NANODEGREES = 10**9  # angles are whole ones of these: what a file writes comes back exactly
+NANODEGREES = 10**9  # angles are multiples of this, so that files keep them exactly
 
 
 def rising(motion: Turntable) -> tuple[Fraction, ...]:
     """Angles [deg] of a turn, rising from 0 to below 360. Raises `BadInput` for others, and for unequal times."""
     if motion.dwell is not None:
         raise BadInput(
-            f"a schedule got {motion} angles; expected frames that are lit as long, for mirrors take one time for "
+            f"a schedule got {motion} angles; expected frames that are lit as long, because mirrors use one time for "
             "all: solve for a Turntable without dwell"
         )
     degrees = [Fraction(round(angle * NANODEGREES), NANODEGREES) for angle in np.degrees(motion.poses).tolist()]
@@ -33,24 +33,24 @@ def rising(motion: Turntable) -> tuple[Fraction, ...]:
         last, first = (degrees[late], degrees[late - 1]) if late else (degrees[-1], degrees[0])
         raise BadInput(
             f"a schedule got angles that go from {float(first):.6g}° to {float(last):.6g}°; expected them to rise "
-            "within one turn, as a vial turns forward: sort angles and frames, and drop angles that come twice"
+            "within one turn: sort angles and frames, and drop repeated angles"
         )
     return tuple(angle - degrees[0] // FULL * FULL for angle in degrees)
 
 
 def closest(angles: tuple[Fraction, ...]) -> Fraction:
-    """The least way [deg] from one angle to the next, around the turn."""
+    """The least step [deg] from one angle to the next, around the turn."""
     following = (*angles[1:], angles[0] + FULL)
     return min(after - angle for angle, after in zip(angles, following, strict=True))
 
 
 def even_images(images: int | Turntable) -> int:
-    """Number of images that are even over a turn. Raises `BadInput` for a turntable with others."""
+    """Number of equally spaced images in a turn. Raises `BadInput` for a turntable with other angles."""
     if not isinstance(images, Turntable):
         return images
     if not images.is_even:
         raise BadInput(
-            f"a video cable got {images} angles; expected even ones over a full turn, each lit as long, for its "
+            f"a video cable got {images} angles; expected equal steps and times over a full turn, because its "
             "frames change at a fixed rate: solve for Turntable(angles=n), or print on triggered mirrors"
         )
     return images.angles
@@ -67,8 +67,8 @@ def web(
 ) -> Schedule:  # fmt: skip
     """Slots of a web: at every pose one frame for each focus plane, frame pose · planes + plane.
 
-    advance: from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of each plane
-    [dpt].  turning: the order of planes turns at every pose.  on: light of a frame [s], or all there is.
+    advance: distance from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of
+    each plane [dpt].  turning: the order of planes reverses at every pose.  on: light of a frame [s].
     """
     count, way = whole("poses", poses), exact("advance [mm]", advance)
     shown = _Engines.of(engines, bits, power)
@@ -89,7 +89,7 @@ def sla(
     layers: int, *, pitch: Number, speed: Number, engines: Engines, bits: int = 8, on: Number | None = None,
     power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a platform that rises without a stop, one slice every ``pitch`` [mm] at ``speed`` [mm/s]; see `web`."""
+    """Slots of a platform that rises continuously, one slice every ``pitch`` [mm] at ``speed`` [mm/s]; see `web`."""
     return web(layers, advance=pitch, speed=speed, engines=engines, bits=bits, on=on, power=power)
 
 
@@ -97,9 +97,9 @@ def turned(
     images: int | Turntable, *, speed: Number, engines: Engines, turns: int = 1, bits: int = 8,
     on: Number | None = None, power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a turning vial before triggered mirrors, at ``speed`` [deg/s], turn after turn.
+    """Slots of a turning vial with triggered mirrors, at ``speed`` [deg/s], turn after turn.
 
-    images: so many a turn, evenly, or a `Turntable`: measured angles are met at a constant speed, all lit as long.
+    images: number per turn, equally spaced, or a `Turntable`, whose angles are lit equally long at a constant speed.
     """
     motion = images if isinstance(images, Turntable) else None
     number = images.angles if isinstance(images, Turntable) else whole("images", images)
@@ -114,7 +114,7 @@ def turned(
 
 
 def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, power: tuple[float, ...]) -> Schedule:
-    """Slots at measured angles of a turn; the nearest two are one ``advance`` apart."""
+    """Slots at measured angles of a turn; the two nearest are one ``advance`` apart."""
     angles = rising(motion)
     way, count = closest(angles), len(angles) * turns
     period = pose.period(way, speed, "deg")
@@ -151,7 +151,7 @@ class _Engines:
 
 @dataclass(frozen=True)
 class _Pose:
-    """The times of a pose [ns]: what passes before the light of each slot at even and odd poses, and the light's."""
+    """The times of a pose [ns]: before the light of each slot at even and odd poses, and of the light."""
 
     gaps: np.ndarray
     moved: np.ndarray
@@ -166,12 +166,12 @@ class _Pose:
         moved = before != order
         gaps = np.where(moved, 0 if lens is None else lens.wire + lens.settling, 0)
         wanted = None if on is None else nanoseconds("on [s]", exact("on [s]", on))
-        frame = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts as long as the mirrors show all planes
+        frame = max(shown.least, wanted or 0, 1) + shown.pause  # light lasts until the mirrors have shown all planes
         return cls(gaps, moved, frame, wanted, shown, lens.wire if lens else 0)
 
     @property
     def parts(self) -> dict[str, int]:
-        """The times that add up to the longer pose [ns]."""
+        """The parts of the longer pose's time [ns]."""
         gaps, moved = max(zip(self.gaps, self.moved, strict=True), key=lambda each: int(each[0].sum()))
         wire = int(moved.sum()) * self.wire
         held = len(gaps) * self.frame
@@ -180,25 +180,25 @@ class _Pose:
         return {"lens": settling, "serial line": wire, name: held}
 
     def period(self, way: Fraction, speed: Fraction, unit: str) -> Fraction:
-        """Nanoseconds a pose at a speed. Raises `TimingInfeasible` where that is too short."""
+        """Nanoseconds per pose at a speed. Raises `TimingInfeasible` if that is too short."""
         period = way / speed * SECOND
         if period > SLOWEST:
             seconds = float(period / SECOND)
-            raise BadInput(f"{float(speed):.4g} {unit}/s is an angle in {seconds:.4g} s; expected an hour at most")
+            raise BadInput(f"{float(speed):.4g} {unit}/s is an angle in {seconds:.4g} s; expected at most an hour")
         parts = self.parts
         limit, need = max(parts, key=lambda name: parts[name]), sum(parts.values())
         if period < need:
             most = below(way * SECOND / need)
             spent = ", ".join(f"{1e-6 * time:.4g} ms {name}" for name, time in parts.items() if time)
             raise TimingInfeasible(
-                f"{float(speed):.6g} {unit}/s leaves {1e-6 * float(period):.4g} ms an angle; {1e-6 * need:.4g} ms are "
-                f"needed ({spent}): at most {most:.6g} {unit}/s; what takes most is the {limit}",
+                f"{float(speed):.6g} {unit}/s leaves {1e-6 * float(period):.4g} ms per angle; {1e-6 * need:.4g} ms are "
+                f"needed ({spent}): at most {most:.6g} {unit}/s; the slowest part is the {limit}",
                 limit, most, f"{unit}/s",
             )  # fmt: skip
         return period
 
     def times(self, period: Fraction) -> tuple[np.ndarray, int]:
-        """When each slot's light begins after its pose does, int64 (2, slots), and how long it is on [ns]."""
+        """Delay of each slot's light from its pose, int64 (2, slots), and its duration [ns]."""
         room = int(period) - int(self.gaps.sum(axis=1).max())
         each = room // self.gaps.shape[1]
         starts = np.cumsum(self.gaps, axis=1) + each * np.arange(self.gaps.shape[1])
@@ -215,7 +215,7 @@ def _table(
     light = (begins[:, None] + starts[parity]).ravel()
     plane, moved, gap = (table[parity].ravel() for table in (order, pose.moved, pose.gaps))
     command = np.where(moved, light - gap, NONE)
-    if lens is not None and focus:  # wherever the lens may rest, it is on its plane before the first light
+    if lens is not None and focus:  # from any power, the lens is on its plane before the first light
         command[0] = light[0] - lens.wire - lens.settling
     pose_number = np.repeat(number, planes)
     return Schedule(

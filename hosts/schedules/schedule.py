@@ -1,6 +1,6 @@
-"""The table of a print: when each frame is shown, where, through which focus, how bright and for how long. No I/O.
+"""The table of a print: time, position, focus, power and duration of each frame. No I/O.
 
-Times are whole nanoseconds since the schedule begins, computed from a slot's number alone, so errors never add up.
+Times are whole nanoseconds since the start, computed only from the slot's number, so errors never add up.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
 from vamgpu.printing.planes import PlaneTime
 
-NONE = -1  # in place of a time or frame: there is none
+NONE = -1  # no time or frame
 
 COLUMNS = ("command", "trigger", "light", "dark", "on", "frame", "pose", "plane", "position", "focus")
 
@@ -45,22 +45,22 @@ class Slot:
 class Schedule:
     """Slots in the order of time, one array each (slots,)."""
 
-    command: np.ndarray  # when the lens is told [ns]; `NONE` where it stays
-    trigger: np.ndarray  # of the mirrors [ns]
-    light: np.ndarray  # when there is light [ns]
-    dark: np.ndarray  # when there is none any more [ns]
-    on: np.ndarray  # of that time it is really on, what dose follows [ns]
+    command: np.ndarray  # time of the lens command [ns]; `NONE` if it stays
+    trigger: np.ndarray  # trigger of the mirrors [ns]
+    light: np.ndarray  # start of the light [ns]
+    dark: np.ndarray  # end of the light [ns]
+    on: np.ndarray  # true light in that time, which gives the dose [ns]
     frame: np.ndarray  # number of the frame to show
-    pose: np.ndarray  # of the motion, running on over turns
+    pose: np.ndarray  # pose of the motion, counted over turns
     plane: np.ndarray  # focus plane
-    position: np.ndarray  # that the frame is meant for, in ``unit``
+    position: np.ndarray  # position of the frame, in ``unit``
     focus: np.ndarray  # lens power [dpt], NaN without a lens
-    power: np.ndarray  # of the light, 0 to 1, float (slots, engines)
-    cadence: Cadence  # of the poses, and so of the motion
-    advance: Fraction  # from pose to pose, exact; of measured angles between the nearest two
+    power: np.ndarray  # power of the light, 0 to 1, float (slots, engines)
+    cadence: Cadence  # times of the poses, and so of the motion
+    advance: Fraction  # distance from pose to pose, exact; for measured angles between the nearest two
     unit: str  # "mm" or "deg"
-    delay: int  # from trigger to light [ns], the same in every engine
-    frames: int  # how many there are
+    delay: int  # delay from trigger to light [ns], the same for every engine
+    frames: int  # number of frames
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -84,14 +84,14 @@ class Schedule:
         return (self[number] for number in range(len(self)))
 
     def window(self, first: int, last: int) -> Schedule:
-        """Slots first to last − 1 alone, at the times they have."""
+        """Only slots first to last − 1, at their times."""
         return replace(self, **{name: getattr(self, name)[first:last].copy() for name in (*COLUMNS, "power")})
 
     def turned_again(self, frames: set[int]) -> Schedule:
-        """With one more turn of a vial at the end, lit for some frames alone; the rest of it is black."""
+        """The schedule with one more turn of a vial at the end, lit only for some frames; the rest is black."""
         turn, count = self.window(0, self.frames), int(self.pose[-1]) + 1 - int(self.pose[0])
         if self.unit != "deg" or count % self.frames:
-            raise BadInput("only whole turns of a vial can be turned again; a web does not come round")
+            raise BadInput("only whole turns of a vial can be repeated; a web has no turns")
         beats = turn.pose - turn.pose[0]
         late = self._later(count, beats)
         wanted = np.isin(turn.frame, list(frames))
@@ -118,32 +118,32 @@ class Schedule:
 
     @property
     def duration(self) -> int:
-        """Time from the beginning to the last darkness [ns]."""
+        """Time from the start to the end of the last light [ns]."""
         return int(self.dark[-1]) if len(self) else 0
 
     @cached_property
     def speed(self) -> Fraction:
-        """Exact speed of the motion [unit/s]: command this one, not the one that was asked for."""
+        """Exact speed of the motion [unit/s]: command this one, not the requested one."""
         return self.advance * SECOND / self.cadence.period
 
     @property
     def gap(self) -> int:
-        """The least time from one light to the next [ns]; with one slot it has no end."""
+        """The least time from one light to the next [ns]; infinite for one slot."""
         return int(np.diff(self.light).min(initial=np.iinfo(np.int64).max))
 
     @property
     def duty(self) -> float:
-        """Share of the time from the first light on in which there is light."""
+        """Lit share of the time from the first light on."""
         return float(self.on.sum() / max(self.duration - int(self.light[0]), 1)) if len(self) else 0.0
 
     @cached_property
     def rate(self) -> float:
-        """Slots a second, on average; at measured angles where they are nearest."""
+        """Slots per second, on average; for measured angles between the nearest two."""
         poses = int(self.pose[-1] - self.pose[0]) + 1 if len(self) else 1
         return float(len(self) * SECOND / (poses * self.cadence.period))
 
     def position_at(self, time: int) -> Fraction:
-        """Where the motion is at a time [ns], in ``unit``, if it runs at ``speed`` and pose 0 is at position 0."""
+        """Position of the motion at a time [ns], in ``unit``, if it runs at ``speed`` and pose 0 is at position 0."""
         return (time - self.cadence.start) * self._per_nanosecond
 
     @cached_property
@@ -152,9 +152,9 @@ class Schedule:
 
 
 def plane_times(schedule: Schedule, bits: int, display: HdmiTiming | None = None) -> tuple[PlaneTime, ...]:
-    """Planes of a frame of a vial, lit one after the other, as shares of its step about the middle of its light."""
+    """Planes of a vial's frame, lit one after another, as shares of its step about the middle of its light."""
     if schedule.unit != "deg" or int(schedule.plane.max()) > 0:
-        raise BadInput("the schedule moves a web or several focus planes; expected that of a vial with one focus")
+        raise BadInput("the schedule is for a web or several focus planes; expected that of a vial with one focus")
     slot = schedule[0]
     lit, step = Fraction(slot.dark - slot.light), schedule.cadence.period
     times = 1 if display is None else max(round(step * display.slot_rate / SECOND), 1)

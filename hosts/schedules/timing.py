@@ -1,4 +1,4 @@
-"""Exact times, whole nanoseconds of fractions: a million frames later nothing has drifted."""
+"""Exact times, whole nanoseconds from fractions, without drift over a million frames."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 
-SECOND = 10**9  # nanoseconds of a second
-DAY = 86400 * SECOND  # the longest time that a machine is given [ns]
-FARTHEST = 2**62  # the last time that tables hold [ns]
-GREATEST = 10**30  # of numbers: beyond it, and below its inverse, they are slips of the pen
+SECOND = 10**9  # nanoseconds per second
+DAY = 86400 * SECOND  # the longest time for a machine [ns]
+FARTHEST = 2**62  # the last time in tables [ns]
+GREATEST = 10**30  # numbers beyond it, and below its inverse, are typing errors
 
 Number = int | float | Fraction
-"""Type of times and speeds; a float counts as the decimal that it is written as: 0.1 is a tenth."""
+"""Type of times and speeds; a float counts as its decimal: 0.1 is a tenth."""
 
 
 def numeric(value: object) -> TypeGuard[Number]:
-    """Whether it is a number: Python's own, a fraction, or one of NumPy."""
+    """Whether it is a number of Python, a fraction, or a number of NumPy."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
@@ -47,7 +47,7 @@ def exact(name: str, value: Number, *, zero: bool = False) -> Fraction:
 
 
 def whole(name: str, value: Number, least: int = 1) -> int:
-    """A whole number that is not below ``least``. Raises `BadInput`."""
+    """A whole number of at least ``least``. Raises `BadInput`."""
     number = fraction(name, value)
     if number.denominator != 1 or number < least:
         raise BadInput(f"{name} is {_told(value)}; expected a whole number ≥ {least}")
@@ -55,15 +55,15 @@ def whole(name: str, value: Number, least: int = 1) -> int:
 
 
 def nanoseconds(name: str, seconds: Number) -> int:
-    """Seconds ≥ 0 as whole nanoseconds, rounded up: a machine is given its time. Raises `BadInput`."""
+    """Seconds ≥ 0 as whole nanoseconds, rounded up so that a machine has its time. Raises `BadInput`."""
     time = ceil(exact(name, seconds, zero=True) * SECOND)
     if time > DAY:
-        raise BadInput(f"{name} is {_told(seconds)}; expected a day at most")
+        raise BadInput(f"{name} is {_told(seconds)}; expected at most a day")
     return time
 
 
 def every(name: str, values: Any) -> tuple[Any, ...]:
-    """The members of a sequence. Raises `BadInput` for what has none."""
+    """The members of a sequence. Raises `BadInput` for other values."""
     if not isinstance(values, (str, bytes)):
         try:
             return tuple(values)
@@ -73,13 +73,13 @@ def every(name: str, values: Any) -> tuple[Any, ...]:
 
 
 def _told(value: object) -> str:
-    """A value as messages show it; some are long."""
+    """A value for messages, shortened if long."""
     text = repr(value) if not isinstance(value, int) or abs(value) < GREATEST else "an integer beyond 1e30"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def below(bound: Fraction) -> float:
-    """The greatest float whose decimal is no more than a fraction."""
+    """The greatest float whose decimal does not exceed a fraction."""
     value = float(bound)
     while Fraction(repr(value)) > bound:
         value = nextafter(value, 0.0)
@@ -88,7 +88,7 @@ def below(bound: Fraction) -> float:
 
 @dataclass(frozen=True)
 class Cadence:
-    """Beats at ``start`` + ⌊k · ``period``⌋ [ns]. Each is computed from its number, never from the one before it."""
+    """Beats at ``start`` + ⌊k · ``period``⌋ [ns]. Each is computed from its number, never from the one before."""
 
     period: Fraction
     start: int = 0
@@ -99,11 +99,11 @@ class Cadence:
             raise BadInput(f"the period is {float(self.period):g} ns; expected at least 1")
 
     def at(self, beat: int) -> int:
-        """When a beat falls [ns]."""
+        """Time of a beat [ns]."""
         return self.start + beat * self.period.numerator // self.period.denominator
 
     def times(self, first: int, count: int, stride: int = 1) -> np.ndarray:
-        """When beats first, first + stride, … fall [ns], int64 (count,). Raises `BadInput` beyond `FARTHEST`."""
+        """Times of beats first, first + stride, … [ns], int64 (count,). Raises `BadInput` beyond `FARTHEST`."""
         if max(abs(self.at(first)), abs(self.at(first + stride * count))) > FARTHEST:
             years = FARTHEST / SECOND / (365 * 86400)
             raise BadInput(f"{count} beats from beat {first} leave the {years:.0f} years of a table; expected fewer")

@@ -1,4 +1,4 @@
-"""Schedules of a turning vial before mirrors on a video cable: every image takes a whole number of slots."""
+"""Schedules of a turning vial with mirrors on a video cable: every image takes a whole number of slots."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from vamgpu.hosts.schedules.mirrors import even_images
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds, whole
 
-SAME = Fraction(1, 10**9)  # speeds this close are the same: what a user writes is rounded
+SAME = Fraction(1, 10**9)  # speeds this close are the same, because users write rounded ones
 
 
 def vial(
     images: int | Turntable, *, speed: Number, display: HdmiTiming, turns: int = 1, power: float | Sequence[float] = 1.0
 ) -> Schedule:
-    """Slots of a vial: ``images`` a turn at ``speed`` [deg/s], each in whole slots of the cable; see `_slots_in`."""
+    """Slots of a vial: ``images`` per turn at ``speed`` [deg/s], each in whole slots of the cable; see `_slots_in`."""
     number, times = whole("images", even_images(images)), whole("turns", turns)
     return _table(number, number * times, Fraction(360, number), "deg", speed, display, power)
 
@@ -56,7 +56,7 @@ def _table(
 
 
 def _slots_in(way: Fraction, unit: str, speed: Number, display: HdmiTiming) -> int:
-    """Slots of the cable that every ``way`` takes."""
+    """Slots of the cable for every ``way``."""
     if not isinstance(display, HdmiTiming):
         raise BadInput(f"display is {display!r}; expected the HdmiTiming of the projector")
     wanted = exact(f"speed [{unit}/s]", speed)
@@ -70,10 +70,10 @@ def _slots_in(way: Fraction, unit: str, speed: Number, display: HdmiTiming) -> i
     most = below(turn / max(ceil(ratio), 1))
     limit = "mirrors" if ratio < 1 else "cadence"
     each, move = (
-        (f"{360 / way} images a turn", "turn") if unit == "deg" else (f"images every {float(way):.6g} mm", "move")
+        (f"{360 / way} images per turn", "turn") if unit == "deg" else (f"images every {float(way):.6g} mm", "move")
     )
     raise TimingInfeasible(
         f"{each} at {float(wanted):.6g} {unit}/s take {float(ratio):.6g} slots each of "
-        f"{float(display.slot_rate):.6g} slots a second; expected a whole number, or images jump to and fro: {move} at "
-        f"{most:.6g} {unit}/s, or take another number of images", limit, most, f"{unit}/s",
+        f"{float(display.slot_rate):.6g} slots per second; expected a whole number, or images jitter: {move} at "
+        f"{most:.6g} {unit}/s, or use another number of images", limit, most, f"{unit}/s",
     )  # fmt: skip

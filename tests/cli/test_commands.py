@@ -243,9 +243,9 @@ def test_bench_tells_the_stages_of_a_job(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["bench", "--job", str(tmp_path / "job.toml"), *(f"--set={each}" for each in small)]) == 0
     said = capsys.readouterr().out
     told = {line.split("│")[1].strip(): line.split("│")[2:] for line in said.splitlines() if line.count("│") > 3}
-    assert list(told)[1:5] == ["voxelizing the part", "tracing rays", "finding the light", "packing the frames"]
+    assert list(told)[1:5] == ["voxelizing the part", "tracing rays", "optimizing the patterns", "packing the frames"]
     shares = [float(cells[1].strip().rstrip("%")) for cells in told.values()]
-    assert abs(sum(shares) - 100.0) <= len(shares) and told["finding the light"][2].strip().endswith(" s")
+    assert abs(sum(shares) - 100.0) <= len(shares) and told["optimizing the patterns"][2].strip().endswith(" s")
     assert [path.name for path in tmp_path.iterdir()] == ["job.toml"]
 
 

@@ -33,7 +33,7 @@ def test_stages_that_are_over_stay_as_lines() -> None:
     with shown(Console(file=text, force_terminal=True, width=100)) as progress:
         progress("voxels", 0.0)
         progress("light", 0.5)
-    assert "voxelizing the part" in text.getvalue() and "finding the light" in text.getvalue()
+    assert "voxelizing the part" in text.getvalue() and "optimizing the patterns" in text.getvalue()
     assert text.getvalue().count("✓") == 2
 
 

@@ -119,7 +119,7 @@ def job(tmp_path: Path) -> Path:
 def test_plans_want_a_rig_and_paths(job: Path) -> None:
     rig = read_rig("emulated")
     for other in (None, "lab.toml", rig.setup):
-        with pytest.raises(BadInput, match="expected what read_rig gives"):
+        with pytest.raises(BadInput, match="expected a rig from read_rig"):
             plan(job, other, turns=1)  # type: ignore[arg-type]
     for jobs in (None, 7, (job, None), [b"part"]):
         with pytest.raises(BadInput, match="expected"):
@@ -195,7 +195,7 @@ def test_a_folder_is_not_made_for_what_it_cannot_keep(tmp_path: Path) -> None:
     endless["again"] = endless
     keepless = ({"at": place}, None, 7, {(1, 2): 3}, endless)
     for asked, rig in [(asked, "") for asked in keepless] + [({}, None), ({}, "\ud800")]:
-        with pytest.raises(BadInput, match="cannot keep what was asked for"):
+        with pytest.raises(BadInput, match="cannot store the request"):
             RunFolder.begin(place, asked, rig)  # type: ignore[arg-type]
         assert not place.exists()
     with pytest.raises(BadInput, match="expected a path"):

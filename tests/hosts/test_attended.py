@@ -77,13 +77,13 @@ def job(tmp_path: Path) -> Attended:
 
 def test_a_print_is_paused_and_goes_on_by_its_buttons(job: Attended) -> None:
     def pause() -> None:
-        with pytest.raises(WrongState, match="only one that is paused"):
+        with pytest.raises(WrongState, match="only a paused"):
             job.press("resume")
         job.press("pause")
 
     def resume() -> None:
         assert not job.board.now.light and job.board.now.deadline is not None
-        with pytest.raises(WrongState, match="only one that prints"):
+        with pytest.raises(WrongState, match="only a running print"):
             job.press("pause")
         job.press("resume")
 

@@ -288,7 +288,7 @@ def test_the_stage_moves_in_the_dark_alone() -> None:
 
 def test_what_a_rig_cannot_do_is_told() -> None:
     stand, _ = rehearsed()
-    with pytest.raises(BadInput, match="as the rig says"):
+    with pytest.raises(BadInput, match="the limits of the rig"):
         focus_run.focus(stand, (0.0, 1.0), (9.0, 9.5))
     with pytest.raises(BadInput, match="projector 1"):
         axis_run.axis(stand, projector=1)

@@ -129,7 +129,7 @@ def test_one_of_each_kind_that_is_old_is_told_before_a_print(kind: str, rig: Rig
     job, _ = smooth_job(tmp_path / "light.vam")
     name = written(rig, kind, datetime.now() - timedelta(days=91))
     notes = [text for what, text in plan(job, rig, turns=1).lines() if what == "note" and "days old" in text]
-    assert len(notes) == 1 and name in notes[0] and "91 days old; expected 90 at most: measure again" in notes[0]
+    assert len(notes) == 1 and name in notes[0] and "91 days old; expected at most 90: measure again" in notes[0]
     fresh = written(rig, kind)
     planned = plan(job, rig, turns=1)
     assert planned.calibration.used[kind] == fresh and not any("days old" in note for note in planned.calibration.notes)
@@ -160,9 +160,9 @@ def test_light_is_sought_with_the_point_spread_of_its_rig(
     name, runs = written(rig, "mtf"), written(rig, "runout")
     found, said = spread()
     assert found == pytest.approx(np.sqrt(0.04**2 - (0.1**2 + 0.0078**2) / 12)) and f"measured by {name}" in said
-    assert f"turns true to 0.02, by {runs}" in said
+    assert f"runout left 0.02, from {runs}" in said
     found, said = spread("--set", 'beam.spread="70 um"')
-    assert found == pytest.approx(0.07) and "the job says it" in said
+    assert found == pytest.approx(0.07) and "as the job sets it" in said
 
 
 def test_they_move_with_the_rig(rig: RigConfig, tmp_path: Path) -> None:

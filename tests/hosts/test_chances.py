@@ -41,7 +41,7 @@ def test_random_stalls_are_dark_and_told(name: str, seed: int, tmp_path: Path) -
         last = max(until - began for began, until in stalls)
         assert last <= stand.ahead, "dark once the frames are over that the mirrors hold"
     elif state is PrintState.ERROR and len(record.shown):
-        assert "has spent" in record.message, "a screen repeats its last frame until the budget of light is spent"
+        assert "has used" in record.message, "a screen repeats its last frame until the budget of light is spent"
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -75,5 +75,5 @@ def test_the_web_and_the_power() -> None:
     assert machine.powers == [65535, round(0.75 * 65535)]
     with pytest.raises(BadInput, match="of full"):
         driver.power(1, 1.1)
-    with pytest.raises(DeviceRefused, match="outside what it can do"):
+    with pytest.raises(DeviceRefused, match="outside its range"):
         driver.power(2, 1.0)

@@ -214,7 +214,7 @@ def test_a_source_that_stalls_too_long_lets_the_lease_run_out(run: Path) -> None
 def test_mirrors_that_count_wrongly_before_the_print_get_no_light(run: Path) -> None:
     at = stand(run, roll(100))
     at.emulated.lose_triggers = 1
-    with pytest.raises(InterlockOpen, match="frame 0 is on show; expected frame 1"):
+    with pytest.raises(InterlockOpen, match="frame 0 is shown; expected frame 1"):
         at.print.run()
     assert not at.emulated.recorder.light and at.read().shown.size == 0
 
@@ -225,7 +225,7 @@ def test_a_trigger_that_the_mirrors_missed_ends_the_print_within_a_poll(run: Pat
         at.print.begin(0)
         at.steps(lambda: at.print.next >= 50)
         at.emulated.lose_triggers = 1
-        with pytest.raises(InterlockOpen, match="is on show; expected"):
+        with pytest.raises(InterlockOpen, match="is shown; expected"):
             at.steps(lambda: False)
         assert not at.emulated.controller.light
     assert np.flatnonzero(at.seconds(200)).max() <= 52
@@ -339,12 +339,12 @@ def test_what_cannot_be_resumed_is_told(run: Path) -> None:
     old.emulated.alps[0].disconnect()
     controller.go(5)
     controller.stop()
-    with pytest.raises(BadInput, match="another program let the controller play"):
+    with pytest.raises(BadInput, match="another program used the controller"):
         interrupted(run, old.emulated.machines(per_mm).controller, schedule)
     for zero in (0, old.emulated.controller.zero + 1):
         old.emulated.alps[0].disconnect()
         old.emulated.controller.zero = zero
-        with pytest.raises(BadInput, match="does not know the print.*lost its power"):
+        with pytest.raises(BadInput, match="has lost the print.*lost its power"):
             interrupted(run, old.emulated.machines(per_mm).controller, schedule)
     events = run / "events.jsonl"
     lines = [json.loads(line) for line in events.read_text().splitlines()]

@@ -268,7 +268,7 @@ def test_what_cannot_be_watched_is_told(job: Path, tmp_path: Path) -> None:
         stopping(plan(job, RIGS["mirrors"], turns=1), 0.0)
     images = np.zeros((36, 6, 10), np.uint8)
     frames = Frames.from_bytes(images, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=10)
-    with pytest.raises(StorageError, match="does not hold its part"):
+    with pytest.raises(StorageError, match="lacks its part"):
         planned(save_frames(tmp_path / "bare.vam", frames).path)
     wanted = planned(job)
     emulated, _ = stand(wanted)

@@ -158,7 +158,7 @@ def test_a_controller_that_forgot_ends_the_print(run: Path) -> None:
 def test_wrong_light_ends_the_print(run: Path) -> None:
     scene = Scene(run, vial())
     at(scene, [7], lambda: setattr(scene.emulated, "lose_triggers", 1))
-    with pytest.raises(InterlockOpen, match="is on show; expected"):
+    with pytest.raises(InterlockOpen, match="is shown; expected"):
         scene.print.run()
     assert scene.read().state is PrintState.ERROR
 

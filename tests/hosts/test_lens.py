@@ -64,7 +64,7 @@ def test_faults_on_the_lens_line() -> None:
     with pytest.raises(ProtocolError, match="did not answer"):
         driver.temperature()
     port.unplug()
-    with pytest.raises(DeviceLost, match="gone"):
+    with pytest.raises(DeviceLost, match="lost"):
         driver.set_power(1.0)
 
 

@@ -171,7 +171,7 @@ def test_a_stages_damaged_commands_are_not_obeyed() -> None:
 def test_a_stage_without_the_axis_is_told() -> None:
     machine = EmulatedStage()
     machine.settings["deviceid"] = "NA"  # type: ignore[assignment]
-    with pytest.raises(WrongDevice, match="a number was expected"):
+    with pytest.raises(WrongDevice, match="expected a number"):
         ZaberStage(Wire(plug(machine, VirtualClock(), 0.1), "the stage"), 1000.0)
 
 

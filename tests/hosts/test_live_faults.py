@@ -101,7 +101,7 @@ def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., 
         "levels for 2 projectors", "times the light of a turn", "another print", "turns 0 to None", "turns 99 to None",
         "no version of the frames", "turns 1 to 1", "no version of the frames", "levels for 0 projectors",
         "another print", "parameters", "usual values in order", "no images", *3 * ["the image 'dose'"],
-        "no message",
+        "invalid message",
     ]  # fmt: skip
     assert len(whys) == len(wanted) and all(part in why for part, why in zip(wanted, whys, strict=True)), whys
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT, "the one that is right was taken"
@@ -115,7 +115,7 @@ def test_a_killed_planning_process_leaves_the_last_version(made: Callable[..., L
     told = live.run()
     assert sorted(kinds(told)) == ["live lost", "swap"], "whichever is told first"
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT
-    assert "the planning process is gone" in live.board.now.live
+    assert "the planning process is lost" in live.board.now.live
 
 
 def test_one_that_never_starts_is_told(made: Callable[..., Live]) -> None:

@@ -100,7 +100,7 @@ def test_streamed_frames_leave_the_queue_its_places() -> None:
         memory.put(np.zeros((2, 8, 2, 2), np.uint8))
         put += 1
     assert put == QUEUE and dmd.queue_places() == 0
-    with pytest.raises(DeviceRefused, match="queue takes no sequence.*0 places are free"):
+    with pytest.raises(DeviceRefused, match="queue is full.*0 places are free"):
         memory._free[0].sequence.start(2)
 
 

@@ -75,11 +75,11 @@ def test_the_controller_is_told_what_measures(line: str, monkeypatch: pytest.Mon
 
 def test_what_measures_must_reach_who_counts() -> None:
     for tables, why in (
-        ((ZABER.format("/dev/y"), ALP, feedback("encoder", counts=500)), "is the controller's"),
+        ((ZABER.format("/dev/y"), ALP, feedback("encoder", counts=500)), "at the controller's input"),
         ((STEPPER, VIDEO, feedback("index")), "expected pin"),
-        ((MOTOR, ALP, feedback("index", pin=4)), "a pin is of"),
+        ((MOTOR, ALP, feedback("index", pin=4)), "pin is only for"),
         ((MOTOR, ALP, feedback("encoder", counts=3)), "two counts"),
-        ((MOTOR, ALP, feedback("index"), feedback("index")), "one index at most"),
+        ((MOTOR, ALP, feedback("index"), feedback("index")), "at most one encoder and one index"),
         (('[motion]\ndriver = "micromanager"\nconfig = "a.cfg"\nlabel = "Z"\n', ALP), "from place to place"),
         ((MOTOR, '[display]\ndriver = "lightcrafter"\ncontrol = "1"\n'), 'expected "usb"'),
         ((MOTOR, '[display]\ndriver = "lightcrafter"\nrefresh = "100 Hz"\n'), "cannot be shown"),

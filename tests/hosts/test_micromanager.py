@@ -90,7 +90,7 @@ def test_the_stage_goes_to_places(core: Any) -> None:
         stage.wait()
         assert stage.position() == 12.5 and len(pauses) == 3
         stage.run(0)
-        with pytest.raises(DeviceRefused, match="places only"):
+        with pytest.raises(DeviceRefused, match="only moves to positions"):
             stage.run(2.0)
         with pytest.raises(DeviceRefused, match="beyond the limit"):
             stage.move(60.0, 1.0)

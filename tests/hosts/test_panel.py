@@ -74,7 +74,7 @@ def test_the_page_shows_and_stops(page: Any) -> None:
         assert text("lease") == "light closes 210 ms after the host falls silent; last renewal 40 ms ago"
         for name in ("projector 1", "projector 2"):
             assert by(name).evaluate("async (image) => { await image.decode(); return image.naturalWidth }") == 60
-        assert by("resume").is_disabled() and "can go on" in by("resume").get_attribute("title")
+        assert by("resume").is_disabled() and "can continue" in by("resume").get_attribute("title")
         lamp = Estimated("lamp", 0.9, 0.05, (0.5, 1.5))
         board.show(plan=2, stop=7, parameters=(lamp, Estimated("stop [turn]", 7.0, 0.0)))
         bar = by("lamp").get_by_role("img", name="usual from 0.5 to 1.5")

@@ -126,9 +126,9 @@ def test_a_vial_that_is_paused_and_complete(tmp_path: Path, filmed: Callable[...
     board.at(PrintState.STANDBY, lambda: film.shot("starting", "closed"), interlock_closed=True)
     board.at(PrintState.PRINTING, lambda: film.shot("printing-vial", "ON at", projectors=1), 40)
     board.at(PrintState.PRINTING, board.press("pause"), 41)
-    board.at(PrintState.PAUSED, lambda: film.shot("paused", "can go on for"))
+    board.at(PrintState.PAUSED, lambda: film.shot("paused", "can continue for"))
     board.at(PrintState.PAUSED, board.press("resume"))
-    board.at(PrintState.PAUSED, lambda: film.shot("starting-again", "the light comes by itself"), resuming=True)
+    board.at(PrintState.PAUSED, lambda: film.shot("starting-again", "then the light turns on"), resuming=True)
     film.print()
     film.shot("complete", "none: the print has ended", "part.run")
 
@@ -139,7 +139,7 @@ def test_a_vial_whose_door_is_opened_ends_incomplete(tmp_path: Path, filmed: Cal
     board.at(PrintState.PRINTING, lambda: film.emulated.controller.open_interlock(film.emulated.clock.now()), 30)
     board.at(
         PrintState.HELD,
-        lambda: film.shot("held-open", "Close the enclosure, then press resume", "can go on for"),
+        lambda: film.shot("held-open", "Close the enclosure, then press resume", "can continue for"),
         interlock_closed=False,
     )
     board.at(PrintState.HELD, lambda: setattr(film.emulated.controller, "interlock_closed", True))
@@ -164,7 +164,7 @@ def test_two_colors_that_end_with_an_error(tmp_path: Path, filmed: Callable[...,
     board.at(PrintState.PRINTING, lambda: film.shot("printing-two", projectors=2), 30)
     board.at(PrintState.PRINTING, lambda: film.emulated.controller.lose_power(film.emulated.clock.now()), 31)
     film.print()
-    film.shot("error", "begin anew with fresh resin")
+    film.shot("error", "start again with fresh resin")
 
 
 def test_a_page_that_lost_its_server(tmp_path: Path, filmed: Callable[..., Film]) -> None:
@@ -175,7 +175,7 @@ def test_a_page_that_lost_its_server(tmp_path: Path, filmed: Callable[..., Film]
         for page in film.pages.values():
             page.get_by_test_id("light").get_by_text("ON at").wait_for()
             page.route("**/state?page", lambda route: route.abort())
-        film.shot("connection lost", "Nothing heard for")
+        film.shot("connection lost", "No answer for")
         for page in film.pages.values():
             page.unroute("**/state?page")
         film.shot("printing-again", "ON at")

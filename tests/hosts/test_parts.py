@@ -74,7 +74,7 @@ def test_a_pwm_is_told_what_it_can_give(tmp_path: Path) -> None:
     assert (place / "enable").read_text() == "0\n"
     (place / "enable").unlink()
     (place / "enable").mkdir()
-    with pytest.raises(DeviceError, match="who may use the PWM"):
+    with pytest.raises(DeviceError, match="check its permissions"):
         pwm.rate(0.0)
 
 
@@ -89,7 +89,7 @@ def test_a_lamp_behind_a_control_line() -> None:
     assert heard == [True, False]
     lamp.on(1.0)
     line.unplugged = True
-    with pytest.raises(DeviceLost, match="is gone"):
+    with pytest.raises(DeviceLost, match="is lost"):
         lamp.off()
     with pytest.raises(DeviceNotFound, match="/dev/none"):
         TtlLamp.open("/dev/none")

@@ -137,7 +137,7 @@ def test_a_web_that_was_moved_knows_its_speed(tmp_path: Path) -> None:
     made = web(tmp_path / "web.vam", speed=0.9)
     moved = made.rename(tmp_path / "other name")
     assert float(plan(moved, read_rig("emulated")).schedule.speed) == pytest.approx(0.9)
-    with pytest.raises(BadInput, match="does not say how fast"):
+    with pytest.raises(BadInput, match="has no speed"):
         plan(web(tmp_path / "silent.vam"), read_rig("emulated"))
 
 
@@ -276,16 +276,16 @@ def test_jobs_that_do_not_fit_the_rig_are_told(tmp_path: Path) -> None:
         (part, dual, {}, BadInput, "1 jobs for the 2 projectors"),
         ((part, part), lab(), {}, BadInput, "2 jobs for the 1 projectors"),
         ((part, again), dual, {}, BadInput, "number of poses; .* has 36, .* has 40"),
-        ((part, film), dual, {"speed": 1}, BadInput, "share their kind"),
+        ((part, film), dual, {"speed": 1}, BadInput, "have the same kind"),
         (film, lab(), {"speed": 0.8}, BadInput, "has no lens"),
         (film, lab(ALP + LENS + "axis = 3.49\n"), {"speed": 0.8}, BadInput, "3.49"),
-        (film, lab(ALP + LENS), {}, BadInput, "how fast"),
+        (film, lab(ALP + LENS), {}, BadInput, "has no speed"),
         (film, lab(ALP + LENS), {"speed": "8 furlongs"}, BadInput, "furlongs"),
         (film, lab(ALP + LENS), {"speed": 80}, TimingInfeasible, "lens"),
         (film, lab(ALP + LENS), {"speed": 0.8, "turns": 2}, BadInput, "turns is 2"),
         (part, lab(), {"speed": -4}, BadInput, "deg/s"),
         (cone, lab(), {"speed": 1e6}, TimingInfeasible, "mm/s"),
-        (tmp_path / "nothing", lab(), {}, StorageError, "is no job"),
+        (tmp_path / "nothing", lab(), {}, StorageError, "is not a job"),
         (part, lab(ALP + "size = [4, 4]\n"), {}, BadInput, "another projector"),
         (film, lab(HDMI), {"speed": 1}, BadInput, "prints vials"),
         (part, lab(HDMI), {"speed": 41}, TimingInfeasible, "whole number"),
@@ -301,7 +301,7 @@ def test_folders_that_cannot_be_printed_are_told(tmp_path: Path) -> None:
         plan(web(tmp_path / "half.vam", complete=False), rig, speed=0.8)
     with pytest.raises(SliceError, match="stops at every layer"):
         plan(slices(tmp_path / "layers", slice_height=0.05, exposure=2.0), rig)
-    with pytest.raises(SliceError, match="how high"):
+    with pytest.raises(SliceError, match="the height of its slices"):
         plan(slices(tmp_path / "unknown"), rig, speed=100)
     film = web(tmp_path / "garbled.vam")
     record = json.loads((film / "web.json").read_text())
@@ -318,7 +318,7 @@ def test_rigs_that_cannot_be_are_told() -> None:
         (ALP + LENS + "lowest = 9.0\n", "lowest below highest"),
         (HDMI.replace('machine = "vial"', 'machine = "slices"'), "prints vials and webs"),
         (HDMI[: HDMI.index("[motion]")], "a stage, whose angle chooses"),
-        (HDMI + LENS, "takes no lens"),
+        (HDMI + LENS, "without a lens"),
         (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each once"),
         (HDMI.replace("[display]", '[[display]]\ndriver = "video"\n[[display]]'), "one projector"),
         (ALP.replace("[[display]]", "[other]"), "display is missing"),
@@ -340,6 +340,6 @@ def test_the_command_prints_each_kind(tmp_path: Path, capsys: pytest.CaptureFixt
         told = capsys.readouterr().out
         assert "complete: " in told and "frames differ in the resin from the job by" in told
     assert main(["print", film, "--rig", "emulated"]) == 1
-    assert "how fast" in capsys.readouterr().err
+    assert "has no speed" in capsys.readouterr().err
     assert main(["print", film, "--rig", "emulated", "--speed", "1", "--resume", str(tmp_path)]) == 1
-    assert "no machines that remember" in capsys.readouterr().err
+    assert "no machines that keep" in capsys.readouterr().err

@@ -112,7 +112,7 @@ def test_buttons_of_a_page_that_came_later_act_there_and_their_errors_come_back(
         lit(watch)
         with attached(job.parent / "run", board := Board()) as later:
             until(lambda: "resume" in board.buttons, later)
-            with pytest.raises(WrongState, match="only one that is paused or held"):
+            with pytest.raises(WrongState, match="only a paused or held"):
                 board.buttons["resume"]()
             board.buttons["pause"]()
             until(lambda: board.now.state is PrintState.PAUSED and board.now.deadline, later)
@@ -208,7 +208,7 @@ def test_a_print_outlives_its_parent_and_is_found_again(job: Path) -> None:
 
 
 def test_errors_before_the_light_come_back_as_they_are(job: Path) -> None:
-    with started(order(job / "none"), Board()) as watch, pytest.raises(StorageError, match="is no job"):
+    with started(order(job / "none"), Board()) as watch, pytest.raises(StorageError, match="is not a job"):
         ended(watch)
 
 

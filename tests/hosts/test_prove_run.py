@@ -142,9 +142,9 @@ def test_jobs_that_were_moved_are_found_by_what_they_hold(tmp_path: Path) -> Non
     assert jobs_of(run, ()) == jobs, "beside the run, with which they were moved"
     moved = [job.rename(tmp_path / f"new-{job.name}") for job in jobs]
     assert jobs_of(run, moved[::-1]) == moved
-    with pytest.raises(StorageError, match=r"not there any more.*--job"):
+    with pytest.raises(StorageError, match=r"is missing.*--job"):
         jobs_of(run, ())
-    with pytest.raises(StorageError, match="one.vam.*not there any more"):
+    with pytest.raises(StorageError, match="one.vam.*is missing"):
         jobs_of(run, moved[1:])
     (other := tmp_path / "other.vam").mkdir()
     for given in ([other], [*moved, other]):

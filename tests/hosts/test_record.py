@@ -117,5 +117,5 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
         read_run(tmp_path / "nothing")
     RunFolder.begin(tmp_path / "run", {}, RIG).close()
     (tmp_path / "run" / "state.json").write_text('{"state": "dancing", "message": ""}')
-    with pytest.raises(StorageError, match="no folder of a run"):
+    with pytest.raises(StorageError, match="not the folder of a run"):
         read_run(tmp_path / "run")

@@ -171,7 +171,7 @@ def test_frames_that_another_program_played_are_not_taken_for_its_own(job: Path,
     other.go(5)
     stand.emulated.clock.sleep(SECOND)
     assert other.status().shown == 24
-    with pytest.raises(BadInput, match="another program let the controller play"):
+    with pytest.raises(BadInput, match="another program used the controller"):
         left_by_a_host(wanted, machines, path)
 
 
@@ -229,7 +229,7 @@ def test_a_play_of_another_program_is_not_taken_for_a_segment_that_never_began(j
     assert left_by_a_host(wanted, machines, path).first == rested
     machines.controller.go(9)
     machines.controller.stop()
-    with pytest.raises(BadInput, match="another program let the controller play"):
+    with pytest.raises(BadInput, match="another program used the controller"):
         left_by_a_host(wanted, machines, path)
 
 

@@ -139,7 +139,7 @@ def test_a_stalled_stepper_is_seen_by_its_index_alone(tmp_path: Path) -> None:
 
         projector.show = stalling
         if fails:
-            with pytest.raises((DeviceError, InterlockOpen), match="no index for 1.2 turns|where it should be"):
+            with pytest.raises((DeviceError, InterlockOpen), match="no index for 1.2 turns|off position"):
                 carry_out(one, stand.machines, tmp_path / "seen")
             assert not stand.emulated.screen._frame.any(), "black"
         else:
@@ -160,7 +160,7 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
 
 def test_a_rig_that_drifts_is_refused_until_that_is_accepted(tmp_path: Path) -> None:
     rig = parse_rig(PI, ["safety.drift=0.2"])
-    with pytest.raises(BadInput, match="drifts 0.24 deg a minute"):
+    with pytest.raises(BadInput, match="drifts 0.24 deg per minute"):
         plan(vial(tmp_path / "job.vam", images=IMAGES), rig, turns=1)
 
 

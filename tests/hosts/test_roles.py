@@ -56,7 +56,7 @@ def test_drift_follows_from_the_clocks() -> None:
     config = rig(STEPPER + "tolerance = 30.0\n", VIDEO + "tolerance = 95.0\n", FREE)
     found = guarantees(config.setup, 40.0)
     assert found.drift == pytest.approx(0.3), "125 ppm of 2400 deg"
-    assert "drifts 0.3 deg a minute" in str(found.lacking[0]) and "accept drift = 0.3" in str(found.lacking[0])
+    assert "drifts 0.3 deg per minute" in str(found.lacking[0]) and "accept drift = 0.3" in str(found.lacking[0])
     assert guarantees(config.setup, 20.0).drift == pytest.approx(0.15)
 
 
@@ -68,7 +68,7 @@ def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> No
 
 
 def test_drift_must_be_accepted(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"drifts 0.24 deg a minute .* accepts drift = 0.2; give it a trigger"):
+    with pytest.raises(BadInput, match=r"drifts 0.24 deg per minute .* accepts drift = 0.2; give it a trigger"):
         plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1)
     planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True, turns=1)
     assert "drifts" in dict(planned.lines())["no step"]
@@ -79,11 +79,11 @@ def test_combinations_that_cannot_be_are_told() -> None:
     for tables, why in (
         ((MOTOR, ALP), r"motion: driver .controller.: expected a table \[controller\]"),
         ((ZABER, ALP, '[light]\ndriver = "controller"\n'), r"light: .*expected a table \[controller\]"),
-        ((STEPPER, ALP), "a .stepper. has no trigger output; take a stage that has one"),
+        ((STEPPER, ALP), "a .stepper. has no trigger output; use a stage that has one"),
         ((ZABER.replace("zaber", "standa"), ALP), "a .standa. has no trigger output"),
         ((ZABER, ALP, FREE), "mirrors of the display .alp. wait for triggers"),
-        ((BOX, ZABER, ALP, '[clock]\ndriver = "controller"\n'), "the motor that the controller itself moves"),
-        ((STEPPER, VIDEO), "does not say it; add .*index"),
+        ((BOX, ZABER, ALP, '[clock]\ndriver = "controller"\n'), "the controller's own motor"),
+        ((STEPPER, VIDEO), "does not report it; add .*index"),
         ((ZABER, VIDEO, STAGE), "a video cable has no trigger input"),
         ((ZABER, ALP, lens), "controlled_by"),
         ((BOX, MOTOR, ALP, SHINES), "the controller gates it"),
@@ -95,7 +95,7 @@ def test_combinations_that_cannot_be_are_told() -> None:
 
 
 def test_poses_must_be_whole_microsteps(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps of the stage.*: take 32 images a turn|take 40"):
+    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps of the stage.*: use 32 images per turn"):
         plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True, turns=1)
 
 
@@ -119,7 +119,7 @@ def test_the_command_tells_roles_and_guarantees(tmp_path: Path, capsys: pytest.C
     file.write_text(HEAD + STEPPER + VIDEO + FREE)
     assert main(["rig", "check", str(file), "--speed", "20"]) == 1
     told = " ".join(capsys.readouterr().out.split())
-    assert "motion stepper" in told and "drifts 0.12 deg a minute" in told and "accepts drift = 0" in told
+    assert "motion stepper" in told and "drifts 0.12 deg per minute" in told and "accepts drift = 0" in told
     file.write_text(HEAD + BOX + MOTOR + ALP)
     assert main(["rig", "check", str(file)]) == 0
     assert "250 ms after" in capsys.readouterr().out

@@ -59,15 +59,15 @@ class Held:
 
 def test_light_needs_everything_and_says_what_is_missing() -> None:
     held = Held()
-    with pytest.raises(InterlockOpen, match="nobody holds"):
+    with pytest.raises(InterlockOpen, match="no holder"):
         held.guard.on(1.0)
     with held.guard as light:
         for change, why in (
             ({"armed": False}, "not armed"),
-            ({"motion": None}, "nobody has asked"),
+            ({"motion": None}, "has not been read"),
             ({"motion": 0.6}, "0.5 is allowed"),
             ({"motion": float("nan")}, "nan"),
-            ({"shown": 2}, "frame 2 is on show; expected frame 3"),
+            ({"shown": 2}, "frame 2 is shown; expected frame 3"),
             ({"scheduled": None, "shown": None}, "expected frame None"),
             ({"fault": "the lens is silent"}, "lens is silent"),
         ):

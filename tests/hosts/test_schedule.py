@@ -204,7 +204,7 @@ def test_a_vial_has_whole_slots_or_is_told_which_speed_has(images: int, speed: f
 def test_seven_bits_give_three_images_a_video_frame() -> None:
     schedule = vial(360, speed=180, display=HdmiTiming(bits=7))
     assert np.diff(schedule.light).min() >= SECOND // 180 and schedule.speed == 180
-    with pytest.raises(BadInput, match="take fewer bits"):
+    with pytest.raises(BadInput, match="use fewer bits"):
         HdmiTiming(refresh=120)
     filled = vial(360, speed=20, display=HdmiTiming(bits=7, dark=230e-6))
     assert (filled.on == filled.dark + 230_000 - filled.light - 9 * 230_000).all()

@@ -132,7 +132,7 @@ def test_a_pause_is_resumed_where_it_was(job: Path, tmp_path: Path) -> None:
 def test_a_lost_trigger_is_dark(job: Path, tmp_path: Path) -> None:
     lost = Scene(job, tmp_path / "lost")
     lost.happens[9] = lambda: setattr(lost.emulated, "lose_triggers", 1)
-    lost.fails("frame 45 is on show; expected frame 46")
+    lost.fails("frame 45 is shown; expected frame 46")
     assert lost.dark_within(0.25 + 0.03), "a poll after the next pose"
 
 
@@ -148,7 +148,7 @@ def test_a_stage_that_stalls_or_slows_is_dark(job: Path, tmp_path: Path) -> None
     for speed in (0.0, 3.0):
         scene = Scene(job, tmp_path / f"run{speed}")
         scene.happens[9] = lambda scene=scene, speed=speed: scene.emulated.turn(speed)
-        scene.fails("from where it should be|expected frame")
+        scene.fails("off position|expected frame")
         assert scene.dark_within(0.5 / (4.0 - speed) + 0.05), "a poll after half a pose of error"
 
 
@@ -163,7 +163,7 @@ def test_a_stage_that_does_not_turn_gets_no_light(job: Path, tmp_path: Path) -> 
     scene = Scene(job, tmp_path / "run")
     run = scene.player._stage.run
     scene.player._stage.run = lambda speed: run(0.2 * speed)
-    scene.fails("from its speed|does not turn")
+    scene.fails("off its speed|does not turn")
     assert not scene.emulated.recorder.light
 
 

@@ -136,7 +136,7 @@ def test_a_plan_is_checked_before_the_light(tmp_path: Path) -> None:
     stand = rehearsal(planned)
     machines, found = stand.machines, check(planned, stand.machines)
     assert isinstance(machines, MirrorMachines) and found is not None
-    assert found.depth == round(planned.schedule.rate) and found.sequences == 11 and "takes no time" in str(found)
+    assert found.depth == round(planned.schedule.rate) and found.sequences == 11 and "instantaneous" in str(found)
     free = machines.mirrors[0].free_planes()
     real = check(planned, replace(machines, clock=RealClock()), 0.02)
     assert real is not None and np.isfinite(real.found[0].measured) and "all at the mirrors" in str(real)

@@ -156,7 +156,7 @@ def test_a_swap_comes_in_time_until_its_lead_and_is_dropped_after(run: Path, dep
     if depth < COUNT:
         assert told.shown["version"].tolist() == [0] * COUNT + [1] * 2 * COUNT
         assert [each["version"] for each in events(told, "swap dropped")] == [2]
-        assert "turn 2 were on their way already" in str(events(told, "swap dropped")[0]["why"])
+        assert "turn 2 were already queued" in str(events(told, "swap dropped")[0]["why"])
     assert not told.shown["dark"].any() and told.state is PrintState.COMPLETE
     seen = vial.columns()
     assert all((seen[:, turn] == COUNT).sum() == 1 and seen[:, turn].sum() == COUNT for turn in range(3)), "whole turns"

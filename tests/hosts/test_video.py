@@ -226,7 +226,7 @@ def test_a_stage_that_is_elsewhere_is_dark(
         fault(room.emulated)
 
     room.frames.happens = {600: happens}
-    with pytest.raises(InterlockOpen, match="from where it should be"):
+    with pytest.raises(InterlockOpen, match="off position"):
         room.run()
     assert 0 < room.dark_after(at[0]) <= within
     assert room.told.state is PrintState.HELD and room.emulated.stage.track.velocity(room.emulated.clock.now()) == 0
@@ -248,7 +248,7 @@ def test_a_lost_screen_is_dark(tmp_path: Path) -> None:
         room.emulated.screen.unplug()
 
     room.frames.happens = {600: pulled}
-    with pytest.raises(DeviceLost, match="screen is gone"):
+    with pytest.raises(DeviceLost, match="screen is lost"):
         room.run()
     assert room.dark_after(at[0]) <= FRAME and room.told.state is PrintState.HELD
     room.emulated.clock.sleep(SECOND)

@@ -99,8 +99,8 @@ WRONG = {
         "expected dose = 0.7, say, for gray",
     ),
     "a dose": ('[[body]]\nshape = "boat"\ndose = 0.4\n', "no dose for other roles"),
-    "index": ('[[body]]\nshape = "boat"\nindex = 1.5\n', "expected index and absorption of inserts"),
-    "nothing printed": ('[[body]]\nshape = "boat"\nrole = "insert"\n', "got no [[body]] that is printed"),
+    "index": ('[[body]]\nshape = "boat"\nindex = 1.5\n', "expected index and absorption only for inserts"),
+    "nothing printed": ('[[body]]\nshape = "boat"\nrole = "insert"\n', "got no [[body]] that prints"),
     "key": ('[[body]]\nshape = "boat"\nroll = "print"\n', "did you mean 'role'"),
     "colors": ('[[body]]\nshape = "boat"\n[colors]\nabsorption = "0.1 /mm"\n', "[[body]] with [colors]"),
     "one pair of brackets": ('[body]\nshape = "boat"\n', "write [[body]] in place of [body]"),
@@ -125,7 +125,7 @@ def test_the_line_is_that_of_the_body_that_is_meant(wrong: str) -> None:
 
 
 def test_keys_of_one_part_and_of_bodies_are_not_mixed() -> None:
-    for setting, said in (("target.mesh=a.stl", "got mesh beside [[body]]"), ("target.height=3 mm", "got height")):
+    for setting, said in (("target.mesh=a.stl", "got mesh with [[body]]"), ("target.height=3 mm", "got height")):
         with pytest.raises(JobError) as caught:
             Job.parse(PART + '[[body]]\nshape = "boat"\n', [setting])
         assert said in str(caught.value)

@@ -114,7 +114,7 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
     print("cluster", time.perf_counter() - began)
     np.testing.assert_allclose(whole, alone, rtol=1e-6, atol=1e-6 * alone.max())
     monkeypatch.setattr(run, "CHECKPOINT", 2.0)
-    with killing(monkeypatch, 4, (3.0, 9.0)) as alive, pytest.warns(ClusterWarning, match="gone.*kept last"):
+    with killing(monkeypatch, 4, (3.0, 9.0)) as alive, pytest.warns(ClusterWarning, match="lost.*saved last"):
         found = light_of(solve(job, tmp_path / "killed", cluster="local:2").path)
     print("kills", len(alive), time.perf_counter() - began)
     assert len(alive) >= 2 and len(set().union(*alive)) > 2
@@ -144,7 +144,7 @@ def test_a_job_that_is_replaced_is_solved_anew_whoever_is_lost(tmp_path: Path, m
     monkeypatch.setattr(run, "slabs", slabs)
     monkeypatch.setattr(run, "CHECKPOINT", 0.0)
     monkeypatch.setattr(run, "RARELY", 0.0)
-    with pytest.warns(ClusterWarning, match="kept last"):
+    with pytest.warns(ClusterWarning, match="saved last"):
         found = light_of(solve(job, tmp_path / "boat", overwrite=True, cluster="local:1").path)
     assert not np.array_equal(standing, alone) and np.array_equal(found, alone)
     assert begun[:2] == [False, True] and all(begun[1:]) and len(begun) > 3

@@ -138,7 +138,7 @@ def test_every_method_with_its_parameters(text: str) -> None:
     ('kind = "osmo"\nefficiency = 0.1', 'kind = "lbfgs"', 'this table is "osmo"'),
 ])  # fmt: skip
 def test_a_key_of_another_method_is_refused_with_its_name(keys: str, kinds: str, own: str) -> None:
-    with pytest.raises(JobError, match=rf"method\.\w+: unknown key; it is one of {kinds}, and {own}; name the kind"):
+    with pytest.raises(JobError, match=rf"method\.\w+: unknown key; it is one of {kinds}, and {own}; set the kind"):
         Job.parse(f"{HEAD}[method]\n{keys}\n")
     with pytest.raises(JobError, match="method.sigma_of_nothing: unknown key; expected one of outside, inside"):
         Job.parse(f"{HEAD}[method]\nsigma_of_nothing = 1\n")
@@ -222,10 +222,10 @@ def test_a_bundled_resin_is_found_and_what_it_lacks_is_told() -> None:
         (text.replace("405 nm", "700 um") + GLASS, r"vial\.resin_index: "),
         (text.replace('wavelength = "405 nm"', "") + GLASS, r"resin\.wavelength: got None; expected a wavelength"),
         ('[resin]\ninhibitor = "oxygen"\n' + GLASS, r'resin: expected inhibitor = "oxygen" with material and exposure'),
-        (text, r"resin\.material: got 'dudma-pegda', of which nothing is used: there is no vessel .* add \[vial\]"),
+        (text, r"resin\.material: got 'dudma-pegda', which is not used: there is no vessel .* add \[vial\]"),
         (
             text + GLASS + 'resin_index = 1.5\nabsorption = "0.05 1/mm"\n',
-            r"resin\.material: .*\[vial\] has index and absorption of its own; .*leave them out there",
+            r"resin\.material: .*\[vial\] has its own index and absorption; .*leave them out there",
         ),
         ("[resin]\nprecompensate = true\n", r"resin\.precompensate: expected diffusion or an inhibitor"),
     ):

@@ -134,7 +134,7 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
     place.unlink()
     with pytest.raises(StorageError, match=r"box-part.ply.* exists"):
         import_task(path, place)
-    with pytest.raises(BadInput, match=r"is none; import patterns into a folder"):
+    with pytest.raises(BadInput, match=r"is not one; import patterns into a folder"):
         import_task(tmp_path / "box.ply", place)
     assert main(["import", str(path), "--out", str(place), "--set", "vial.wall=2 mm"]) == 1 and not place.exists()
 
@@ -147,7 +147,7 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
         ({"projector": {"type": "lens"}}, "lacks 'pixel_size'"),
         ({"projector": {"type": "lens", "pixel_size": 0.1}}, "expected a collimated or telecentric"),
         ({"target": {}}, "lacks 'filename'"),
-        ({"sensor": 3}, "sensor, which is no table"),
+        ({"sensor": 3}, "sensor, which is not a table"),
         ({"vial": VIAL | {"r_ext": 0.1}}, "r_ext, which is 0.1; expected a number above"),
         ({"vial": VIAL | {"ior": None}}, "ior, which is None; expected a number from 1"),
         ({"vial": VIAL | {"medium": {"ior": 1.4, "extinction": -1}}}, "extinction, which is -1; expected a number"),
@@ -174,7 +174,7 @@ def test_wrong_numbers_of_a_task_are_named(key: str, value: Any, tmp_path: Path)
 
 def test_what_is_no_configuration_at_all_is_told(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text("[1, 2]")
-    with pytest.raises(BadInput, match=r"its outermost braces: it is a list, no table; expected a configuration"):
+    with pytest.raises(BadInput, match=r"its outermost braces: it is a list, not a table; expected a configuration"):
         import_task(tmp_path / "list.json", tmp_path / "job.toml")
 
 
@@ -187,11 +187,11 @@ def test_what_is_no_json_is_told(tmp_path: Path) -> None:
 def test_negative_light_is_not_called_dark(tmp_path: Path) -> None:
     light = np.random.default_rng(0).random((6, 5, 4)).astype(np.float32)
     np.save(tmp_path / "a.npy", -light)
-    with pytest.raises(BadInput, match=r"reaches from -0\.\d+ to -0\.\d+; expected light, which is 0 or above"):
+    with pytest.raises(BadInput, match=r"reaches from -0\.\d+ to -0\.\d+; expected patterns, which are 0 or more"):
         read_vamtoolbox(tmp_path / "a.npy")
     np.save(tmp_path / "b.npy", light - 0.5)
     found = read_vamtoolbox(tmp_path / "b.npy")
-    assert found.light.min() == 0.0 and any("below 0 is taken for dark" in note for note in found.notes)
+    assert found.light.min() == 0.0 and any("below 0 count as dark" in note for note in found.notes)
 
 
 def test_patterns_that_are_not_there_are_told(tmp_path: Path) -> None:
@@ -368,7 +368,7 @@ def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
     np.save(sinogram, np.ones((24, 16, 8), np.float32))  # VAMToolbox's axes are r, angle, z
     with pytest.raises(BadInput, match=r"own.npy' has patterns for 16 angles, the job 99; expected as many"):
         import_patterns(sinogram, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
-    with pytest.raises(JobError, match=r"(?s)own.npy' does not say .*: --job job.toml\n.*target is missing"):
+    with pytest.raises(JobError, match=r"(?s)own.npy' lacks keys of a job; .*: --job job.toml\n.*target is missing"):
         import_patterns(sinogram, tmp_path / "a.vam", device="cpu")
     assert not (tmp_path / "a.vam").exists()
     with pytest.raises(BadInput, match="patterns for 16 angles, the job 99"):
@@ -396,7 +396,7 @@ def test_a_job_goes_to_dr_tvam_and_back(tmp_path: Path) -> None:
     assert back.plan.operator.grid == A.grid
     assert back.plan.target.volume == pytest.approx(target.volume, rel=0.02)
     square = vam.Projection(target.grid, A.beam, vam.Turntable([0.0, 0.1]), None, "numpy")
-    with pytest.raises(BadInput, match="expected even ones"):
+    with pytest.raises(BadInput, match="expected equal steps"):
         export_drtvam(vam.pack(vam.optimize(square, target, iterations=1)), tmp_path / "b")
     with pytest.raises(BadInput, match="of no plan"):
         export_drtvam(replace(frames, packed=None), tmp_path / "b")

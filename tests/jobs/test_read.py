@@ -63,14 +63,14 @@ def line_with(text: str, words: str) -> int:
         ("bits = 8", "shift = 3", "frames.shift: got 3; expected a list in brackets"),
         ("bits = 8", "shift = [3]", "frames.shift: got [3]; expected a list of at least 2 values"),
         ("bits = 8", "shift = [3, 1, 2]", "frames.shift: got [3, 1, 2]; expected a list of at most 2 values"),
-        ("angles = 360", "angles = 60000000", "turntable.angles: got 60000000; expected 1,000,000 angles"),
+        ("angles = 360", "angles = 60000000", "turntable.angles: got 60000000; expected at most 1,000,000 angles"),
         ('height = "11.5 mm"', 'height = "0.5 in"', "target.height: got '0.5 in'; unit 'in': 0.5 × 25.4 mm = 12.7 mm"),
         ("bits = 8", "flip_r = 1", "frames.flip_r: got 1; expected true or false"),
         ("iterations = 40", "iterations = 0", "solve.iterations: got 0; expected greater than or equal to 1"),
         ("iterations = 40", "iterations = 4.5", "solve.iterations: got 4.5; expected a whole number without quotes"),
         ("angles = 360", 'angles = "many"', "turntable.angles: got 'many'; expected a whole number of angles ≥ 1, or"),
         ("angles = 360", "angles = true", "turntable.angles: got True; expected a whole number of angles ≥ 1"),
-        ("angles = 360", 'range = "361 deg"', "turntable.range: got 6.30064 rad; expected 360 deg at most"),
+        ("angles = 360", 'range = "361 deg"', "turntable.range: got 6.30064 rad; expected at most 360 deg"),
         ("resin_index = 1.49962", "resin_index = nan", "vial.resin_index: got nan"),
         ("bath_index = 1.0", 'polarization = "x"', "vial.polarization: got 'x'; expected 'none', 's' or 'p'"),
         ("resin_index = 1.49962", "resin_index = 0.9", "vial.resin_index: got 0.9"),
@@ -160,7 +160,7 @@ def test_settings_replace_what_the_file_says() -> None:
         Job.parse(JOB, ["solve.itrations=3"])
     with pytest.raises(JobError, match="expected key=value"):
         Job.parse(JOB, ["iterations"])
-    with pytest.raises(JobError, match="no table"):
+    with pytest.raises(JobError, match="not a table"):
         Job.parse(JOB, ["frames.bits.x=1"])
 
 

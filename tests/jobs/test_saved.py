@@ -186,7 +186,7 @@ def test_a_mended_mesh_is_told_at_the_proof_too(tmp_path: Path) -> None:
     job = Job.parse(JOB.replace('shape = "boat"\n', ""), settings)
     with pytest.warns(MeshWarning, match="1 hole closed"):
         solve(job, tmp_path / "a.vam")
-    with pytest.warns(MeshWarning, match="repaired before it was solved for: 1 hole closed"):
+    with pytest.warns(MeshWarning, match="repaired before solving: 1 hole closed"):
         prove(tmp_path / "a.vam", "cpu")
 
 

@@ -115,12 +115,12 @@ object.__setattr__(UNWRITTEN["numbers that are none"], "across", float("nan"))
 
 @pytest.mark.parametrize("name", UNWRITTEN)
 def test_what_only_python_knows_is_refused(name: str) -> None:
-    with pytest.raises(BadInput, match="nothing describes|only this process knows|finite numbers only"):
+    with pytest.raises(BadInput, match="nothing describes|which no file can hold|only finite numbers"):
         write(UNWRITTEN[name])
 
 
 def test_a_manifest_is_refused_for_an_operator_that_no_noun_describes() -> None:
-    with pytest.raises(BadInput, match="is no registered noun"):
+    with pytest.raises(BadInput, match="is not a registered component"):
         describe(projection(OWN), {})
 
 
@@ -159,7 +159,7 @@ def test_arrays_of_an_operator_are_kept_beside_the_manifest(name: str, device: D
     assert np.allclose(B.T(y), A.T(y), rtol=1e-5)  # rays add to voxels in any order on some devices
     again: dict[str, Any] = {}
     assert describe(B, again) == geometry and all(np.array_equal(arrays[k], again[k]) for k in again)
-    with pytest.raises(StorageError, match="open the job folder that keeps them"):
+    with pytest.raises(StorageError, match="expected the arrays of its job folder"):
         projection_from(geometry, device)
     file = tmp_path / "job" / "manifest.json"
     text, changed = file.read_text(), folder.manifest.arrays[next(iter(arrays))].sha256
@@ -170,7 +170,7 @@ def test_arrays_of_an_operator_are_kept_beside_the_manifest(name: str, device: D
 
 def test_a_job_file_writes_no_arrays() -> None:
     table = {"kind": "grid", "coefficients": [[1.0]], "corner": ["0 mm"] * 3, "pitch": "1 mm", "region": {}}
-    with pytest.raises(BadInput, match=r"coefficients: got .*; expected an array, which only Python makes"):
+    with pytest.raises(BadInput, match=r"coefficients: got .*; expected an array, which is made in Python"):
         read("index", table)
 
 

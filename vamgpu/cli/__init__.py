@@ -1,4 +1,4 @@
-"""The command line: ``vam demo | solve | prove | export | limits | curethrough`` and what looks after itself."""
+"""The command line: ``vam demo | solve | prove | export | limits | curethrough`` and more."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0 done, 1 an error that was explained, 130 stopped by Ctrl-C."""
+    """Run a command and return its exit status: 0 done, 1 an error with a message, 130 stopped by Ctrl-C."""
     import vamgpu.cli.calibrate  # noqa: F401 - its commands register themselves
     import vamgpu.cli.exchange  # noqa: F401
     import vamgpu.cli.print  # noqa: F401
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         how = f" {error}" if isinstance(error, KeyboardInterrupt) and error.args else ""
         sys.stderr.write(f"\nStopped.{how}\n")
         return 130
-    except BrokenPipeError:  # whoever read the output, `head` say, has enough; what is buffered must go nowhere
+    except BrokenPipeError:  # the reader of the output, such as `head`, has closed it; discard what is buffered
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except VamError as error:
@@ -42,5 +42,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
-    """A warning as a line for people, without the place in the code it came from."""
+    """Print a warning as one line, without its place in the code."""
     sys.stderr.write(f"warning: {message}\n")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vamgpu.hosts.calibrate.machines import CalibrationMachines
     from vamgpu.hosts.calibrate.report import CalibrationResult
 
-group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; the rig emulated is a dry run.")
+group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; --rig emulated is a dry run.")
 app.command(group)
 Switch = Annotated[bool, Parameter(negative="")]
 Places = Annotated[list[float] | None, Parameter(negative="")]
@@ -33,13 +33,13 @@ def focus(
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
-        reach: of the camera to either side of its stage's middle [mm]
-        step: of the camera [mm]
+        reach: travel of the camera to either side of its stage's center [mm]
+        step: step of the camera [mm]
         low: lowest power of the lens [dpt]
         high: highest power of the lens [dpt]
-        powers: how many, from low to high
-        half_period: of the grating [mirrors]
-        projector: which one, from 0
+        powers: number of powers, from low to high
+        half_period: half period of the grating [mirrors]
+        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.focus import TABLES, focus, steps, sweep
 
@@ -54,18 +54,18 @@ def axis(
     radius: float | None = None, flip_r: Switch = False, projector: int = 0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Find the roller's axis: one column after another is lit, and a photodiode sees both edges of the shadow.
+    """Find the roller's axis: columns are lit one after another, and a photodiode finds both edges of the shadow.
 
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
         first: first column that is lit
         stop: column after the last one
-        every: columns from one to the next
-        repeats: readings of each
-        radius: of the roller [columns], where one edge alone is in reach
-        flip_r: jobs are packed with flip_r
-        projector: which one, from 0
+        every: step from one lit column to the next
+        repeats: number of readings of each
+        radius: radius of the roller [columns], if only one edge is in reach
+        flip_r: set it if jobs are packed with flip_r
+        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.axis import TABLES, axis
 
@@ -79,14 +79,14 @@ def gray(
     *, rig: str, out: Path | None = None, every: int = 1, repeats: int = 4,
     reader: Literal["photodiode", "camera"] = "photodiode", settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure what gray levels are worth in light, of each projector.
+    """Measure the gray curve of each projector.
 
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
-        every: levels from one to the next
-        repeats: readings of each
-        reader: what reads the light
+        every: step from one gray level to the next
+        repeats: number of readings of each
+        reader: instrument that reads the light
     """
     from vamgpu.hosts.calibrate.gray import gray, levels
 
@@ -100,15 +100,15 @@ def flat(
     *, rig: str, out: Path | None = None, blocks: tuple[int, int] = (8, 12), repeats: int = 4,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure how evenly full-on mirrors shine, of each projector, with a photodiode that takes in all of its light.
+    """Measure how uniform each projector is at full drive, with a photodiode that collects all of its light.
 
-    Nothing may stand in the light meanwhile, a roller neither.
+    Keep everything out of the light during the measurement, a roller as well.
 
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
-        blocks: of mirrors that are lit one after the other, along rows and columns
-        repeats: readings of each
+        blocks: number of mirror blocks along rows and columns, which are lit one after another
+        repeats: number of readings of each
     """
     from vamgpu.hosts.calibrate.flat import TABLES, flat
 
@@ -118,7 +118,7 @@ def flat(
 
 @group.command(name="list")
 def list_(*, rig: str, settings: Settings = None) -> None:
-    """Show the calibrations of a rig, the newest first, and which of them prints apply.
+    """List the calibrations of a rig, newest first, and mark those that prints use.
 
     Args:
         rig: the TOML file of the rig
@@ -142,16 +142,16 @@ def mtf(
     *, rig: str, out: Path | None = None, at: Places = None, focused: Path | None = None, angle: float = 5.0,
     repeats: int = 4, projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure how fine the picture is along the light, with a slanted edge.
+    """Measure the sharpness (MTF) at several positions along the light, with a slanted edge.
 
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default. A job's beam.spread may name it
-        at: positions of the camera from its stage's middle [mm]; 0, ±6 and ±15 by default
-        focused: result of vam calibrate focus, by which the lens focuses on each position; else it stays as it is
-        angle: of the edge against columns [deg]
-        repeats: pictures that are averaged
-        projector: which one, from 0
+        at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
+        focused: result of vam calibrate focus, which focuses the lens on each position; without it the lens stays
+        angle: angle between the edge and the columns [deg]
+        repeats: number of images that are averaged
+        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.mtf import POSITIONS, TABLES, mtf
     from vamgpu.hosts.calibrate.report import focused_at
@@ -169,15 +169,15 @@ def runout(
     *, rig: str, out: Path | None = None, angles: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure how a vial runs out: a camera sees a pin on the turntable, upright and near the axis, over a turn.
+    """Measure the runout of the turntable: a camera follows an upright pin near the axis over one turn.
 
     Args:
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
-        angles: of the turn
-        repeats: images of each, which are averaged
-        speed: of the turntable from angle to angle [deg/s]
-        projector: which one, from 0
+        angles: number of angles in the turn
+        repeats: number of images at each angle, which are averaged
+        speed: speed of the turntable from angle to angle [deg/s]
+        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.runout import TABLES, runout
 

@@ -32,10 +32,10 @@ app.command(sweep.sweep)
 def demo(
     what: Literal["boat", "web"] = "boat", /, *, out: Path = Path("vamgpu-demo"), settings: Settings = None
 ) -> None:
-    """Print the bundled boat, or a gyroid film on an endless web, in simulation and draw a report.
+    """Print the bundled boat, or a gyroid film on an endless web, in simulation and write a report.
 
     Args:
-        what: boat or web
+        what: demo to run: boat or web
         out: folder of the demo's files
     """
     if what == "web":
@@ -59,18 +59,18 @@ def solve(
     settings: Settings = None, overwrite: Overwrite = False,
     pareto: Annotated[bool, Parameter(negative="")] = False, memory: str | None = None, cluster: str | None = None,
 ) -> None:  # fmt: skip
-    """Find light for a TOML job file and write it to a job folder, or go on with one that was stopped by Ctrl-C.
+    """Optimize the patterns of a TOML job file and write them to a job folder, or resume a run that Ctrl-C stopped.
 
     Args:
         job: the TOML file
         out: the folder; the file's name with .vam by default
-        start: folder of a plan whose light is the first guess, of as many angles and pixels, whatever else has changed
-        rig: the TOML file of the rig that will print it, whose measured point spread counts where the job has none
-        pareto: find the widest windows of shorter and shorter exposures too, by the lamp and resin of [print]
-        memory: what the process may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a
-            verdict that takes more is left out
-        cluster: whose workers share the slices of a vial, or the segments of a web: local:4 for four processes of this
-            machine, tcp://host:8786 for a Dask cluster that sees the same files
+        start: folder of a plan whose patterns are the starting point; it must have the same number of angles and pixels
+        rig: TOML file of the rig that will print the job; its measured point spread is used if the job has none
+        pareto: also find the widest windows of shorter and shorter exposures, with the lamp and resin of [print]
+        memory: memory limit of the process, such as 8GB; fields beyond it are kept in files in the folder TMPDIR, and a
+            verdict that needs more is skipped
+        cluster: cluster whose workers share the slices of a vial, or the segments of a web: local:4 for four processes
+            of this machine, tcp://host:8786 for a Dask cluster that sees the same files
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
@@ -89,9 +89,9 @@ def solve(
         settings = [*(settings or ()), f"solve.device={device}"]
     if is_web(job):
         if start is not None:
-            raise BadInput(f"{str(job)!r} is a web, which goes on with its own folder; leave --start out")
+            raise BadInput(f"{str(job)!r} is a web, which resumes from its own folder; leave out --start")
         if pareto:
-            raise BadInput(f"{str(job)!r} is a web, which moves as fast as its limits allow; leave --pareto out")
+            raise BadInput(f"{str(job)!r} is a web, which moves as fast as its limits allow; leave out --pareto")
         return _solve_web(job, out, settings, overwrite, cluster)
     place = out if out is not None else job.with_suffix(".vam")
     checked, screen = read_job(job, settings or ()), console()
@@ -114,26 +114,26 @@ def solve(
     if found is not None:
         show_verdict(screen, found)
     elif needs:
-        screen.print(f"[yellow]note[/]  no verdict, which takes {size(needs)} of memory; leave --memory out to have it")
+        screen.print(f"[yellow]note[/]  no verdict, which needs {size(needs)} of memory; leave out --memory to get it")
 
 
 def _exposures(points: list[dict[str, float]]) -> Table:
-    """The widest windows of shorter and shorter exposures."""
-    sheet = Table("exposure", "window", "dose outside over inside")
+    """Table of the widest windows of shorter and shorter exposures."""
+    sheet = Table("exposure", "window", "dose outside / inside")
     for point in points:
         sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
     return sheet
 
 
 def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
-    """Settings from a rig's calibrations, which are shown."""
+    """Show a rig's calibrations, and return the settings from them."""
     from vamgpu.hosts.rigs.calibrations import calibration_of, in_force, place_of
     from vamgpu.hosts.rigs.config import read_rig
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.web import is_web
 
     if is_web(job):
-        raise BadInput(f"{str(job)!r} is a web, whose light has no point spread to measure; leave --rig out")
+        raise BadInput(f"{str(job)!r} is a web, which has no measured point spread; leave out --rig")
     config, screen = read_rig(rig), console()
     place_of(config)  # a rig without a file has none
     found, known = in_force(config), calibration_of(config)
@@ -142,20 +142,20 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
     if known.runout is not None:
         runs = known.runout.found
         screen.print(
-            f"axis    known to {runs.axis_error:.2g} columns, turns true to {runs.left:.2g}, by {found['runout'].name}"
+            f"axis    known to {runs.axis_error:.2g} columns, runout left {runs.left:.2g}, from {found['runout'].name}"
         )
     own = read_job(job, settings or ()).file.beam.spread
     if own is not None or "mtf" not in found:
-        why = "the job says it" if own is not None else "half a pixel, as the rig has no calibration mtf"
+        why = "as the job sets it" if own is not None else "half a pixel, as the rig has no calibration mtf"
         screen.print(f"spread  {why}")
         return []
-    screen.print(f"spread  as measured by {found['mtf'].name}")
+    screen.print(f"spread  measured by {found['mtf'].name}")
     return [f"beam.spread={json.dumps(str((found['mtf'].path / 'result.toml').resolve()))}"]
 
 
 @app.command
 def limits(machine: Path, *, png: Path | None = None, settings: Settings = None) -> None:
-    """Tell what a web machine can do, how fast at most, and what limits it.
+    """Show the maximum speed of a web machine, and what limits it.
 
     Args:
         machine: the TOML file with the machine's tables, such as that of a web job
@@ -180,10 +180,10 @@ def init(
     file: Path = Path("job.toml"), /, *, what: Literal["vial", "web", "machine", "slices"] = "vial",
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Write a job file that can be solved as it is, with a remark for every key there is.
+    """Write a job file that can be solved as it is, with a comment for every key.
 
     Args:
-        file: where to
+        file: path of the job file
         what: what the job file is for
     """
     from vamgpu.jobs.keys import commented
@@ -195,7 +195,7 @@ def init(
     with replacing(file, overwrite=overwrite) as draft:
         draft.write_text(commented(what), encoding="utf-8")
     onward = {"machine": "limits", "slices": "curethrough correct"}.get(what, "solve")
-    console().print(f"wrote [bold]{shown_path(file)}[/]; go on with: vam {onward} {shown_path(file)}")
+    console().print(f"wrote [bold]{shown_path(file)}[/]; next: vam {onward} {shown_path(file)}")
 
 
 @app.command
@@ -203,8 +203,8 @@ def keys(table: str | None = None, /) -> None:
     """List the keys that job files may have, what they hold and what they mean.
 
     Args:
-        table: one of a file, such as beam or web.beam, one key of it, such as beam.pitch, a noun, such as vessel.fan,
-            or all nouns of a family, such as vessel; everything, as markdown, by default
+        table: a table, such as beam or web.beam; a key, such as beam.pitch; a component, such as vessel.fan; or all
+            components of a family, such as vessel; by default everything, as Markdown
     """
     from vamgpu.jobs.keys import explained, reference
 
@@ -218,7 +218,7 @@ def keys(table: str | None = None, /) -> None:
 
 @app.command
 def schema(file: Literal["vial", "web", "machine", "slices"] = "vial", /) -> None:
-    """Write the JSON Schema of a job file, by which editors complete and check TOML.
+    """Write the JSON Schema of a job file, which editors use to complete and check TOML.
 
     Args:
         file: what the job file is for
@@ -230,7 +230,7 @@ def schema(file: Literal["vial", "web", "machine", "slices"] = "vial", /) -> Non
 
 @app.command
 def devices() -> None:
-    """List the devices that work here, the best first."""
+    """List the devices that work on this machine, the best first."""
     screen = console()
     for name in vamgpu.devices():
         screen.print(name)
@@ -238,10 +238,10 @@ def devices() -> None:
 
 @app.command
 def doctor(*, limit: float = 120.0) -> int:
-    """Run a kernel on every device here, and say why one is missing and what to install.
+    """Run a kernel on every device of this machine; for one that is missing, say why and what to install.
 
     Args:
-        limit: seconds a driver gets to answer
+        limit: time limit for a driver to answer [s]
     """
     from vamgpu.cli.doctor import examine
 
@@ -260,15 +260,15 @@ def bench(
     *, job: Path | None = None, size: int = 128, angles: int = 360, repeats: int = 5, device: list[str] | None = None,
     record: Path | None = None, settings: Settings = None,
 ) -> None:  # fmt: skip
-    """Time the projectors on the devices here, or tell where the time of a job goes.
+    """Time the projection operators on this machine's devices, or measure how long each stage of a job takes.
 
     Args:
-        job: TOML file of a vial's job, which is solved, proved and reported in a folder that is thrown away
+        job: TOML job file of a vial; it is solved, proved and reported in a temporary folder
         size: voxels along each axis
-        angles: how many over a full turn
-        repeats: runs that a median is taken of
-        device: devices to time; all but the reference by default
-        record: JSON file to keep the table and the machine's description in
+        angles: number of angles over a full turn
+        repeats: number of runs; the median is reported
+        device: devices to time; by default all but the reference
+        record: JSON file for the table and the machine's description
     """
     from vamgpu.jobs.bench import bench as run
     from vamgpu.jobs.bench import table as records
@@ -276,7 +276,7 @@ def bench(
     if job is not None:
         return _bench_job(job, [*(settings or ()), *(f'solve.device="{name}"' for name in device or ())], record)
     if settings:
-        raise BadInput(f"--set {settings[0]} is for a job, and none is given; give --job too, or leave it out")
+        raise BadInput(f"--set {settings[0]} sets a key of a job, and there is no job; add --job, or leave out --set")
     timings = list(run(size, angles, repeats, device))
     sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
     for timing in timings:
@@ -288,7 +288,7 @@ def bench(
 
 
 def _record(place: Path, found: dict[str, Any]) -> None:
-    """Keep what was timed, with the machine's description."""
+    """Write the timings and the machine's description."""
     from vamgpu.jobs.bench import machine
     from vamgpu.storage.atomic import replacing
 
@@ -297,7 +297,7 @@ def _record(place: Path, found: dict[str, Any]) -> None:
 
 
 def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> None:
-    """Tell the stages of a job, with their seconds and shares."""
+    """Show the stages of a job, with their seconds and shares."""
     from dataclasses import asdict
 
     from vamgpu.cli.progress import STAGES
@@ -306,11 +306,11 @@ def _bench_job(job: Path, settings: list[str] | None, record: Path | None) -> No
     from vamgpu.jobs.web import is_web
 
     if is_web(job):
-        raise BadInput(f"{str(job)!r} is a web; expected the job of a vial, whose stages are known")
+        raise BadInput(f"{str(job)!r} is a web; expected the job of a vial")
     checked = read_job(job, settings or ())
     found = stages(checked)
     whole, name = sum(stage.seconds for stage in found), vamgpu.open_device(checked.file.solve.device).name
-    sheet = Table("stage", "seconds", "share", "by bytes alone", title=f"{job.name} on {name}: {whole:.1f} s")
+    sheet = Table("stage", "seconds", "share", "by bandwidth", title=f"{job.name} on {name}: {whole:.1f} s")
     for stage in found:
         least = "" if stage.least is None else f"{stage.least:.2g} s"
         sheet.add_row(STAGES.get(stage.name, stage.name), f"{stage.seconds:.2f}", f"{stage.seconds / whole:.0%}", least)
@@ -336,7 +336,7 @@ def _demo_web(out: Path, settings: list[str] | None) -> None:
 def _solve_web(
     job: Path, out: Path | None, settings: list[str] | None, overwrite: bool, cluster: str | None
 ) -> None:  # fmt: skip
-    """Solve a web, or go on with one that was interrupted."""
+    """Solve a web, or resume a run that was interrupted."""
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.web import is_web_folder, read_web, solve_web
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vamgpu.curethrough.job import Outcome
 
 group: App = App(
-    name="curethrough", help="Stereolithography: model what light cures behind a part, and correct the slices."
+    name="curethrough", help="Stereolithography: model what light cures behind features, and correct the slices."
 )
 
 
@@ -26,12 +26,12 @@ def model(
     job: Path, *, slices: Path | None = None, doses: Path | None = None, report: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Tell what slices print as they are, and draw a report.
+    """Predict what the uncorrected slices print, and write a report.
 
     Args:
         job: the TOML file
-        slices: a folder, zip or SL1 file that takes the place of the job's slices
-        doses: a folder or zip for pictures of the dose, 51 gray levels a critical dose
+        slices: a folder, zip or SL1 file that replaces the job's slices
+        doses: a folder or zip for images of the dose, with 51 gray levels per critical dose
         report: the HTML file; the job's name with -model.html by default
     """
     from vamgpu.cli.progress import shown
@@ -56,12 +56,12 @@ def correct(
     job: Path, *, slices: Path | None = None, out: Path | None = None, report: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Write corrected slices beside the originals, and draw a report of both.
+    """Write corrected slices beside the originals, and a report of both.
 
     Args:
         job: the TOML file
-        slices: a folder, zip or SL1 file that takes the place of the job's slices
-        out: where the corrected slices go, a folder or a zip; by default the slices' name with -corrected
+        slices: a folder, zip or SL1 file that replaces the job's slices
+        out: folder or zip for the corrected slices; by default the slices' name with -corrected
         report: the HTML file; beside the corrected slices by default
     """
     from vamgpu.cli.progress import shown
@@ -90,12 +90,12 @@ def fit(
 
     Args:
         plugs: CSV file with columns height_mm and exposure_mJ_cm2, or time_s and irradiance_mW_cm2
-        irradiance: light of all plugs, such as "20 mW/cm2", where the file gives times alone
+        irradiance: irradiance of all plugs, such as "20 mW/cm2", if the file gives only times
         gray: CSV file with columns level and intensity_mW_cm2
-        pieces: straight pieces of the gray curve; by default one between every two levels read, 32 at the most
-        confidence: of the intervals
-        gels: critical dose over the dose that just gels
-        out: TOML file for the tables [printer] and [gray] of what was fitted
+        pieces: straight pieces of the gray curve; by default one between every two levels read, at most 32
+        confidence: confidence of the intervals
+        gels: critical dose divided by the dose that just gels
+        out: TOML file for the fitted tables [printer] and [gray]
     """
     from vamgpu.jobs.fit import fit_files
 

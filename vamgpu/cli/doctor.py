@@ -1,6 +1,6 @@
 """Why a device works here, or why it does not and what to install.
 
-Drivers may crash or hang, so every look at one happens in a process of its own, with a time limit.
+Drivers may crash or hang, so each is examined in a separate process with a time limit.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from vamgpu.cli.remedies import for_graphics, for_processor
 from vamgpu.errors import VamError
 
 LIMIT = 120.0
-"""Seconds a driver gets to list its devices or to run one kernel."""
+"""Time limit for a driver to list its devices or to run one kernel [s]."""
 TOLERANCE = 1e-5
 BREAKS = "a driver breaks its process; remove it or update it"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One device, or one kind of device that is missing. remedy: what to do where it does not work."""
+    """One device, or one kind of device that is missing. remedy: what to do if it does not work."""
 
     name: str
     description: str
@@ -33,7 +33,7 @@ class Finding:
 
 
 def examine(limit: float = LIMIT) -> list[Finding]:
-    """Look for every device, run a kernel on each, and say what is missing."""
+    """Find the devices, run a kernel on each, and list what is missing."""
     listed = _ask(["list"], limit)
     if "error" in listed:
         return [Finding("all devices", listed["error"], False, listed.get("remedy", BREAKS))]
@@ -57,7 +57,7 @@ def _repair(name: str) -> str:
 
 
 def _ask(arguments: list[str], limit: float) -> dict[str, Any]:
-    """The answer of a process of its own, or why there is none."""
+    """The answer of a separate process, or why there is none."""
     command = [sys.executable, "-m", "vamgpu.cli.doctor", *arguments]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
@@ -72,12 +72,12 @@ def _ask(arguments: list[str], limit: float) -> dict[str, Any]:
     return {"error": said[-1] if said else f"exit status {done.returncode}"}
 
 
-# ---- inside the process of its own ----------------------------------------------------------------------------
+# ---- inside the separate process ------------------------------------------------------------------------------
 def _list() -> dict[str, Any]:
     found, missing = {"numpy": "float64 reference"}, []
     if writable() is not None:
         remedy = f"set {VARIABLE} to a folder that this user may write"
-        missing.append(("cache of kernels", f"{refusal()}: every process compiles its kernels anew", remedy))
+        missing.append(("cache of kernels", f"{refusal()}: every process compiles its kernels again", remedy))
     for look in (_opencl, _warp):
         more, lacks = look()
         found |= more
@@ -151,7 +151,7 @@ def _probe(name: str) -> dict[str, float]:
 
 
 def _opened(name: str) -> Any:
-    """A device by name, without looking at any other."""
+    """A device by name, without opening any other."""
     kind, _, rest = name.partition(":")
     if kind == "warp":
         from vamgpu.backend.warp import WarpDevice
@@ -173,7 +173,7 @@ def answer(arguments: list[str]) -> dict[str, Any]:
     """Answer of the child process."""
     try:
         return _list() if arguments[0] == "list" else _probe(arguments[1])
-    except VamError as error:  # it says itself what to do
+    except VamError as error:  # its message has the remedy
         problem, _, remedy = str(error).rpartition("; ")
         return {"error": problem, "remedy": remedy}
 

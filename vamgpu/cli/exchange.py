@@ -23,23 +23,23 @@ def import_(
     axis: float | None = None, level: float | None = None, angles: int | None = None, gray: Path | None = None,
     device: str | None = None, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Make a job of another program's patterns, to be proven, printed, or solved on.
+    """Convert another program's patterns to a job that you can prove, print or optimize further.
 
     Args:
         source: configuration of Dr.TVAM (JSON), sinogram of VAMToolbox (.sino, .npy), folder of PNG, TIFF or EXR
-            images, or a film, such as those that OpenCAL plays
-        out: the folder; the source's name with .vam by default. Ending in .toml, a job file of what Dr.TVAM was to
-            solve, for vam solve; it needs no patterns
-        job: TOML file of what the source does not say: part, vessel, pixels
-        patterns: of Dr.TVAM, where they are not beside its configuration
-        target: voxels that VAMToolbox solved for, in place of a mesh in the job
+            images, or a video, such as those that OpenCAL plays
+        out: the folder; the source's name with .vam by default. If it ends in .toml, a job file for vam solve is
+            written from the configuration of Dr.TVAM; it needs no patterns
+        job: TOML file with what the source lacks: part, vessel, pixels
+        patterns: pattern file of Dr.TVAM, if it is not beside the configuration
+        target: target voxels of VAMToolbox, in place of a mesh in the job
         flip_r: column 0 of images is the largest r
-        flip_z: row 0 of images is the smallest z, as in films of VAMToolbox
-        reverse: images are in the order of falling angles
-        axis: column of the axis in images, counted from 0; their middle by default
-        level: row of the part's middle; the images' middle by default
-        angles: images of a turn, where a film has several turns
-        gray: TOML file with the gray curve that images were made for
+        flip_z: row 0 of images is the smallest z, as in videos of VAMToolbox
+        reverse: images are in order of decreasing angle
+        axis: column of the axis in images, counted from 0; by default their middle
+        level: row of the part's middle; by default the images' middle
+        angles: number of images per turn, if a video has several turns
+        gray: TOML file with the gray curve for which the images were made
         device: where to compute; the best device here by default
     """
     from vamgpu.cli.progress import shown
@@ -51,8 +51,8 @@ def import_(
     if out is not None and out.suffix.lower() == ".toml":
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} beside --out {out}, which takes no patterns; expected the "
-                           "configuration alone: leave it out")  # fmt: skip
+            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only "
+                           "the configuration: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
@@ -79,25 +79,25 @@ def export(
     offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
     repeats: int = 1, rig: Path | None = None, projector: int = 1, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Write the frames of a job as files that other programs read.
+    """Write the frames of a job as files for other programs.
 
     Args:
         job: the job folder
-        png: a folder of PNG pictures
-        tiff: one file, a page a frame
-        npz: bytes, curve and settings for NumPy
-        mp4: a film, lossless in gray, or for any player with --players
+        png: a folder of PNG images
+        tiff: one file with one page per frame
+        npz: one file with bytes, curve and settings for NumPy
+        mp4: a video, lossless in gray, or for any player with --players
         drtvam: a folder with configuration, patterns and part for Dr.TVAM
-        fps: frames a second of the film
-        players: write the film in yuv420p, which projectors and common players decode
-        canvas: columns and rows of pictures, such as 1920x1080, in whose middle frames lie
-        offset: columns to the right and rows upwards off that middle
-        rotation: of frames, counterclockwise [deg]
+        fps: frames per second of the video
+        players: write the video in yuv420p, which projectors and common players decode
+        canvas: columns and rows of the images, such as 1920x1080; frames are centered in them
+        offset: shift of the frames from that center: columns to the right, rows upwards
+        rotation: rotation of the frames, counterclockwise [deg]
         flip_r: mirror frames left to right
         flip_z: mirror frames top to bottom
-        repeats: how often the turn is shown
-        rig: TOML file of a rig, whose gray curve, flat field and axis frames are made for
-        projector: of that rig, counted from 1
+        repeats: number of turns
+        rig: TOML file of a rig; frames are made for its gray curve, flat field and axis
+        projector: number of the projector of that rig, from 1
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.jobs.web import is_web_folder
@@ -111,17 +111,15 @@ def export(
     formats = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
     places = {ending: place for ending, place in formats.items() if place is not None}
     if not places and drtvam is None:
-        raise BadInput(
-            "no format was given; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path"
-        )
+        raise BadInput("there is no format; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path")
     for ending, place in places.items():
         if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
             raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
     job = named(job)
     if is_web_folder(job):
         raise BadInput(
-            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: read frames of a "
-            "web one by one in Python, with vamgpu.webs.store.WebFolder.open(path).frame(number)"
+            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: in Python, "
+            "get the frames of a web one by one with vamgpu.webs.store.WebFolder.open(path).frame(number)"
         )
     screen, frames = console(), load_frames(job, "numpy")
     if rig is not None:
@@ -147,7 +145,7 @@ def _size(canvas: str | None) -> tuple[int, int] | None:
 
 
 def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:
-    """Frames as a projector of a rig shows them, by its calibrations."""
+    """Frames as a projector of a rig shows them, corrected by its calibrations."""
     from vamgpu.hosts.rigs.calibrations import calibration_of
     from vamgpu.hosts.rigs.config import read_rig
 

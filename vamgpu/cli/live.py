@@ -12,14 +12,14 @@ from rich.markup import escape
 from vamgpu.cli.options import console
 from vamgpu.errors import BadInput
 
-group: App = App(name="live", help="Prints that are watched while they turn.")
+group: App = App(name="live", help="Replay prints that a camera watched, or make videos of them.")
 
 
 @group.command
 def replay(run: Path, /) -> None:
-    """Decide every turn of a recorded print anew, and tell whether each decision is the same bit by bit.
+    """Repeat the decision of every turn of a recorded print, and report whether each is the same, bit for bit.
 
-    How long each stage took in the print, and from which turn on each decision was shown, is shown too.
+    Also show how long each stage took during the print, and from which turn each decision took effect.
 
     Args:
         run: folder of the run
@@ -37,7 +37,7 @@ def replay(run: Path, /) -> None:
             else decision["reason"]
         )
         screen.print(
-            f"turn {decision['turn']:3}  {decision['action']:4}  light {decision['version']}  {escape(more)}  "
+            f"turn {decision['turn']:3}  {decision['action']:4}  patterns {decision['version']}  {escape(more)}  "
             f"[bold]{same}[/]"
         )
         otherwise += [decision["turn"]] if differs else []
@@ -47,24 +47,24 @@ def replay(run: Path, /) -> None:
         screen.print(f"{name:8}  {line}")
     if otherwise:
         turns = ", ".join(map(str, otherwise))
-        raise BadInput(f"{str(run)!r} decided otherwise than its record says in turns {turns}; expected the same: "
+        raise BadInput(f"{str(run)!r} repeats other decisions than recorded in turns {turns}; expected the same: "
                        "replay it on the device and with the version of vamgpu that recorded it")  # fmt: skip
 
 
 @group.command
 def film(run: Path, /, out: Path = Path("live.mp4"), rate: float = 1.0) -> None:
-    """Make a film of a recorded print: turn by turn the camera, dose, conversion and what was decided.
+    """Make a video of a recorded print: camera image, dose, conversion and decision of each turn.
 
     Args:
         run: folder of the run
-        out: the film, ending in .mp4; its folder exists
-        rate: turns a second
+        out: path of the video, ending in .mp4; its folder must exist
+        rate: turns per second
     """
     from vamgpu.live import LiveRecord
     from vamgpu.live.film import film as drawn
 
     made = drawn(LiveRecord(_place(run)), out, rate)
-    console().print(f"film    [bold]{escape(str(made))}[/]")
+    console().print(f"video   [bold]{escape(str(made))}[/]")
 
 
 def _place(run: Path) -> Path:
@@ -73,11 +73,11 @@ def _place(run: Path) -> Path:
 
 
 def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """In how many turns swaps were shown, and which never were."""
+    """After how many turns swaps took effect, and which never did."""
     swaps = [decision for decision in decisions if decision["action"] == "swap" and "effective" in decision]
     shown = [decision["effective"] - decision["turn"] for decision in swaps if decision["effective"] is not None]
     if shown:
-        yield "shown", f"{len(shown)} of {len(swaps)} swaps, {max(shown)} turns after the last image's turn at most"
+        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {max(shown)} turns after the last image's turn"
     late = [str(decision["turn"]) for decision in swaps if decision["effective"] is None]
     if late:
-        yield "late", f"those of turns {', '.join(late)} were never shown"
+        yield "late", f"swaps of turns {', '.join(late)} never took effect"

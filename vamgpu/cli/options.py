@@ -11,8 +11,8 @@ from rich.console import Console
 
 from vamgpu.errors import Cancelled
 
-Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="key=value that replaces the file's")]
-Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="replace what stands there")]
+Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="replace a key, as key=value")]
+Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="overwrite existing files")]
 
 
 def _whole(_: object, tokens: Sequence[Token]) -> int:
@@ -34,7 +34,7 @@ def console() -> Console:
 
 @contextmanager
 def continued(kept: Callable[[], bool], change: str = "") -> Iterator[None]:
-    """On Ctrl-C, tell to run the same command, ``change`` apart, if it continues from what is ``kept``."""
+    """On Ctrl-C, advise to run the same command, with ``change``, if it can continue from what is ``kept``."""
     try:
         yield
     except (Cancelled, KeyboardInterrupt) as error:

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from vamgpu.printing.given_dose import ProvedDose
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
-"""A small boat: the chain counts here, not the part."""
+"""A small boat: the demo shows the process, not the part."""
 CANCELLED = 130
-"""The exit status of a print that somebody stopped, as of any other command."""
+"""Exit status of a print that the user stopped, as of any other command."""
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
-"""Endings of jobs that their runs do not take over; another dot, as in "part-0.2", is of the name."""
+"""Endings of jobs that are left out of the names of runs; any other dot, as in "part-0.2", belongs to the name."""
 FAILED, INCOMPLETE, HELD = 1, 3, 4
-"""Those of a print that failed, of one that ended with underexposed frames, and of one that was left held."""
+"""Exit statuses of a print that failed, of one that ended with underexposed frames, and of one that is still held."""
 
 
 @app.command(name="print")
@@ -43,31 +43,31 @@ def print_(
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
     host: str = "127.0.0.1", port: int = 0, live: Switch = False,
 ) -> int:  # fmt: skip
-    """Print jobs on a rig, one for each of its projectors; the word demo makes and prints a small one, and demo live
-    one that a camera watches, in resin that is not as planned.
+    """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
+    that a camera watches, in resin that differs from the plan.
 
-    The exit status is 0 for a complete print, 1 for one that failed, 3 for one that lacks light, of some views or of
-    the exposure, 4 for one that is left held, 130 for one that was cancelled.
+    Exit status: 0, the print is complete; 1, it failed; 3, it is incomplete (some views or part of the exposure are
+    missing); 4, it is still held; 130, it was cancelled.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], or with its unit, such as
-            "48 mm/min"; by default what the job was made for
-        turns: how often each frame of a vial is shown, at most where it stops by itself; by default as often as the
-            exposure of the proof needs, with light that is dimmed to the dose that was proved
-        stop: density of scatter at which a vial is done [gray levels/voxel], such as 0.35, by the rig's camera
+        speed: speed of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], by default that of the job;
+            or with a unit, such as "48 mm/min"
+        turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
+            exposure needs, with the light dimmed to give the proved dose
+        stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
         out: folder of the run; the job's name with .run by default, with .dry-run for a dry run
-        resume: folder of a run that a host left in the midst, to go on with
-        unattended: how often a print that is held goes on by itself; by default somebody is asked
-        device: that makes the frames; the best one by default, NumPy for a dry run
-        dry_run: print on emulated machines and a simulated clock, whatever the rig
+        resume: folder of an interrupted run to continue
+        unattended: number of times that a held print resumes by itself; by default it asks the operator
+        device: device that makes the frames; by default the best one, or NumPy for a dry run
+        dry_run: print on emulated machines with a simulated clock, on any rig
         panel: serve the live page; a dry run then takes as long as a print
-        stay: serve the page after the print too, until Ctrl-C
-        host: where the page is served; a token is needed beyond this machine
-        port: of the page; a free one by default
-        live: watch a vial with the rig's camera, and plan the rest of its light anew after every turn; turns are then
-            those in which fresh resin gets the light of the job, 16 by default
+        stay: keep serving the page after the print, until Ctrl-C
+        host: address that serves the page; other machines need a token
+        port: port of the page; by default a free one
+        live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
+            the number of turns in which fresh resin gets the job's dose, 16 by default
     """
     if jobs == ("demo", "live") or live:
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
@@ -84,7 +84,7 @@ def print_(
         turns, exposure = _begun(resume, turns)
     planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
     exposure = False if planned.dose is None else planned.dose.proved
-    if dry_run and not config.setup.emulated:  # the rig itself is judged too
+    if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
     planned = planned if stop is None else stopping(planned, stop)
     for name, value in planned.lines():
@@ -111,23 +111,23 @@ def _check_options(
     jobs: tuple[str, ...], rig: str, config: Any, out: Path | None, resume: Path | None, unattended: int, *,
     dry_run: bool, panel: bool, stay: bool,
 ) -> None:  # fmt: skip
-    """Refuse options that do not go together. Raises `BadInput`."""
+    """Reject options that do not go together. Raises `BadInput`."""
     if not jobs:
-        raise BadInput("no job was given; expected the folder of a job for each projector, or the word demo")
+        raise BadInput("there is no job; expected the folder of a job for each projector, or the word demo")
     if resume is not None and out is not None:
-        raise BadInput("--out names the folder of a new run, --resume one to go on with; give one of them")
+        raise BadInput("--out is the folder of a new run, --resume that of a run to continue; give one of them")
     if resume is not None and (dry_run or config.setup.emulated):
-        raise BadInput("a dry run has no machines that remember a print; expected --resume with the rig that began it")
+        raise BadInput("a dry run has no machines that keep a print; expected --resume with the rig that began it")
     if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
-        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job of it")
+        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
     if unattended < 0:
-        raise BadInput(f"--unattended is {unattended}; expected how often a held print goes on by itself, 0 or more")
+        raise BadInput(f"--unattended is {unattended}; expected how many times a held print resumes, 0 or more")
     if stay and not panel:
-        raise BadInput("--stay keeps the page after the print, and none is served; add --panel, or take vam panel")
+        raise BadInput("--stay keeps the page after the print, and there is none; add --panel, or use vam panel")
 
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
-    """Turns and exposure of the run that is resumed, so that the rest gets the light of the beginning."""
+    """Turns and exposure of the run to resume, so that the rest gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.printing.given_dose import GivenDose
 
@@ -139,12 +139,12 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
 
 
 def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
-    """Print one vial that is watched, and say what was off, what was found, and what came of it; the exit status."""
+    """Print one vial with monitoring; show deviations, what was found, and the outcome; return the exit status."""
     from vamgpu.hosts.live.live_print import live
 
     screen, demo = console(), tuple(jobs) == ("demo", "live")
     if not plain or len(jobs) != 1 + demo:
-        raise BadInput("a print that is watched takes one job, --rig, --turns and --out; leave out the rest")
+        raise BadInput("a print with --live takes one job, --rig, --turns and --out; leave out the rest")
     place = _place(out, "demo" if demo else jobs[0], False)
     if not demo:
         return _reported(screen, live(jobs[0], rig, turns=turns, folder=place))
@@ -160,14 +160,14 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
     unwatched = live(job, truth=truth, turns=turns, watched=False)
     ended = live(job, truth=truth, turns=turns, folder=place)
     off = ", ".join(f"{name} {value:g}" for name, value in AGED.items())
-    screen.print(f"off     {escape(off)}")
+    screen.print(f"differs {escape(off)}")
     screen.print(f"unwatched overlap {unwatched.iou:.4f}, watched [bold]{ended.iou:.4f}[/]")
     overlaps = unwatched.iou or 0.0, ended.iou or 0.0
     return _reported(screen, ended, truth=truth, overlaps=overlaps, conversion=ended.conversion)
 
 
 def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
-    """Tell of a print that was watched, and write its report."""
+    """Show the outcome of a monitored print, and write its report."""
     from vamgpu.live import LiveRecord
     from vamgpu.live.report import page
 
@@ -186,7 +186,7 @@ def panel(
     device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
     host: str = "127.0.0.1", port: int = 8521,
 ) -> int:  # fmt: skip
-    """Print jobs on a rig with the live page, which stays until Ctrl-C, or watch a print that goes on.
+    """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
 
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
@@ -195,20 +195,20 @@ def panel(
         turns: as for ``vam print``
         stop: as for ``vam print``
         out: folder of the run
-        resume: folder of a run to go on with
+        resume: folder of an interrupted run to continue
         unattended: as for ``vam print``
         device: as for ``vam print``
-        dry_run: print on emulated machines, in the time that a print takes, whatever the rig
-        attach: folder of a run that another process prints, to watch and to stop
-        host: where the page is served; a token is needed beyond this machine
-        port: of the page
+        dry_run: print on emulated machines, in the time that a print takes, on any rig
+        attach: folder of a run that another process is printing; watch it, or stop it
+        host: address that serves the page; other machines need a token
+        port: port of the page
     """
     if attach is not None:
         if jobs or rig is not None:
-            raise BadInput("--attach watches a print that goes on; give no jobs and no rig with it")
+            raise BadInput("--attach watches a print that is running; leave out jobs and --rig")
         return _attached(attach, host, port)
     if rig is None:
-        raise BadInput("no rig was given; expected --rig with its TOML file or the word emulated")
+        raise BadInput("there is no rig; expected --rig with its TOML file or the word emulated")
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
         settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port,
@@ -217,7 +217,7 @@ def panel(
 
 @contextmanager
 def _outlived(screen: Console) -> Iterator[None]:
-    """Go on, whatever became of the print, until somebody presses Ctrl-C; then raise what it ended with."""
+    """Keep the page until Ctrl-C, however the print ended; then raise its error."""
     try:
         yield
     except VamError as error:
@@ -239,13 +239,13 @@ def _place(out: Path | None, job: str, dry_run: bool) -> Path:
 
     first = Path("vamgpu-demo" if job == "demo" else job)
     if out is None and first.name in ("", ".."):
-        raise BadInput(f"the job {job!r} has no name to call its run by; give the folder of the job, or --out")
+        raise BadInput(f"the job {job!r} has no name for its run; give the folder of the job, or --out")
     name = first.stem if first.suffix in JOBS else first.name
     place = out or first.parent / (name + (".dry-run" if dry_run else ".run"))
     if job == "demo" and place.suffix == ".job":
-        raise BadInput(f"{str(place)!r} is where the demo puts its job; end the name of its run in .run")
+        raise BadInput(f"{str(place)!r} is the place of the demo's job; end the name of its run in .run")
     if place.exists():
-        raise StorageError(f"{str(place)!r} exists; a run wants a folder of its own: choose another with --out")
+        raise StorageError(f"{str(place)!r} exists; a run needs a new folder: choose another with --out")
     return place
 
 
@@ -258,7 +258,7 @@ def _demo(screen: Console, place: Path) -> Path:
 
 
 def _attached(run: Path, host: str, port: int) -> int:
-    """Serve the page of a print that goes on, to its end."""
+    """Serve the page of a running print, to its end."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.panel import Panel
     from vamgpu.hosts.process.watch import attached, watched
@@ -269,11 +269,11 @@ def _attached(run: Path, host: str, port: int) -> int:
         try:
             watch.viewed(watch.order.planned())
         except VamError as error:
-            screen.print(f"pictures  none: {escape(str(error))}")
+            screen.print(f"images  none: {escape(str(error))}")
         with Panel(board, host, port, runs=run.resolve().parent, run=run.name) as page:
             screen.print(f"page    [bold]{escape(page.url)}[/]")
             asked = _asked(screen) if sys.stdin.isatty() else lambda _: False
-            go_on = asked if watch.order.asks and not watch.order.page else None  # else its buttons ask
+            go_on = asked if watch.order.asks and not watch.order.page else None  # otherwise the page asks
             try:
                 state = PrintState(watched(watch, lambda name, text: None, go_on)["state"])
             except VamError as error:
@@ -283,7 +283,7 @@ def _attached(run: Path, host: str, port: int) -> int:
 
 
 def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> int:
-    """Print, and say what became of it; the exit status."""
+    """Print, show the outcome, and return the exit status."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.records.account import account
     from vamgpu.hosts.records.record import read_run, timing
@@ -296,7 +296,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     levels: Sequence[np.ndarray] = ()
     verdict, turns = "", None
     try:
-        # nothing is lit by a dry run whose time is a program's, and it repeats exactly in one process
+        # a dry run on a simulated clock lights nothing, and in one process it repeats exactly
         ended = (_rehearsed if planned.rehearsed and not order.page else _watched)(screen, planned, order, board)
         state, verdict, levels = PrintState(ended["state"]), ended.get("resin", ""), ended.get("levels", ())
         turns = ended.get("turns")
@@ -304,7 +304,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
         state = _left(error, board, place)
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
-    lateness = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"{late:.1f} ms late at most"
+    lateness = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"at most {late:.1f} ms late"
     screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
@@ -321,21 +321,21 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
 
 
 def _onward(planned: PrintPlan, place: Path) -> str:
-    """Command that continues a held print, or the reason why none does."""
+    """Command that continues a held print, or the reason why it cannot continue."""
     from vamgpu.errors import VamError
     from vamgpu.hosts.rig import may_go_on
 
     if planned.rehearsed:
-        return "the machines of a dry run are gone with it: start it again"
+        return "a dry run cannot be continued: start it again"
     try:
         may_go_on(planned, place)
     except VamError as error:
         return escape(str(error))
-    return f"go on with [bold]--resume {escape(str(place))}[/]"
+    return f"continue with [bold]--resume {escape(str(place))}[/]"
 
 
 def _left(error: VamError, board: Board, place: Path) -> PrintState:
-    """State of a print that an error left held; shows the error. Raises it where nothing is held."""
+    """State of a print that an error left held; shows the error. Raises it if nothing is held."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.hosts.records.state import PrintState
 
@@ -358,7 +358,7 @@ def _status(state: PrintState) -> int:
 
 
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Run dry in this process, as fast as it computes; how it ended."""
+    """Do a dry run in this process, as fast as it computes; how it ended."""
     from vamgpu.hosts.process.order import printed
     from vamgpu.hosts.rig import rehearsal
 
@@ -370,7 +370,7 @@ def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Bo
 
 
 def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Print in a process that holds the light, and watch it from this one; how it ended."""
+    """Print in a process that controls the light, and watch it from this one; how it ended."""
     from vamgpu.hosts.process.watch import may_begin, started, watched
 
     may_begin(order.folder)
@@ -386,12 +386,12 @@ def _show_line(screen: Console, name: str, text: str) -> None:
 
 
 def _asked(screen: Console) -> Callable[[str], bool]:
-    """Asks at the terminal whether a print that is held goes on, with the reason."""
+    """Show why a print is held, and ask at the terminal whether to continue."""
 
     def go_on(why: str) -> bool:
         screen.print(f"held    [yellow]{escape(why)}[/]")
         try:
-            return input("go on? [y/N] ").strip().lower() in ("y", "yes")
+            return input("continue? [y/N] ").strip().lower() in ("y", "yes")
         except EOFError:
             return False
 
@@ -399,7 +399,7 @@ def _asked(screen: Console) -> Callable[[str], bool]:
 
 
 def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], turns: int | None, place: Path) -> None:
-    """Prove what emulated resin saw of vials, their levels, whose folders say what they were to print."""
+    """Prove vials from the gray levels that emulated resin received."""
     from dataclasses import replace
 
     from vamgpu.errors import StorageError

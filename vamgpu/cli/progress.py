@@ -25,19 +25,19 @@ STAGES = {
     "voxels": "voxelizing the part",
     "open": "opening the device",
     "rays": "tracing rays",
-    "light": "finding the light",
+    "light": "optimizing the patterns",
     "frames": "packing the frames",
     "folder": "writing the job",
     "read": "reading the job",
-    "contrast": "weighing the angles that enter the film",
+    "contrast": "weighting the angles that enter the film",
     "proof": "proving the print from its frames",
-    "verdict": "judging the light by its own dose",
-    "bound": "looking for the widest window of any light",
-    "report": "drawing the report",
+    "verdict": "judging the patterns by the solver's dose",
+    "bound": "bounding the window of any patterns",
+    "report": "writing the report",
     "model": "modeling the print",
     "correct": "correcting the slices",
-    "survey": "looking for what is out of reach",
-    "columns": "weighing columns as wholes",
+    "survey": "finding features and voids out of reach",
+    "columns": "solving whole columns",
 }
 
 
@@ -51,7 +51,7 @@ class _Left(TimeRemainingColumn):
 
 @contextmanager
 def shown(console: Console) -> Iterator[StageProgress]:
-    """A function that shows progress; stages that are over stay as lines with their seconds."""
+    """A function that shows progress; finished stages stay as lines with their seconds."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), _Left())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         now = _Now(bar, console)
@@ -75,7 +75,7 @@ class _Now:
             self._bar.update(self._task, total=1.0, completed=share)
 
     def tell(self, text: str) -> None:
-        """A line of its own."""
+        """Print a separate line."""
         self.finish()
         self._stage = ""
         self._console.print(f"[dim]{text}[/]", highlight=False)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
 
 NOT_PRINTED = 3
-"""What ``vam prove --check`` exits with where frames do not print their part."""
+"""Exit status of ``vam prove --check`` if the frames do not print the part."""
 
 
 @app.command
@@ -29,23 +29,22 @@ def prove(
     printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
     rig: str | None = None, speed: str | None = None, check: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:  # fmt: skip
-    """Simulate a written job from its frames alone, or what a run has really shown, and draw a report.
+    """Simulate a job from its frames only, or a run from the frames it really showed, and write a report.
 
     Args:
         job: the job folder, or the folder of a vial's run
         report: the HTML file; by default part.html for part.vam, and part.run.html for part.run
         device: where to compute; the best device here by default
-        bound: find the widest window that any light can have too, by 1500 projector evaluations, of each corner with
-            --tolerances
-        tolerances: prove it at every corner of the job's [tolerances] too, with one threshold for all
-        slices: first slice, and the one behind the last, that alone are looked at for --bound: sooner, and the bound
-            of some slices holds for all
-        printed: folder of a job that a run printed, where it was moved since; one for each that was
-        memory: what the proof may take, such as 8GB; fields beyond it lie in files, in the folder TMPDIR, and a report
-            that takes more is left out
-        rig: the TOML file of a rig, or emulated: expose each bit plane of a vial at the angles at which it is shown too
-        speed: of the rig [deg/s], 40 by default
-        check: exit with 3 where it does not print
+        bound: also bound the window of any patterns, with 1500 projector evaluations, for each corner with --tolerances
+        tolerances: also prove the job at every corner of its [tolerances], with one threshold for all
+        slices: first slice, and the one after the last, used for --bound; fewer slices are faster, and their bound
+            holds for the whole print
+        printed: new folder of a job that was moved after the run; one for each job that was moved
+        memory: memory limit of the proof, such as 8GB; fields beyond it are kept in files in the folder TMPDIR, and a
+            report that needs more is skipped
+        rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles where it is shown
+        speed: speed of the rig [deg/s], 40 by default
+        check: exit with 3 if it does not print
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
@@ -57,13 +56,13 @@ def prove(
     job = _written(job)
     device = device if memory is None else within(device, memory)
     is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
-    # a run has a page beside that of its job
+    # the page of a run is beside that of its job
     place = page_path(report or (job.with_name(f"{job.name}.html") if is_run else job.with_suffix(".html")))
     _check_options(job, bound, tolerances, slices, rig, speed, vial=not (is_run or is_web))
     if is_run:
         return _checked(_prove_run(job, place, device, printed or ()), check)
     if printed:
-        raise BadInput(f"--job says where the jobs of a run are, and {str(job)!r} is no folder of one; leave it out")
+        raise BadInput(f"--job gives the folders of a run's jobs, and {str(job)!r} is not a run; leave it out")
     if is_web:
         if check:
             raise BadInput(f"--check is for the job of a vial or of a run, and {str(job)!r} is a web; leave it out")
@@ -84,7 +83,7 @@ def prove(
         show_verdict(screen, proven.proof.verdict)
     show_lines(screen, proven.proof.lines())
     if needs:
-        screen.print(f"[yellow]note[/]  no report, which takes {size(needs)} of memory; leave --memory out to draw it")
+        screen.print(f"[yellow]note[/]  no report, which needs {size(needs)} of memory; leave out --memory to get it")
     else:
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
@@ -106,14 +105,14 @@ def _check_options(
     job: Path, bound: bool, tolerances: bool, slices: tuple[int, int] | None, rig: str | None, speed: str | None, *,
     vial: bool,
 ) -> None:  # fmt: skip
-    """Refuse options that do not go together, or with what is proved. Raises `BadInput`."""
+    """Reject options that do not go together, or do not suit the job. Raises `BadInput`."""
     for option, given in (("--bound", bound), ("--tolerances", tolerances), ("--rig", rig is not None)):
         if given and not vial:
-            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is none; leave it out")
+            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is not one; leave it out")
     if slices is not None and not bound:
-        raise BadInput(f"--slices {slices[0]} {slices[1]} are those of --bound; give it too, or leave them out")
+        raise BadInput(f"--slices {slices[0]} {slices[1]} are for --bound; add --bound, or leave out --slices")
     if rig is None and speed is not None:
-        raise BadInput(f"--speed {speed} is that of a rig, and none is given; give --rig too, or leave it out")
+        raise BadInput(f"--speed {speed} is for a rig, and there is none; add --rig, or leave out --speed")
 
 
 def _checked(prints: bool, check: bool) -> int:
@@ -122,7 +121,7 @@ def _checked(prints: bool, check: bool) -> int:
 
 
 def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven:
-    """A proof that knows what the bit planes of a rig change."""
+    """A proof that includes the bit planes of a rig."""
     from dataclasses import replace
 
     from vamgpu.hosts.rig import plan
@@ -136,7 +135,7 @@ def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven
 
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> bool:
-    """Compare a run with its plan; returns whether it prints, with and without light in doubt."""
+    """Compare a run with its plan; returns whether it prints, with and without uncertain light."""
     from vamgpu.hosts.records.proof import prove_run
 
     screen, prints = console(), True
@@ -149,7 +148,7 @@ def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Pat
         prints = prints and found.least.all_correct and found.most.all_correct
         for name, value in (("window", lambda proof: proof.scores.window), ("IoU", lambda proof: proof.scores.iou)):
             planned, least, most = (f"{value(proof):+.4f}" for proof in proofs)
-            band = least if least == most else f"{least} to {most}, as nobody knows all of the light"
+            band = least if least == most else f"{least} to {most}, as some of the light is uncertain"
             screen.print(f"{name:<7} planned {planned}, shown [bold]{band}[/]")
         screen.print(f"report  [bold]{shown_path(page.resolve())}[/]")
     return prints

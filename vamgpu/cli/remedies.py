@@ -15,22 +15,22 @@ PROCESSOR = {
     "windows": "install Intel's CPU Runtime for OpenCL Applications",
     "linux": "install PoCL with the system's package manager",
 }
-"""System → what makes its processor an OpenCL device."""
+"""System → how to make its processor an OpenCL device."""
 GRAPHICS = {
-    "debian": "apt install nvidia-opencl-icd, intel-opencl-icd or mesa-opencl-icd, as the card is",
-    "fedora": "dnf install intel-compute-runtime or mesa-libOpenCL; for NVIDIA xorg-x11-drv-nvidia-cuda of RPM Fusion",
-    "arch": "pacman -S opencl-nvidia, intel-compute-runtime or opencl-mesa, as the card is",
+    "debian": "apt install nvidia-opencl-icd, intel-opencl-icd or mesa-opencl-icd, depending on the card",
+    "fedora": "dnf install intel-compute-runtime or mesa-libOpenCL, or xorg-x11-drv-nvidia-cuda from RPM Fusion",
+    "arch": "pacman -S opencl-nvidia, intel-compute-runtime or opencl-mesa, depending on the card",
     "suse": "install the card's driver with its OpenCL part",
     "macos": "OpenCL is a part of macOS: update it",
     "windows": "install the card's driver from its maker; OpenCL is a part of it",
     "linux": "install the card's driver with its OpenCL part",
 }
-"""System → what makes a graphics card an OpenCL device."""
+"""System → how to make a graphics card an OpenCL device."""
 FAMILIES = {"ubuntu": "debian", "rhel": "fedora", "centos": "fedora", "opensuse": "suse"}
 
 
 def system() -> str:
-    """Which row of the tables above is this computer's."""
+    """This computer's row of the tables above."""
     if sys.platform in ("darwin", "win32"):
         return {"darwin": "macos", "win32": "windows"}[sys.platform]
     try:

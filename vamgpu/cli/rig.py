@@ -1,4 +1,4 @@
-"""``vam rig``: what a rig's file says, and what its combination of parts guarantees."""
+"""``vam rig``: the parts of a rig, and what their combination guarantees."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from rich.markup import escape
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, console
 
-group: App = App(name="rig", help="Look at the file of a rig, without touching a machine.")
+group: App = App(name="rig", help="Check a rig file without touching a machine.")
 app.command(group)
 ROLES = ("motion", "clock", "display", "light", "lens", "feedback")
 
 
 @group.command
 def check(rig: str, /, *, speed: float | None = None, settings: Settings = None) -> int:
-    """Say which parts fill the roles of a rig, what they guarantee together, and what not.
+    """List the parts that fill the roles of a rig, and what they do and do not guarantee together.
 
     Args:
         rig: the TOML file of the rig, or emulated
-        speed: of vials [deg/s], 40 by default, and of webs [mm/s], 1 by default
+        speed: speed of vials [deg/s], 40 by default, or of webs [mm/s], 1 by default
     """
     from vamgpu.geometry import positive
     from vamgpu.hosts.rigs.config import read_rig

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def shown_path(path: Path) -> str:
-    """A path as it is: brackets in it are no markup."""
+    """A path as text, in which brackets are no markup."""
     return escape(str(path))
 
 
 def show_verdict(screen: Console, verdict: Verdict) -> None:
-    """Whether it prints, and what to do where it does not."""
+    """Show whether it prints, and what to do if it does not."""
     color = ("green" if verdict.proved else "yellow") if verdict.prints else "red"
     rest = verdict.sentence.removeprefix(verdict.opening)
     screen.print(f"[bold {color}]{verdict.opening}[/]{escape(rest)}")
@@ -31,7 +31,7 @@ def show_verdict(screen: Console, verdict: Verdict) -> None:
 
 
 def show_rows(screen: Console, rows: Iterable[tuple[str, str, str]], width: int = 22) -> None:
-    """Names, values and meanings, a line each."""
+    """Names, values and meanings, one line each."""
     for name, value, meaning in rows:
         screen.print(f"  {name:<27} [bold]{value:<{width}}[/] [dim]{escape(meaning)}[/]")
 
@@ -42,7 +42,7 @@ def show_lines(screen: Console, lines: Iterable[Line], width: int = 22) -> None:
 
 
 def report_memory(memory: str | None, proof: Proof) -> int:
-    """Memory of a verdict and a report [bytes], where it is more than a process may take; else 0."""
+    """Memory of a verdict and a report [bytes] if it exceeds the limit of the process; else 0."""
     from vamgpu.printing.report import report_bytes
     from vamgpu.quantity import bytes_of
 
@@ -55,7 +55,7 @@ def show_web(screen: Console, proof: WebProof) -> None:
     last = proof.segments[-1].columns[1]
     rows = (
         ("overlap (IoU)", f"{proof.iou:.4f}", f"at one threshold, {proof.threshold:.3f} of the expected dose"),
-        ("narrowest window", f"{proof.window:+.4f}", "least dose in the part - greatest out of it, over the greatest"),
+        ("narrowest window", f"{proof.window:+.4f}", "(least dose in the part - greatest outside) / greatest"),
         ("printed", f"{last * proof.grid.edges[0]:.4g} mm", f"{len(proof.segments)} segments, {last} columns"),
     )
     show_rows(screen, rows)

@@ -19,7 +19,7 @@ Vary = Annotated[list[str], Parameter(name="--vary", negative="", help="key=valu
 def sweep(
     job: Path, /, *, vary: Vary, out: Path | None = None, cluster: str | None = None, settings: Settings = None
 ) -> None:
-    """Solve and prove a job for every combination of values; what was done before is not solved again.
+    """Solve and prove a job for every combination of values; finished combinations are not solved again.
 
     Args:
         job: the TOML file

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @app.command
 def view(job: Path, /, *, device: str | None = None) -> None:
-    """Show a written job's target, dose, print and frames in napari, if it is installed.
+    """Show a job's target, dose, print and frames in napari, if it is installed.
 
     Args:
         job: the job folder
@@ -29,7 +29,7 @@ def view(job: Path, /, *, device: str | None = None) -> None:
     job = named(job)
     napari = opened()
     if is_web_folder(job):
-        raise BadInput(f"{str(job)!r} is a web, which has no end to be shown; draw its report: vam prove {job}")
+        raise BadInput(f"{str(job)!r} is a web, which has no end to show; write its report: vam prove {job}")
     with shown(console()) as progress:
         proof = prove(job, device, progress=progress).proof
     viewer = napari.Viewer(title=proof.name)
@@ -44,8 +44,8 @@ def opened() -> Any:
         import napari  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise BadInput(
-            f'napari shows a job and does not load here ({error}): pip install "vamgpu[view]"; without it, '
-            "vam prove draws a report for a browser"
+            f'vam view needs napari, which does not load ({error}): pip install "vamgpu[view]"; without it, '
+            "vam prove writes a report for a browser"
         ) from error
     return napari
 

@@ -1,1 +1,1 @@
-"""Jobs: what a TOML file asks for, checked, carried out, and written to a folder that can be proven later."""
+"""Jobs: a TOML file is checked, solved, and written to a folder that can be proved later."""

@@ -1,4 +1,4 @@
-"""Time the projectors on the devices here, and the stages of a job."""
+"""Time the projection operators on this machine's devices, and the stages of a job."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RADIUS = 12.4
 
 @dataclass(frozen=True)
 class Timing:
-    """Medians [s] of one projector on one device: a forward projection of n³ voxels at ``angles`` angles, and back."""
+    """Medians [s] of one operator on one device: projection of n³ voxels at ``angles`` angles, and backprojection."""
 
     device: str
     operator: str
@@ -62,7 +62,7 @@ def _processor() -> str:
 
 
 def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
-    """The operators that are timed: straight light, and light that a vial refracts and absorbs."""
+    """The timed operators: straight rays, and rays that a vial refracts and absorbs."""
     pitch = 1.2 * RADIUS / n
     vial = Vial(radius=RADIUS, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
     grid, motion = Grid((n, n, n), pitch), Turntable(angles)
@@ -73,7 +73,7 @@ def projectors(n: int, angles: int, device: Device) -> dict[str, Projection]:
 
 
 def bench(n: int = 128, angles: int = 360, repeats: int = 5, names: Iterable[str] | None = None) -> Iterator[Timing]:
-    """Time the projectors on devices. Raises `BadInput`, `DeviceError`."""
+    """Time the operators on devices. Raises `BadInput`, `DeviceError`."""
     for what, value in (("size", n), ("angles", angles), ("repeats", repeats)):
         if value < 1:
             raise BadInput(f"{what} is {value}; expected at least 1")
@@ -95,15 +95,15 @@ def table(timings: Iterable[Timing]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a job did for how long."""
+    """A stage of a job and its time."""
 
-    name: str  # as a progress bar is told it
+    name: str  # name of the stage, as in a progress bar
     seconds: float
-    least: float | None = None  # what its bytes take at the bandwidth of the device; None where nobody counts them
+    least: float | None = None  # least time for its bytes at the device's bandwidth [s]; None if they are not counted
 
 
 def stages(job: Job) -> list[Stage]:
-    """Solve, prove and report a job in a folder that is thrown away; raises what `vamgpu.jobs.run.solve` raises."""
+    """Solve, prove and report a job in a temporary folder. Raises as `vamgpu.jobs.run.solve` does."""
     watched = _Watched()
     device = open_device(job.file.solve.device)
     with TemporaryDirectory(prefix="vamgpu-bench-") as place:
@@ -133,11 +133,11 @@ class _Watched:
             self._last, self._began = stage, now
 
     def tell(self, text: str) -> None:
-        """What a job tells of itself is not timed."""
+        """Messages of a job are not timed."""
 
 
 def bandwidth(device: Device, nbytes: int = 1 << 28) -> float:
-    """Bytes that a device reads and writes in a second, by copying a field."""
+    """Bytes that a device reads and writes per second, measured by copying a field."""
     shape = (64, 64, nbytes // (64 * 64 * device.real.itemsize))
     x = device.upload(np.ones(shape, device.real))
     out = device.empty(shape)
@@ -150,7 +150,7 @@ def _ball(n: int) -> np.ndarray:
 
 
 def _median(run: Callable[[], Any], device: Device, repeats: int) -> float:
-    """Median of repeats after one that compiles."""
+    """Median of repeats, after one run that compiles."""
     run()
     device.synchronize()
     seconds = []

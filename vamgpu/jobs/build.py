@@ -43,9 +43,9 @@ from vamgpu.targets.target import Target
 from vamgpu.units import deg, rad
 
 SPARE = 2
-"""Pixels a beam reaches beyond the part on every side where the job does not say how many it has."""
+"""Pixels by which a beam extends beyond the part on every side if the job leaves out its pixels."""
 ANGLES = {"angle_deg": deg, "angle_rad": rad}
-"""Columns that angles may stand in, and their units."""
+"""Columns for angles, and their units."""
 
 
 def target_of(job: Job, device: Device) -> Target:
@@ -67,12 +67,12 @@ def target_of(job: Job, device: Device) -> Target:
 
 
 def pitch_of(file: JobFile) -> float:
-    """Edge of a voxel of a job [mm]: as it says, or a pixel in the resin, along z where that is less."""
+    """Edge of a voxel of a job [mm]: that of the job, or a pixel in the resin, along z if that is less."""
     return file.target.pitch or min(resin_pixel(_pixel(file), _light(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
-    """The bodies of a job whose paths begin at ``folder``; None for a part alone. Raises `JobError`, `BadInput`."""
+    """The bodies of a job whose paths begin at ``folder``; None for a single part. Raises `JobError`, `BadInput`."""
     if not file.body:
         return None
     given = {key: getattr(file.target, key) for key in ("orientation", "origin", "void")}
@@ -103,24 +103,24 @@ def motion_of(section: TurntableSection, folder: Path, enough: int = MOST_ANGLES
 
 
 def _pixel(file: JobFile) -> Beam:
-    """Light of one pixel, where it does not matter how many there are."""
+    """Light of one pixel, for uses that do not depend on the number of pixels."""
     return Beam((1, 1), file.beam.pitch)
 
 
 def _light(file: JobFile) -> Any:
-    """Vessel or light of a job; None for air."""
+    """Vessel or light of a job; None in air."""
     vessel = next((one for one in (file.vial, file.vat, file.vessel) if one is not None), None)
     return vessel if file.light is None else file.light
 
 
 def read_angles(path: Path, lit_share: float | None = None) -> Turntable:
-    """Measured angles of a CSV file, a row each in the order they are shown, with their times if it has them."""
+    """Measured angles of a CSV file, one row each in the order they are shown, with their times if there are any."""
     try:
         table = read_columns(path)
         unit = next((name for name in ANGLES if name in table), None)
         if unit is None or set(table) - {unit, "dwell"}:
             raise BadInput(
-                f"{path.name} has columns {', '.join(table)}; expected angle_deg or angle_rad, and dwell where angles "
+                f"{path.name} has columns {', '.join(table)}; expected angle_deg or angle_rad, and dwell if angles "
                 "are lit for unequal times"
             )
         return Turntable(table[unit] * ANGLES[unit], table.get("dwell"), lit_share)
@@ -131,7 +131,7 @@ def read_angles(path: Path, lit_share: float | None = None) -> Turntable:
 def projection_of(
     file: JobFile, target: Target, device: Device, folder: Path = Path(), motion: Turntable | None = None
 ) -> Any:
-    """The projector of a job whose paths are relative to ``folder``, with all that stands in its light."""
+    """The projector of a job whose paths are relative to ``folder``, with everything in its light."""
     light = _light(file)
     vessel = light if file.light is None else None
     check = getattr(vessel, "check_fits", None)
@@ -164,7 +164,7 @@ def projection_of(
 
 
 def with_diffusion(file: JobFile, A: Any, folder: Path = Path()) -> Any:
-    """A job's projector whose dose has diffused as [resin] says; the projector itself where it says nothing."""
+    """A job's projector with the diffusion of [resin] applied to the dose; the projector itself without diffusion."""
     diffusion = diffusion_of(file.resin, folder)
     return A if diffusion is None else Composed(A, Spread(A.grid, diffusion, A.device))
 
@@ -178,14 +178,14 @@ def beam_of(section: BeamSection, pixels: tuple[int, int], folder: Path) -> Beam
 
 
 def wobble_of(section: WobbleSection, motion: Turntable) -> Wobble:
-    """Where the axis stands at every angle."""
+    """Position of the axis at every angle."""
     if section.radius is not None:
         return Wobble.circle(section.radius, section.phase, motion)
     return Wobble(section.across, section.along)
 
 
 def _covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -> tuple[int, int]:
-    """Pixels that light the whole part, wherever the axis stands."""
+    """Pixels that light the whole part, for all positions of the axis."""
     turn = np.linspace(0.0, 2.0 * np.pi, 3601)
     away = 0.0 if wobble is None else float(np.hypot(wobble.across, wobble.along).max())
     across, along = ((target.radius + away) * side for side in (np.cos(turn), np.sin(turn)))

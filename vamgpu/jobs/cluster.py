@@ -1,4 +1,4 @@
-"""Tasks that do not need each other, here one after the other or on the workers of a Dask cluster."""
+"""Independent tasks, in sequence in this process or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from vamgpu.errors import BadInput, DeviceError, VamError, WorkerLost
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 UNDISTURBED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""What local workers do first: Ctrl-C in a terminal goes to them too, and they are asked for the plan then."""
+"""Start of local workers: Ctrl-C in a terminal also reaches them, and they must then still return the plan."""
 TRIES = 100
-"""How often a task is begun anew whose worker died."""
+"""How often a task restarts after its worker died."""
 AHEAD = 3
-"""Tasks for each worker that are begun before the first result of them is taken, where results are taken in order."""
+"""Tasks per worker that start before the first of their results is read, if results are read in order."""
 LOOK = 5.0
-"""Seconds after which a worker that does not answer is looked for."""
+"""Time after which a silent worker is checked [s]."""
 RETURN = 5.0
-"""Seconds that a worker which was lost gets to come back before another one takes its slab."""
+"""Time for a lost worker to return before another one takes its slab [s]."""
 PATIENCE = 60.0
-"""Seconds that workers get to come up."""
+"""Time for workers to start [s]."""
 
 
 @contextmanager
 def workers(where: str | None, device: str | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """A function that carries out tasks, and the workers behind it. Raises `BadInput`, `DeviceError`."""
+    """A function that runs tasks, and its workers. Raises `BadInput`, `DeviceError`."""
     if where is None:
         yield lambda function, items, ordered=False: map(function, items)  # noqa: ARG005 - they come in order
         return
@@ -63,12 +63,12 @@ def _client(where: str) -> Any:
         with dask.config.set({"distributed.scheduler.allowed-failures": TRIES}):
             return Client(LocalCluster(n_workers=int(rest), **processes), timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as error:
-        raise DeviceError(f"no cluster answers at {where!r}: {error}; start its scheduler, or take local:4") from error
+        raise DeviceError(f"no cluster answers at {where!r}: {error}; start its scheduler, or use local:4") from error
 
 
 @contextmanager
 def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDevice]]:
-    """The workers of a cluster as one device, which cuts every field along z; see `vamgpu.backend.slabs`."""
+    """The workers of a cluster as one device, which splits every field along z; see `vamgpu.backend.slabs`."""
     client = _client(where)
     try:
         _refuse_unlike(client, device)
@@ -87,13 +87,13 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
 
 
 def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteDevice:
-    """A device of a worker, one of ``count``; of another one where fewer are left. Raises `WorkerLost`."""
+    """A device of a worker, one of ``count``; of another worker if fewer are left. Raises `WorkerLost`."""
     until = time.monotonic() + PATIENCE
     while True:
         try:
             left = sorted(client.nthreads())
             if len(left) < count and time.monotonic() < until - PATIENCE + RETURN:
-                time.sleep(0.1)  # a worker that is begun anew takes a moment
+                time.sleep(0.1)  # a worker that restarts takes a moment
                 continue
             client.wait_for_workers(1, timeout=PATIENCE)
             left = sorted(client.nthreads())
@@ -106,9 +106,9 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
             raise
         except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
             if time.monotonic() > until and client.status != "running":
-                raise DeviceError("the scheduler is gone; begin it anew, and go on with the same command") from error
+                raise DeviceError("the scheduler has stopped; restart it, and run the command again") from error
             if time.monotonic() > until and not client.nthreads():
-                raise DeviceError("no worker is left; start some, and go on with the same command") from error
+                raise DeviceError("no worker is left; start some, and run the same command to continue") from error
             if time.monotonic() > until:
                 raise WorkerLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
 
@@ -116,7 +116,7 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
         try:
             answers = actor.act(orders)
         except Exception as error:  # noqa: BLE001 - as above
-            raise WorkerLost(f"the worker {where[0]} is gone: {error}") from error
+            raise WorkerLost(f"the worker {where[0]} is lost: {error}") from error
 
         def wait() -> list[Any]:
             while True:
@@ -126,9 +126,9 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
                     raise
                 except TimeoutError:
                     if future.status not in ("finished", "pending") or where[0] not in client.nthreads():
-                        raise WorkerLost(f"the worker {where[0]} is gone") from None
+                        raise WorkerLost(f"the worker {where[0]} is lost") from None
                 except Exception as error:  # noqa: BLE001 - as above
-                    raise WorkerLost(f"the worker {where[0]} is gone: {type(error).__name__}: {error}") from error
+                    raise WorkerLost(f"the worker {where[0]} is lost: {type(error).__name__}: {error}") from error
 
         return wait
 
@@ -136,7 +136,7 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
 
 
 def about(device: str | None) -> tuple[str, str]:
-    """A worker's answer: its version of the library, and why it does not have the device, or nothing."""
+    """A worker's version of the library, and why it lacks the device; "" if it has it."""
     try:
         vamgpu.open_device(device)
     except DeviceError as error:
@@ -150,14 +150,14 @@ def _refuse_unlike(client: Any, device: str | None) -> None:
         answers = client.run(about, device)
     except TimeoutError as error:
         raise DeviceError(
-            f"the cluster has no worker after {PATIENCE:g} s: begin some, `dask worker tcp://…`"
+            f"the cluster has no worker after {PATIENCE:g} s: start some: `dask worker tcp://…`"
         ) from error
     except ImportError as error:
-        raise DeviceError(f"a worker lacks what this process has ({error}): install the same on both") from error
+        raise DeviceError(f"a worker lacks a package ({error}): install the packages of this process") from error
     for worker, (version, complaint) in answers.items():
         if version != vamgpu.__version__:
             raise DeviceError(
-                f"worker {worker} has vamgpu {version}, and this is {vamgpu.__version__}: install the same on both"
+                f"worker {worker} has vamgpu {version}, this process {vamgpu.__version__}: install the same"
             )
         if complaint:
             raise DeviceError(f"worker {worker} cannot compute: {complaint}")
@@ -188,7 +188,7 @@ def _results(
             number = numbers.pop(future)
             try:
                 found = future.result()
-            except KilledWorker:  # a scheduler that was not begun here allows fewer deaths
+            except KilledWorker:  # a scheduler that another process started allows fewer deaths
                 deaths[number] += 1
                 if deaths[number] > TRIES:
                     raise

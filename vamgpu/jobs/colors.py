@@ -1,4 +1,4 @@
-"""Jobs of two colors: light that cures, light that undoes its dose, a folder for each, and one proof of both."""
+"""Jobs of two colors: patterns that cure, patterns that inhibit, a folder for each, and one proof of both."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from vamgpu.printing.proof import Proof
 
 
 def recolored(file: JobFile) -> JobFile:
-    """A job whose vessel absorbs as it does for the second color. Raises `BadInput` for one that has no resin."""
+    """A job whose vessel has the absorption of the second color. Raises `BadInput` for one that has no resin."""
     assert file.colors is not None
     for name in ("vial", "vat", "vessel"):
         vessel = getattr(file, name)
         if vessel is not None:
             return file.model_copy(update={name: with_absorption(vessel, file.colors.absorption)})
     raise BadInput(
-        "[colors] got no vessel; expected [vial], [vat] or [vessel], whose resin absorbs the two differently"
+        "[colors] got no vessel; expected [vial], [vat] or [vessel], whose resin absorbs the two colors differently"
     )
 
 
 def superposed(file: JobFile, visible: Any, uv: Any, target: Any, progress: Callable[[float], None]) -> DualPlan:
-    """Light of both colors for a target."""
+    """Patterns of both colors for a target."""
     assert file.colors is not None
     rule = file.colors.rule
     passes = getattr(rule, "iterations", None) or getattr(rule, "passes", None) or 1
@@ -45,7 +45,7 @@ def recorded(plan: DualPlan, target: Any) -> PlanRecord:
 
 
 def subtracted(proof: Proof, strength: float, A: Any, frames: Any) -> Proof:
-    """A proof of the first color, with the dose of the second taken off it."""
+    """A proof of the first color, with the dose of the second subtracted."""
     lights = (one.irradiance(A.device) for one in (proof.frames, frames))
     dose = Colors(proof.operator, A, strength=strength).dose(*lights)
     scores = score(dose, proof.target)

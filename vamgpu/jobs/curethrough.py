@@ -51,12 +51,12 @@ DIFFERENT = 1e-3
 
 
 class PrinterSection(Section):
-    """Printer and resin: ``speed`` of a continuous one, ``exposure`` of a slice where it prints layer by layer.
+    """Printer and resin: ``speed`` of a continuous printer, ``exposure`` of a slice if it prints layer by layer.
 
-    absorption_height: depth in which light falls to 1/e.  critical_dose: from which the resin is solid.  slice_height:
-    from slice to slice.  speed: of the platform.  exposure: of each slice.  dead_zone: depth that never cures.
-    light: irradiance of level 255.  dark: irradiance of level 0.  gray: file whose table [gray] says what lies
-    between, and how dark level 0 is.
+    absorption_height: depth in which light falls to a tenth.  critical_dose: dose at which the resin solidifies.
+    slice_height: height of a slice.  speed: speed of the platform.  exposure: time of each slice.  dead_zone: depth
+    that never cures.  light: irradiance of level 255.  dark: irradiance of level 0.  gray: file whose table [gray] has
+    the irradiance of the levels, down to level 0.
     """
 
     absorption_height: Length
@@ -74,17 +74,18 @@ class PrinterSection(Section):
         if (self.speed is None) == (self.exposure is None):
             raise ValueError('expected exactly one of speed = "1000 mm/h" and exposure = "2 s"')
         if self.dark is not None and self.gray is not None:
-            raise ValueError("expected dark or gray, not both: the gray curve says how dark level 0 is")
+            raise ValueError("expected dark or gray, not both: the gray curve includes level 0")
         if self.exposure is not None and self.dead_zone:
-            raise ValueError("expected a dead_zone only with a speed: layer by layer there is none")
+            raise ValueError("expected a dead_zone only with a speed: a printer with exposure has none")
         return self
 
 
 class SlicesSection(Section):
-    """Slices of a folder or zip, or a mesh that is sliced.
+    """Slices from a folder or zip, or sliced from a mesh.
 
-    path: of the slices.  mesh: file of a part.  pitch: edge of its pixels.  height: of the part.  factor: by which it
-    is scaled, in place of a height.  pixels: of the printer along x and y.  threshold: gray level that counts as part.
+    path: folder or zip of the slices.  mesh: file of a part.  pitch: edge of a pixel.  height: height of the part.
+    factor: scale of the part, in place of a height.  pixels: number of pixels along x and y.  threshold: lowest gray
+    level that counts as part.
     """
 
     path: str | None = None
@@ -105,12 +106,13 @@ class SlicesSection(Section):
 
 
 class CorrectSection(Section):
-    """The correction: dose inside features, ``flat`` at ``most`` critical doses or ``parallel`` to the bounds.
+    """The correction. Inside features the dose is ``flat`` at ``most`` critical doses, or ``parallel`` to its bounds.
 
-    profile: of the dose.  most: greatest dose of a flat profile, in critical doses.  share: of the way between the
-    bounds at which parallel ones lie.  tail: slices added below the part.  platform: it stands below the first slice.
-    dither: carry the error of a level on.  device: where to compute; the best one here by default.
-    whole_columns: least squares over columns that hold features or voids out of reach.
+    profile: profile of the dose.  most: greatest dose of a flat profile, in critical doses.  share: position of a
+    parallel profile between its bounds.  tail: number of slices added after the last.  platform: whether the platform
+    is below the first slice.  dither: neighboring pixels round at different thresholds, up to half a gray level higher
+    or lower.  device: device that computes; by default the best one.  whole_columns: solve columns with features or
+    voids out of reach by least squares.
     """
 
     profile: Literal["flat", "parallel"] = "flat"
@@ -152,7 +154,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
 
     @property
     def correction(self) -> Correction:
-        """The correction. Raises `BadInput` where light or darkness do not suffice."""
+        """The correction. Raises `BadInput` if light or darkness does not suffice."""
         section, machine = self.file.correct, self.machine
         profile: Profile = Flat() if section.most is None else Flat(section.most)
         if section.profile == "parallel":
@@ -163,7 +165,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         return Correction(machine, profile, section.tail, threshold, section.platform, section.dither)
 
     def stack(self, slices: Path | None = None) -> AbstractContextManager[Any]:
-        """The slices, or those at a path that takes their place. Raises `SliceError`, `MeshError`, `JobError`."""
+        """The slices, or those at a path that replaces them. Raises `SliceError`, `MeshError`, `JobError`."""
         section = self.file.slices
         if slices is None and section.mesh is not None:
             assert section.pitch is not None
@@ -177,8 +179,8 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         said, height = layer_height(stack), self.file.printer.slice_height
         if said is not None and abs(said - height) > DIFFERENT * height:
             warnings.warn(
-                f"{str(place)!r} says its layers are {1e3 * said:g} µm high, the job says {1e3 * height:g} µm; the "
-                "job's is used: correct printer.slice_height if that is wrong",
+                f"{str(place)!r} has layers of {1e3 * said:g} µm, the job has {1e3 * height:g} µm and is used: "
+                "correct printer.slice_height if that is wrong",
                 SliceWarning,
                 stacklevel=2,
             )
@@ -226,7 +228,7 @@ def correct_job(
 
 
 def _record(job: CurethroughJob, stack: Any) -> dict[str, Any]:
-    """Provenance of slices: the keys of the job, and the slices it read."""
+    """Provenance of slices: the keys of the job, and its slices."""
     return {"job": job.given, "slices": {"name": Path(getattr(stack, "place", "")).name, "shape": list(stack.shape)}}
 
 

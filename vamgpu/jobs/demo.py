@@ -1,4 +1,4 @@
-"""Something to look at within a few minutes: a boat in the vial of the air-bath paper, a film on a roller."""
+"""Demos of a few minutes: a boat in the vial of the air-bath paper, a film on a roller."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
 JOB = """\
 # A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured in air:
-# refraction narrows its columns to 80 um in the resin, and voxels are as wide as that where target.pitch does not say
-# otherwise. The lens blurs by half a pixel unless beam.spread says what it does: a length, or the result of
-# `vam calibrate mtf`.
+# refraction narrows its columns to 80 um in the resin, which is also the width of voxels unless target.pitch sets it.
+# The lens blurs by half a pixel unless beam.spread sets the blur: a length, or the result of `vam calibrate mtf`.
 #
 # Vial and resin index are those of automatic exposure (A. Orth et al.), which prints a boat of this height in 57 s in
 # fresh resin, and states neither irradiance nor absorption. 65 mW/cm2 is what another tomographic printer shines into
@@ -93,7 +92,7 @@ core = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Demo(Generic[Proof]):
-    """Files of a demo, and the proof that its report shows."""
+    """Files of a demo, and the proof in its report."""
 
     file: Path
     folder: Path
@@ -112,7 +111,7 @@ def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgre
 
 
 def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = quiet) -> Demo[WebProof]:
-    """Solve, write and prove a gyroid film; an earlier demo there is replaced as by `demo`. Raises `StorageError`."""
+    """Solve, write and prove a gyroid film; replaces an earlier demo, as `demo` does. Raises `StorageError`."""
     job, left = _begun(WebJob, WEB_JOB, out, "gyroid", settings, "web.html")
     solve_web(job, left.folder, overwrite=True, progress=progress)
     progress("proof", 0.0)
@@ -127,7 +126,7 @@ def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StagePr
 def _begun(
     kind: type[Checked], text: str, out: str | Path, name: str, settings: Iterable[str], page: str
 ) -> tuple[Checked, Demo[Any]]:
-    """The job of a demo, its file written, and the report of an earlier one removed. Raises `StorageError`."""
+    """Write the job file of a demo, and remove the report of an earlier one. Raises `StorageError`."""
     place = Path(out)
     job = kind.parse(text, settings, source="the demo's job", folder=place, name=name)
     left = Demo(place / f"{name}.toml", place / f"{name}.vam", place / page, None)

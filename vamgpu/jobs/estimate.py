@@ -16,24 +16,24 @@ from vamgpu.optics.outer_resin import outer_cells
 from vamgpu.storage.memory import size
 
 FEW_VOLUMES, FEW_SINOGRAMS = 15, 18
-"""Fields of the other methods, at most: L-BFGS with five pairs takes 97 % of them on a boat of 32 voxels."""
+"""Most fields of the other methods: L-BFGS with five pairs takes 97 % of them on a boat of 32 voxels."""
 
 BEFORE = 8.0
-"""Evaluations that take as long as a run's work before the first. The estimate was 0.6 to 1.4 of the processor time,
-on boats of 32 to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."""
+"""Time before the first evaluation, in evaluations. The estimate was 0.6 to 1.4 of the processor time, on boats of 32
+to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."""
 PASSES = 20
-"""Sums over light whose time an evaluation's other work takes: products of pairs, losses, the window."""
+"""Time of an evaluation's other work (products of pairs, losses, the window), in sums over patterns."""
 TIMED = 3
-"""Times that something is timed, of which the least counts: others waited for a machine that is busy."""
+"""Timed runs, of which the shortest counts: the others waited for a busy machine."""
 
 
 @dataclass(frozen=True)
 class Expected:
     """Memory [bytes] and time [s] of a run."""
 
-    nbytes: int  # at most, on the device
-    evaluations: float  # of the projector, at all corners together
-    seconds: float  # of one evaluation and the method's other work
+    nbytes: int  # most memory on the device
+    evaluations: float  # evaluations of the projector, for all corners together
+    seconds: float  # time of one evaluation with the method's other work
     corners: int = 1
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ class Expected:
 
 
 def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int = 1) -> Expected:
-    """Memory and time of a run, by the fields of the method that takes most and by an evaluation that is timed."""
+    """Memory and time of a run, from the fields of the most demanding method and a timed evaluation."""
     voxels, pixels = prod(A.domain.shape), prod(A.range.shape)
     counted = FEW_VOLUMES * voxels * corners + FEW_SINOGRAMS * pixels
     if isinstance(method, SurfaceRamp):

@@ -1,4 +1,4 @@
-"""A resin and a projector fitted to measurements, as lines to read and as tables of job files."""
+"""A resin and a projector fitted to measurements, as printed lines and as tables of job files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vamgpu.units import mJ_cm3, mW_cm2, um
 
 @dataclass(frozen=True)
 class Fitted:
-    """A working curve, a gray curve in mW/mm², or both. gels: critical dose over the dose that just gels."""
+    """A working curve, a gray curve in mW/mm², or both. gels: critical dose divided by the dose that just gels."""
 
     resin: WorkingCurve | None
     gray: GrayFit | None
@@ -27,7 +27,7 @@ class Fitted:
         return None if self.resin is None else self.gels * self.resin.gel_dose.value
 
     def lines(self) -> tuple[tuple[str, str, str], ...]:
-        """(name, value, meaning) of what was fitted."""
+        """(name, value, meaning) of the fitted numbers."""
         found: list[tuple[str, str, str]] = []
         if self.resin is not None and self.critical_dose is not None:
             share, plugs = f"{100 * self.resin.confidence:g} %", self.resin.plugs
@@ -44,12 +44,12 @@ class Fitted:
             pieces = f"{len(self.gray.levels) - 1} pieces"
             found += [
                 ("light", f"{low:.3g} to {high:.4g} mW/cm²", ratio),
-                ("spread of light", f"{self.gray.spread / mW_cm2:.3g} mW/cm²", f"of readings about {pieces}"),
+                ("spread of light", f"{self.gray.spread / mW_cm2:.3g} mW/cm²", f"of the readings about {pieces}"),
             ]
         return tuple(found)
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write a TOML file with what was fitted; a job's ``gray`` may name it. Raises `StorageError`."""
+        """Write the fitted tables to a TOML file, which a job's ``gray`` may name. Raises `StorageError`."""
         text = ""
         if self.resin is not None and self.critical_dose is not None:
             text += "[printer]\n"
@@ -70,7 +70,7 @@ def fit_files(
 ) -> Fitted:  # fmt: skip
     """Fit a CSV file of plugs, one of gray levels, or both. Raises `BadInput`, `StorageError`."""
     if out is not None and out.resolve() in {path.resolve() for path in (plugs, gray) if path is not None}:
-        raise StorageError(f"{str(out)!r} holds the measurements; choose another path for what is fitted to them")
+        raise StorageError(f"{str(out)!r} holds the measurements; choose another path for the fitted tables")
     if plugs is None and gray is None:
         raise BadInput("nothing to fit; expected a CSV file of plugs, or --gray with one of gray levels")
     light = None

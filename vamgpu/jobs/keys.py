@@ -23,7 +23,7 @@ from vamgpu.storage.reading import parse_toml
 FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile}
 """What a file is for → its model."""
 EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
-"""What a file is for → one that is sound."""
+"""What a file is for → a valid example."""
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",
@@ -33,12 +33,12 @@ HEADS = {
 
 
 def reference() -> str:
-    """The list of all keys, as markdown."""
+    """The list of all keys, as Markdown."""
     head = (
         "# Keys of job files\n\n"
         "Written by `vam keys`, which reads the library's own definitions. Quantities are text with a unit, such as\n"
-        '`"12.4 mm"`; the unit shown is the one that Python and manifests count in. `--set table.key=value`\n'
-        "replaces a value on the command line, and `vam schema` writes a JSON Schema for editors.\n"
+        '`"12.4 mm"`; Python and manifests use the unit shown. `--set table.key=value` replaces a value on the\n'
+        "command line, and `vam schema` writes a JSON Schema for editors.\n"
     )
     return f"{head}\n{explain({HEADS[name]: file for name, file in FILES.items()})}"
 
@@ -58,7 +58,7 @@ def keys_of(name: str) -> tuple[Key, ...]:
         nouns = ", ".join(f"{first}.{kind}" for kind in families()[first].nouns)
         raise BadInput(f"{first} is a family; expected one of {nouns}")
     tables = dict.fromkeys(table for file in FILES.values() for table in file.model_fields)
-    raise BadInput(f"no table {name!r}; expected one of {', '.join(tables)}, or a noun such as vessel.fan")
+    raise BadInput(f"no table {name!r}; expected one of {', '.join(tables)}, or a component such as vessel.fan")
 
 
 def schema_of(name: str) -> dict[str, Any]:
@@ -69,12 +69,12 @@ def schema_of(name: str) -> dict[str, Any]:
 
 
 def commented(name: str) -> str:
-    """Write a job file that is ready to be solved, with every other key in remarks that say what it is for."""
+    """Write a job file that is ready to be solved, with every other key and its meaning in comments."""
     if name not in EXAMPLES:
         raise BadInput(f"no file {name!r}; expected one of {', '.join(EXAMPLES)}")
     given, file = parse_toml(EXAMPLES[name]), FILES[name]
-    lines = _remark(f"{HEADS[name]}, written by `vam init`. Keys behind # are left out, and show their default; `vam "
-                    "keys` explains all of them too.")  # fmt: skip
+    lines = _remark(f"{HEADS[name]}, written by `vam init`. Keys behind # are left out and show their default; "
+                    "`vam keys` explains all keys.")  # fmt: skip
     for table, field in file.model_fields.items():
         values = given.get(table)
         model = model_in(field.annotation, field.metadata, values or {})
@@ -95,14 +95,14 @@ def _remark(text: str) -> list[str]:
 
 
 def _kinds(field: Any) -> str:
-    """Reference to the nouns that a table may hold."""
+    """Reference to the components that a table may hold."""
     nouns = next((part for part in field.metadata if isinstance(part, Nouns)), None)
     names = [] if nouns is None else [f"{family}.{kind}" for family, kind in nouns.choices]
     return f"kind = …; see vam keys {names[0]}" if names else "see vam keys"
 
 
 def _usual(default: str) -> str:
-    """A default as a remark shows it."""
+    """A default as a comment shows it."""
     return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
 
 
@@ -124,14 +124,14 @@ def toml_text(tables: Mapping[str, Any]) -> str:
 
 
 def explained(name: str) -> tuple[Key, ...]:
-    """List what a name stands for: the keys of a table or a noun, the nouns of a family, or one key."""
+    """List the keys of a table or a component, the components of a family, or one key."""
     try:
         return keys_of(name)
     except BadInput as error:
         table, _, last = name.rpartition(".")
         if name in families():
             usual = families()[name].default
-            nouns = ((kind, "the usual one" if kind == usual else "–") for kind in families()[name].nouns)
+            nouns = ((kind, "the default" if kind == usual else "–") for kind in families()[name].nouns)
             return tuple(Key(f"{name}.{kind}", "a table", how, first_of(find(name, kind))) for kind, how in nouns)
         with suppress(BadInput):
             if found := tuple(key for key in keys_of(table) if key.name == last):

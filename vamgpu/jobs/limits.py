@@ -1,6 +1,6 @@
 """A web machine from a TOML file, for the report of its limits.
 
-The file may be that of a web job: tables that say nothing of the machine are left alone.
+The file may be that of a web job: tables that do not describe the machine are ignored.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vamgpu.webs.display import Display
 from vamgpu.webs.limits import WebLimits
 
 Roll = Annotated[Partial, noun("wrap", kind="roller", without=("film",))]
-Depth = Annotated[Length, Field(description="of the projector: where its light is less than √2 wider")]
+Depth = Annotated[Length, Field(description="depth of focus of the projector: its light is less than √2 wider")]
 Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_focus": (Depth, 3.8)})]
 """A lens that focuses in the bath of the film."""
 
@@ -30,7 +30,7 @@ Lens = Annotated[Partial, noun("lens", without=("index",), beside={"depth_of_foc
 class WebSection(Section):
     """Speed and length of the web.
 
-    speed: of its neutral line.  length: to be printed.
+    speed: speed of its neutral line.  length: length to print.
     """
 
     speed: Speed
@@ -40,7 +40,7 @@ class WebSection(Section):
 class WebResinSection(Section):
     """Flow of the uncured resin.
 
-    density: of the resin.  viscosity: a gel has none.
+    density: density of the resin.  viscosity: viscosity of the resin; a gel has none.
     """
 
     density: Density = WebLimits.density
@@ -76,7 +76,7 @@ def read_limits(path: str | Path, settings: Iterable[str] = ()) -> WebLimits:
 
 
 def parse_limits(text: str, settings: Iterable[str] = (), *, source: str = "machine") -> WebLimits:
-    """The limits of a machine from TOML text. Raises `JobError` naming every wrong value, and `BadInput`."""
+    """The limits of a machine from TOML text. Raises `JobError`, which names every invalid value, and `BadInput`."""
     file, _ = checked(MachineFile, text, settings, source=source)
     lens = file.lens(index=file.film.bath_index)
     return WebLimits(

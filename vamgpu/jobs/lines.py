@@ -1,4 +1,4 @@
-"""Where in a TOML file a key stands; the standard parser does not tell."""
+"""Lines of keys in a TOML file, which the standard parser does not report."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Path = tuple[str, ...]
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """Dotted key → line it stands on, counted from 1, for tables and keys of a valid TOML text."""
+    """Dotted key → its line, counted from 1, for tables and keys of a valid TOML text."""
     starts = [0, *(m.end() for m in re.finditer("\n", text))]
     found: dict[Path, int] = {}
     table: Path = ()
@@ -57,7 +57,7 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def _path(words: list[str]) -> Path:
-    """The parts of a key as written, quotes taken off."""
+    """The parts of a key as written, without quotes."""
     parts: list[str] = []
     for word in words:
         parts += [word[1:-1]] if word[0] in "\"'" else [part for part in word.split(".") if part]
@@ -65,7 +65,7 @@ def _path(words: list[str]) -> Path:
 
 
 def line_of(lines: dict[Path, int], key: Path) -> int | None:
-    """Line of a key, or of the nearest table around it; None where nothing of it is in the file."""
+    """Line of a key, or of the nearest table around it; None if the file has none of them."""
     while key:
         if key in lines:
             return lines[key]

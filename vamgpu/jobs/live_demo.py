@@ -1,4 +1,4 @@
-"""A small ring in a vial, for prints that are watched."""
+"""A small ring in a vial, for monitored prints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import StageProgress, quiet, solve
 
 JOB = """\
-# A nut of 2 mm in a vial of 16 mm whose resin and wall are matched, small enough to be planned anew in a second.
+# A nut of 2 mm in a vial of 16 mm whose resin and wall are matched, small enough to be replanned in a second.
 
 [target]
 shape = "nut"
@@ -41,12 +41,11 @@ bits = 8
 AGED = {
     "inhibitor": 41.8 / 56.8, "lamp": 0.9, "drift": -0.003, "absorption": 0.1, "across": 0.3, "along_z": 0.02,
 }  # fmt: skip
-"""How the demo's print differs from its plan: the third print of a vial, of the automatic exposure paper, and more; see
-`vamgpu.live.Truth`."""
+"""How the demo's print differs from its plan (`vamgpu.live.Truth`): the third print of the paper, and more."""
 
 
 def demo_job(out: str | Path, *, progress: StageProgress = quiet) -> Path:
-    """Solve and write the job of the watched demo. Raises `StorageError`."""
+    """Solve and write the job of the monitored demo. Raises `StorageError`."""
     job, left = _begun(Job, JOB, out, "nut", (), "report.html")
     solve(job, left.folder, overwrite=True, progress=progress)
     return left.folder

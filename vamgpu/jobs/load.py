@@ -1,4 +1,4 @@
-"""`load`: whatever was saved, as it was."""
+"""`load`: read saved plans, frames, proofs and jobs."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
 
     Args:
         path: A job folder, or a TOML job file.
-        device: Where to put arrays; the best device here by default.
+        device: Device for the arrays; by default the best one.
 
     Returns:
-        A `Plan`, `Frames` or a `Proof`, as it was saved; for a folder of ``vam solve`` its `Frames`, whose ``plan`` has
-        light, operator and target. A `WebFolder` for that of a web; a checked job for a file.
+        The saved `Plan`, `Frames` or `Proof`; for a folder of ``vam solve`` its `Frames`, whose ``plan`` has patterns,
+        operator and target. A `WebFolder` for the folder of a web; a checked job for a file.
 
     Raises:
-        StorageError: There is nothing, or something else, or it is damaged.
-        JobError: A key of a job file is wrong.
-        BadInput: It is no path.
+        StorageError: The folder is missing, of another kind, or damaged.
+        JobError: A key of a job file is invalid.
+        BadInput: It is not a path.
     """
     place = as_path(path)
     if place.suffix.lower() == ".toml":
@@ -51,10 +51,10 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
 
 
 def _plan_of(folder: Folder, device: Device) -> Plan | None:
-    """The plan of frames that a folder keeps as light; None for bytes, and for what nothing but Python describes."""
+    """The plan of a folder that stores patterns; None for bytes, and if only Python describes its operator."""
     if "geometry" not in folder.manifest.inputs or folder.record("frames").dtype == "uint8":
         return None
     try:
         return load_plan(folder.path, device)
     except BadInput as error:
-        raise StorageError(f"the plan of {str(folder.path)!r} cannot be made again: {error}; write it again") from error
+        raise StorageError(f"the plan of {str(folder.path)!r} cannot be restored: {error}; write it again") from error

@@ -17,7 +17,7 @@ TABLES = ("vial", "vat", "vessel", "light")
 
 
 def with_material(data: Any, folder: Path | None) -> Any:
-    """The tables of a file, with what they lack of index, absorption and critical dose of its [resin]."""
+    """The tables of a file; missing index, absorption and critical dose are filled in from its [resin]."""
     table = data.get("resin") if isinstance(data, dict) else None
     if not isinstance(table, dict) or not isinstance(table.get("material"), str):
         return data
@@ -30,15 +30,15 @@ def with_material(data: Any, folder: Path | None) -> Any:
     if isinstance(data.get("print"), dict) and resin.critical_dose is not None:
         data["print"] = {"critical_dose": f"{resin.critical_dose.value!r} mJ/mm3", **data["print"]}
     if data == written and "inhibitor" not in table:
-        has = f"[{vessels[0]}] has index and absorption of its own" if vessels else "there is no vessel such as [vial]"
+        has = f"[{vessels[0]}] has its own index and absorption" if vessels else "there is no vessel such as [vial]"
         remedy = "leave them out there" if vessels else "add [vial]"
-        said = f"got {table['material']!r}, of which nothing is used: {has}; expected keys for it to give"
+        said = f"got {table['material']!r}, which is not used: {has}; expected keys that it can fill in"
         raise Misplaced(f"{said}: {remedy}, or remove it", "resin", "material")
     return data
 
 
 def load_resin(material: str, folder: Path | None) -> Resin:
-    """A bundled resin, or that of a file beside the job's. Raises `Misplaced`."""
+    """A bundled resin, or one from a file beside the job file. Raises `Misplaced`."""
     try:
         return Resin.load((folder or Path()) / material if material.endswith(".toml") else material)
     except MaterialError as error:
@@ -56,11 +56,11 @@ def diffusion_of(section: Any, folder: Path | None) -> Diffusion | None:
 def _filled(
     given: dict[str, Any], family: str, kind: Any, resin: Resin, table: dict[str, Any], where: tuple[str, ...]
 ) -> dict[str, Any]:
-    """A vessel's table with what a resin gives, and the vessels within."""
+    """A vessel's table with the values of a resin, also in the vessels inside."""
     try:
         fields = {field.name: field for field in fields_of(find(family, kind))}
     except BadInput:
-        return given  # it is complained of where it is read
+        return given  # the reader reports the error
     found = dict(given)
     if isinstance(given.get("vessel"), dict):
         inner = given["vessel"]

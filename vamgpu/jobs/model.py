@@ -1,7 +1,6 @@
 """Models of a job file. Lengths and the like carry their units and are read into mm, s and mJ.
 
-Tables that are nouns of the library have the fields of their constructors, which `vamgpu.schema` reads; the tables of
-this file say what is to be made of them.
+Tables of components have the fields of their constructors, which `vamgpu.schema` reads; this file has the other tables.
 """
 
 from __future__ import annotations
@@ -44,26 +43,27 @@ from vamgpu.schema.section import Listed, Misplaced, Named, Section
 
 Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
-Missed = Annotated[Positive, Field(description="largest share by which the width may miss its formula")]
+Missed = Annotated[Positive, Field(description="largest relative error of the width")]
 TOLERANCE = {"tolerance": (Missed, 0.02)}
 LENGTH = Quantity("a length", least=0.0)
 MOST_ANGLES = 1_000_000
-"""Angles of a turn: more are a slip of the keys, and fail after minutes, for want of memory."""
+"""Most angles per turn: more are a typing error, and fail after minutes for lack of memory."""
 Plain: Any = Field(default={}, validate_default=True)
-"""A table that may be left out."""
+"""An optional table."""
 
 
 Role = Literal["print", "gray", "keep out", "don't care", "insert"]
 
 
 class BodySection(Section):
-    """One body of several, where it was drawn; see docs/tasks.md. [target] says the voxels of all.
+    """One of several bodies, at the place where it was drawn; see docs/tasks.md. [target] sets the voxels for all of
+    them.
 
-    mesh: file of the body (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  role: what
-    is asked of its voxels.  name: in reports.  dose: of gray or keep out, a share of the dose that prints.
-    tolerance: of a gray dose, a share of it.  weight: of its voxels in methods that lower a loss.  priority: the
-    higher one has the voxels that bodies share.  index: of an insert that light passes.  absorption: of an insert
-    that light passes.
+    mesh: file of the body (STL, PLY, OBJ, 3MF).  shape: a bundled shape in place of a mesh, such as "boat".  role:
+    requirement on its voxels.  name: name in reports.  dose: dose of gray, or dose limit of keep out, relative to the
+    dose that prints.  tolerance: allowed relative deviation of a gray dose.  weight: weight of its voxels in methods
+    that minimize a loss.  priority: voxels in an overlap belong to the body with the higher priority.  index:
+    refractive index of a transparent insert.  absorption: absorption of a transparent insert.
     """
 
     mesh: Annotated[str | None, Named] = None
@@ -85,19 +85,20 @@ class BodySection(Section):
             raise ValueError(f'role is "{self.role}"; expected dose = 0.7, say, for gray and keep out, and no dose '
                              "for other roles")  # fmt: skip
         if self.role != "insert" and (self.index is not None or self.absorption is not None):
-            raise ValueError(f'role is "{self.role}"; expected index and absorption of inserts alone')
+            raise ValueError(f'role is "{self.role}"; expected index and absorption only for inserts')
         return self
 
 
 class TargetSection(Section):
-    """The part: a mesh file or a bundled shape, its size and its voxels; those of all bodies where there are [[body]].
+    """The part: a mesh file or a bundled shape, its size and its voxels. With [[body]], the voxels are those of all
+    bodies.
 
-    mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled one in place of a mesh, such as "boat".  height: of
-    the part along z.  factor: by which it is scaled, in place of a height.  pitch: edge of a voxel; by default
-    that of a pixel, as narrow as it is in the resin.  orientation: 3 × 3 matrix that turns the part first.  margin:
-    voxels between the part and the rim.  shape_of_grid: voxels along x, y and z, beside bodies; by default as many as
-    they need.  origin: point of the bodies' frame that comes to the middle of the axis.  void: limit of the dose where
-    no body is, a share of the dose that prints.
+    mesh: file of the part (STL, PLY, OBJ, 3MF).  shape: a bundled shape in place of a mesh, such as "boat".  height:
+    height of the part along z.  factor: scale of the part, in place of a height.  pitch: edge of a voxel; by default
+    the width of a pixel in the resin.  orientation: 3 × 3 matrix that rotates the part first.  margin: number of voxels
+    between the part and the rim.  shape_of_grid: number of voxels along x, y and z, with [[body]]; by default as many
+    as the bodies need.  origin: point in the bodies' coordinates that is placed at the center of the axis.  void: dose
+    limit outside all bodies, relative to the dose that prints.
     """
 
     mesh: Annotated[str | None, Named] = None
@@ -117,9 +118,7 @@ class TargetSection(Section):
         beside = [name for name in ("shape_of_grid", "origin", "void") if getattr(self, name) is not None]
         if (info.context or {}).get("bodies"):
             if alone:
-                raise ValueError(
-                    f"got {', '.join(alone)} beside [[body]]; expected it in a [[body]] of its own: move it"
-                )
+                raise ValueError(f"got {', '.join(alone)} with [[body]]; expected it in a separate [[body]]: move it")
             return self
         if beside:
             raise ValueError(f"got {', '.join(beside)} without a [[body]]; remove it")
@@ -131,7 +130,7 @@ class TargetSection(Section):
 
 
 def _length_or_file(text: Any) -> float | str:
-    """A length, or the path of a calibration: what begins like a number and is no file is a length."""
+    """A length, or the path of a calibration: a text that begins like a number and is not a file is a length."""
     if isinstance(text, str) and (text.endswith(".toml") or "/" in text or "\\" in text or text[:1].isalpha()):
         return text
     try:
@@ -145,8 +144,8 @@ class BeamSection(Section):
 
     pitch: edge of a pixel in air.  pixels: columns and rows; by default as many as the part needs.  fill: share of a
     pixel's area that is lit.  spread: standard deviation of the point spread, a length in air, "0 um" for a perfect
-    lens, or the result of `vam calibrate mtf`; half a pixel where nothing is said.  footprint: how a pixel
-    meets a voxel: "exact", by its area, or "joseph", by one ray.
+    lens, or the result of `vam calibrate mtf`; by default half a pixel.  footprint: how a pixel covers a voxel:
+    "exact", by its area, or "joseph", by one ray.
     """
 
     pitch: PixelPitch
@@ -161,18 +160,18 @@ def _count_or_file(value: Any) -> Any:
     if not named and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
         raise ValueError('expected a whole number of angles ≥ 1, or a file of measured ones: angles = "measured.csv"')
     if isinstance(value, int) and value > MOST_ANGLES:
-        raise ValueError(f"expected {MOST_ANGLES:,} angles of a turn at most: a turn of 10 minutes at 1,000 frames a "
+        raise ValueError(f"expected at most {MOST_ANGLES:,} angles: a turn of 10 minutes with 1,000 frames per "
                          "second has 600,000")  # fmt: skip
     return value
 
 
 class TurntableSection(Section):
-    """The motion: even angles over a full turn or a range of it, or measured ones from a file.
+    """The motion: equally spaced angles over a full turn or a range of it, or measured angles from a file.
 
-    angles: how many, or a CSV file of measured ones; by default as many as `vamgpu.enough_angles` tells.  most: angles
-    that the projector shows in a turn, where the job leaves angles out.  range: part of a turn that they are even over.
-    lit_share: of each step, during which its frame is lit while the container turns, 0 (at rest) to 1; by default 1,
-    and 0 for measured angles.
+    angles: number of angles, or a CSV file of measured ones; by default the number from `vamgpu.enough_angles`.  most:
+    greatest number of angles that the projector shows per turn, if the job leaves out angles.  range: part of a turn
+    over which the angles are spaced.  lit_share: share of each step during which the frame is lit while the container
+    turns, 0 (at rest) to 1; by default 1, and 0 for measured angles.
     """
 
     angles: Annotated[int | str, BeforeValidator(_count_or_file), Named] | None = None
@@ -183,20 +182,20 @@ class TurntableSection(Section):
     @model_validator(mode="after")
     def _one_of_both(self) -> TurntableSection:
         if self.most is not None and self.angles is not None:
-            raise Misplaced(f"got {self.most} beside angles = {self.angles!r}; remove one of both", "most")
+            raise Misplaced(f"got {self.most} with angles = {self.angles!r}; remove one of the two", "most")
         if self.range is not None and isinstance(self.angles, str):
-            raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of both")
+            raise ValueError(f"got a range and the file {self.angles!r}, which has its own; remove one of the two")
         if self.range is not None and self.range > FULL_TURN * (1.0 + 1e-9):
-            raise Misplaced(f"got {self.range:.6g} rad; expected 360 deg at most: correct the value", "range")
+            raise Misplaced(f"got {self.range:.6g} rad; expected at most 360 deg: correct the value", "range")
         return self
 
 
 class WobbleSection(Section):
-    """Offset of the axis of rotation: across and along the light, or a circle.
+    """Offset of the rotation axis: across and along the light, or a circle.
 
     across: offset across the light, one for all angles or one for each.  along: offset along the light, one for all
-    angles or one for each.  radius: of a circle that the axis runs once a turn, in place of offsets.  phase: angle,
-    from x, of the point of the turntable that the axis goes through.
+    angles or one for each.  radius: radius of the circle that the axis describes once per turn, in place of offsets.
+    phase: direction, from x, of the point of the turntable that the axis passes through.
     """
 
     across: Places = 0.0
@@ -214,11 +213,12 @@ class WobbleSection(Section):
 class ResinSection(Section):
     """The resin, and diffusion of its inhibitor during the exposure.
 
-    material: a bundled resin, or a file. It gives index and absorption at the wavelength to the vessel, and the
-    critical dose to [print].  wavelength: of the light.  inhibitor: that diffuses as fast as the resin's viscosity
-    says.  temperature: of the resin, where it is not its material's.  exposure: time the inhibitor has.
-    diffusion: the same in numbers of one's own; any method then seeks light for the dose after diffusion.
-    precompensate: the recipe starts from a target that is sharpened for it.
+    material: a bundled resin, or a file. It sets index and absorption of the vessel at the wavelength, and the critical
+    dose of [print].  wavelength: wavelength of the light.  inhibitor: inhibitor that diffuses; its diffusivity follows
+    from the resin's viscosity.  temperature: temperature of the resin, if it is not that of its material.  exposure:
+    time during which the inhibitor diffuses.  diffusion: diffusion set by numbers, in place of an inhibitor; every
+    method then optimizes the dose after diffusion.  precompensate: the recipe starts from a target sharpened against
+    diffusion.
     """
 
     material: str | None = None
@@ -241,8 +241,8 @@ class ResinSection(Section):
 class ColorsSection(Section):
     """A second color that undoes the dose of the first.
 
-    absorption: of the resin for the second color.  strength: dose of the first that one unit of the second undoes.
-    rule: by which the two are found.
+    absorption: absorption of the resin for the second color.  strength: dose of the first color that one unit of the
+    second undoes.  rule: rule that finds the patterns of both colors.
     """
 
     absorption: Absorption
@@ -251,14 +251,15 @@ class ColorsSection(Section):
 
 
 class SolveSection(Section):
-    """The search for light.
+    """Settings of the optimization.
 
-    method: by its name, with its own parameters; the table [method] sets them.  iterations: in all; the method's own by
-    default.  tolerance: share of the first loss at which to stop.  evaluations: projector evaluations that may be
-    spent.  exposure_limit: time that the light may last at most, by lamp and resin of [print]; for the default method.
-    device: where to compute; the best one here by default.  operator: "voxels", by rays through each; "rings", by
-    Fourier transforms over even angles (`RingProjection`), which is faster on large volumes and within 0.003 of the
-    window of a run of 40 evaluations; "auto", rings where they take the job and were measured to pay.
+    method: name of the method, with its default parameters; the table [method] sets others.  iterations: total number
+    of iterations; by default that of the method.  tolerance: share of the first loss at which to stop.  evaluations:
+    greatest number of projector evaluations.  exposure_limit: longest exposure, computed with lamp and resin of
+    [print]; for the default method.  device: device that computes; by default the best one.  operator: "voxels", by
+    rays through each voxel; "rings", by Fourier transforms over equally spaced angles (`RingProjection`), which is
+    faster on large volumes and within 0.003 of the window of a run of 40 evaluations; "auto", rings if they support the
+    job and were measured to be faster.
     """
 
     method: str = "default"
@@ -271,12 +272,13 @@ class SolveSection(Section):
 
 
 class FramesSection(Section):
-    """The packing of light into frames.
+    """The packing of patterns into frames.
 
-    bits: of a pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
-    shift: columns and rows by which frames are moved.  quantile: of the lit pixels that a full-on pixel shows;
-    by default all but hot ones.  dither: round to the nearest level, carry the error on to the next angle, or choose
-    pixels by their dose; by default the last where it can be, and of two colors of 1 bit the second.
+    bits: bits per pixel.  gray: file of the projector's gray curve.  flip_r: mirror columns.  flip_z: mirror rows.
+    shift: columns and rows by which frames are moved.  quantile: quantile of the lit pixels that a full-on pixel shows;
+    by default the brightest pixel that is not an outlier.  dither: "round" rounds to the nearest level,
+    "error-diffusion" carries the error to the next angle, "fit" chooses pixels by their dose; by default "fit" if
+    possible, and "error-diffusion" for two colors with 1 bit.
     """
 
     bits: Literal[1, 8] = 8
@@ -289,10 +291,10 @@ class FramesSection(Section):
 
 
 class PrintSection(Section):
-    """Lamp and resin that predict print times.
+    """Lamp and resin, from which print times are predicted.
 
-    irradiance: of a full-on pixel in air.  critical_dose: from which the resin is solid.
-    absorption: of the resin, where the vessel says none.
+    irradiance: irradiance of a full-on pixel in air.  critical_dose: dose at which the resin solidifies.  absorption:
+    absorption of the resin, if the vessel has none.
     """
 
     irradiance: Irradiance
@@ -303,9 +305,9 @@ class PrintSection(Section):
 class JobFile(Section):
     """A whole job file.
 
-    [vessel] is any container, [vial] and [vat] the usual two. [light] is light that rises, a cone or inclined, or a
-    vessel whose light is one ray a pixel, past which an axis may wobble along the light too. [tolerances] are how far
-    the print may be off: its light is one for all their corners.
+    [vessel] is any container; [vial] and [vat] are the usual ones. [light] is a cone of light, inclined light, or a
+    vessel with one ray per pixel, in which the axis may also wobble along the light. [tolerances] are the errors that
+    the print must tolerate: one set of patterns serves all their corners.
     """
 
     target: TargetSection
@@ -342,22 +344,22 @@ class JobFile(Section):
         if said and self.light is not None:
             raise Misplaced(f"got [{said[0]}] and [light]; expected the vessel in [light.vessel]", said[0])
         if self.light is not None and self.beam.footprint != "exact":
-            raise Misplaced('got "joseph" and [light], whose pixels are one ray anyway; remove it', "beam", "footprint")
+            raise Misplaced('got "joseph" and [light], whose pixels are single rays; remove it', "beam", "footprint")
         if self.method is not None and self.solve.method != "default":
             raise Misplaced("got a method here and [method]; remove one", "solve", "method")
         if self.solve.exposure_limit is not None and self.print is None:
-            raise Misplaced("got a time without [print]; expected its irradiance and critical_dose", "solve",
+            raise Misplaced("got a time without [print]; expected [print] with irradiance and critical_dose", "solve",
                             "exposure_limit")  # fmt: skip
         if self.solve.exposure_limit is not None and self.colors is not None:
-            raise Misplaced("got a time and [colors]; expected one color with it", "solve", "exposure_limit")
+            raise Misplaced("got a time and [colors]; expected a time only with one color", "solve", "exposure_limit")
         if self.method is not None and self.colors is not None:
             raise Misplaced("got [method] and [colors]; expected the rule of two colors in [colors.rule]", "method")
         if self.tolerances is not None and self.colors is not None:
-            raise Misplaced("got [tolerances] and [colors]; expected one color with these", "tolerances")
+            raise Misplaced("got [tolerances] and [colors]; expected tolerances only with one color", "tolerances")
         if self.body and not any(body.role in ("print", "gray") for body in self.body):
-            raise Misplaced("got no [[body]] that is printed; expected one of role print or gray", "body")
+            raise Misplaced("got no [[body]] that prints; expected one with role print or gray", "body")
         if self.body and (self.colors is not None or self.resin.precompensate):
-            raise Misplaced("got [[body]] with [colors] or precompensate; expected one part with these", "body")
+            raise Misplaced("got [[body]] with [colors] or precompensate; expected a single part with these", "body")
         standing = any(body.role == "insert" for body in self.body)
         if standing and (self.light or self.defocus or self.tiles or self.wobble):
             raise Misplaced("got an insert with [light], [defocus], [tiles] or [wobble]; remove one", "body")

@@ -1,4 +1,4 @@
-"""Read a job file, and say of every wrong value where it stands, what it is, what was expected and what to do."""
+"""Read a job file, and report for every invalid value its line, the value, what was expected and the remedy."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from vamgpu.storage import reading
 from vamgpu.storage.reading import parse_toml
 
 MOST_REPORTED = 100
-"""Wrong values of a file that one message names."""
+"""Invalid values of a file that one message names."""
 
 File = TypeVar("File", bound=BaseModel)
 
 
 @dataclass(frozen=True)
 class CheckedJob(Generic[File]):
-    """A checked job. given: its keys as written, ``--set`` included.  folder: what its paths are relative to."""
+    """A checked job. given: its keys as written, with ``--set``.  folder: base of its relative paths."""
 
     file: File
     given: dict[str, Any]
@@ -47,7 +47,7 @@ class CheckedJob(Generic[File]):
         cls, text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(), name: str = "job",
         files: bool = False,
     ) -> Self:  # fmt: skip
-        """A job from TOML text. files: those that it names must be there. Raises `JobError` naming every wrong key."""
+        """A job from TOML text. files: whether named files must exist. Raises `JobError` with every invalid key."""
         file: Any
         file, given = checked(cls.model, text, settings, source=source, folder=folder, files=files)
         return cls(file, given, folder, name)
@@ -73,7 +73,7 @@ def read_text(path: str | Path) -> str:
     try:
         return reading.read_text(path, reading.MOST_TOML)
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text (a mesh is named by [target] mesh in a job file)"
+        reason = getattr(error, "strerror", None) or "it is not text (in a job file, [target] mesh names a mesh)"
         raise JobError(f"cannot read job file {str(path)!r}: {reason}; expected a TOML file: check the path, or let "
                        "`vam init` write one") from error  # fmt: skip
 
@@ -82,7 +82,7 @@ def checked(
     model: type[File], text: str, settings: Iterable[str] = (), *, source: str = "job", folder: Path = Path(),
     files: bool = False, complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
-    """TOML text as a model of a file, and its keys as written; ``folder`` is what paths in it are relative to."""
+    """TOML text as a model of a file, and its keys as written; ``folder`` is the base of its relative paths."""
     try:
         data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -105,7 +105,7 @@ def validated(
         lines = key_lines(text)
         every = error.errors()
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
-        found += [f"{source}: {len(every) - MOST_REPORTED} more wrong values"] if len(every) > MOST_REPORTED else []
+        found += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
         raise JobError("\n".join(found)) from error
 
 
@@ -119,13 +119,13 @@ def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
     for part in key[:-1]:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
-            raise JobError(f"--set {setting}: {part!r} is {table!r}, no table; name a key of the job file")
+            raise JobError(f"--set {setting}: {part!r} is {table!r}, not a table; name a key of the job file")
     table[key[-1]] = toml_value(text.strip())
     return key
 
 
 def toml_value(text: str) -> Any:
-    """A value as TOML reads it; text that is no TOML value is taken as it stands."""
+    """A value as TOML reads it; text that is not a TOML value stays as it is."""
     try:
         read = parse_toml(f"value = {text}")
     except tomllib.TOMLDecodeError:
@@ -146,7 +146,7 @@ def _complaint(
         line = line_of(lines, _numbered(key, named, lines))
         place = f"{source}, line {line}" if line else source
     if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and key[-1].isdigit():
-        key = key[:-1]  # what is missing in a list has no name
+        key = key[:-1]  # a missing value in a list has no name
     subject = ".".join(key) or "job"
     if entry["type"] == "extra_forbidden":
         return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
@@ -154,7 +154,7 @@ def _complaint(
 
 
 def _numbered(key: tuple[str, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
-    """A key as written, with the numbers that tables of the file have."""
+    """A key as written, with the numbers of tables in the file."""
     found, words = (), iter(named)
     for part in key:
         if not part.isdigit():
@@ -178,7 +178,7 @@ def _models(
 
 
 def _as_written(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> tuple[str, ...]:
-    """A key with its last part under the old name, where the file has it under that."""
+    """A key with the old name of its last part, if the file has that name."""
     if not key:
         return key
     *_, (model, table) = _models(key[:-1], file, data)
@@ -196,7 +196,7 @@ def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any])
 
 
 def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any], table: Any) -> str:
-    """Which nouns that may stand in a table have a key that its own has not; empty where none has."""
+    """Components allowed in a table that have a key which its own component lacks; empty if there are none."""
     if len(key) < 2:
         return ""
     *_, (within, _) = _models(key[:-2], file, data)
@@ -207,7 +207,7 @@ def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str
     _, own = name_of(nouns.chosen(table)) or ("", "")
     is_ = "is" if nouns.word in table else f"without a {nouns.word} is"
     others = " or ".join(f'{nouns.word} = "{kind}"' for kind in kinds)
-    return f'it is one of {others}, and this table {is_} "{own}"; name the {nouns.word} that is meant, or remove it'
+    return f'it is one of {others}, and this table {is_} "{own}"; set the {nouns.word}, or remove the key'
 
 
 def _remedy(key: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Carry out a job: target, light, frames, a folder; and prove a written one from its own bytes."""
+"""Solve a job: target, patterns, frames, folder; and prove a job folder from its bytes."""
 
 from __future__ import annotations
 
@@ -68,20 +68,20 @@ from vamgpu.storage.folder import Folder, check_place, digest
 from vamgpu.targets.target import Target
 
 CHECKPOINT = 300.0
-"""Seconds of a run on a cluster after which its plan is kept: so much is lost with a worker, at most."""
+"""Interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker."""
 RARELY = 10.0
-"""Times as long as a run takes to begin, its plan is not kept again."""
+"""Least interval between saved plans, in start times of the run."""
 TRIES = 100
-"""How often a run goes on after workers were lost."""
+"""How often a run continues after workers were lost."""
 BLOCK = 1 << 26
 """Bytes of a target that are hashed at once."""
 StageProgress = Callable[[str, float], None]
-"""Notified of progress: what is being done, and how much of it is done, 0..1."""
+"""Notified of progress: the stage, and the share of it that is done, 0..1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proven:
-    """A proof and the record of the plan behind it."""
+    """A proof and the record of its plan."""
 
     proof: Proof
     plan: PlanRecord
@@ -99,7 +99,7 @@ def solve(
     job: Job, path: str | Path, *, overwrite: bool = False, start: str | Path | None = None, pareto: bool = False,
     cluster: str | None = None, progress: StageProgress = quiet,
 ) -> Folder:  # fmt: skip
-    """Find the light of a job, and write its folder, or go on with one that was interrupted."""
+    """Optimize the patterns of a job and write its folder, or resume an interrupted run."""
     file, place = job.file, Path(path)
     for taken in (place, uv_folder(place)) if file.colors is not None else (place,):
         clear(taken)
@@ -116,7 +116,7 @@ def solve(
             except WorkerLost as error:
                 if tried >= TRIES or _while_stopped(error):
                     raise
-                warnings.warn(f"{error}; going on from the plan that was kept last", ClusterWarning, stacklevel=2)
+                warnings.warn(f"{error}; continuing from the plan that was saved last", ClusterWarning, stacklevel=2)
             except Cancelled:
                 if not due.came:
                     raise
@@ -125,7 +125,7 @@ def solve(
 
 @contextmanager
 def _kept_on_the_way(place: Path, onward: bool) -> Iterator[Path]:
-    """Where plans are kept until a job is done: at its place, or beside it where other light stands that is to go."""
+    """Where plans are kept until a job is done: at its place, or beside it if other patterns there will be replaced."""
     if not os.path.lexists(place) or (onward and is_interrupted(place)):
         yield place
         return
@@ -134,7 +134,7 @@ def _kept_on_the_way(place: Path, onward: bool) -> Iterator[Path]:
 
 
 def _while_stopped(error: BaseException | None) -> bool:
-    """Whether an error came up while Ctrl-C was seen to."""
+    """Whether an error occurred while Ctrl-C was handled."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None
@@ -142,7 +142,7 @@ def _while_stopped(error: BaseException | None) -> bool:
 
 @dataclass
 class _Due:
-    """Whether it is time to keep a plan, so many seconds after the first iteration was begun."""
+    """Whether to save a plan, given the seconds since the start of the first iteration."""
 
     period: float
     came: bool = False
@@ -161,7 +161,7 @@ def _solve(
     job: Job, method: Any, place: Path, device: Device, *, overwrite: bool, start: str | Path | None, pareto: bool,
     progress: StageProgress, kept: Path | None, due: _Due | None = None,
 ) -> Folder:  # fmt: skip
-    """`solve` on a device. What is ``due`` is kept at ``kept``, which the run goes on from if it is there."""
+    """`solve` on a device. Plans that are ``due`` are saved at ``kept``, from which the run continues if it exists."""
     file = job.file
     packing = packing_of(file.frames, job.folder)
     progress("voxels", 0.0)
@@ -199,13 +199,13 @@ def _solve(
 
 
 def _keep(plan: Any, place: Path, inputs: dict[str, Any], anywhere: bool = False) -> None:
-    """Write what an interrupted run had reached, where no other job stands, so that the next one goes on from there."""
+    """Save the plan of an interrupted run unless another job is there, so that the next run continues from it."""
     if plan is not None and (anywhere or not os.path.lexists(place) or is_interrupted(place)):
         save_plan(plan, place, inputs={**inputs, INTERRUPTED: len(plan.history)}, overwrite=True)
 
 
 def is_interrupted(path: str | Path) -> bool:
-    """Whether a folder holds the plan of a run that was stopped before its end."""
+    """Whether a folder holds the plan of an interrupted run."""
     try:
         return INTERRUPTED in Folder.open(path).manifest.inputs
     except StorageError:
@@ -216,22 +216,22 @@ def _one(
     job: Job, method: Any, target: Target, device: Device, progress: StageProgress, begun: str | Path | None,
     due: Callable[[], bool] | None = None,
 ) -> Plan:  # fmt: skip
-    """The light of a job, found anew or from the light of an earlier plan on."""
+    """Optimize the patterns of a job, from the start or from an earlier plan."""
     file = job.file
     limit = file.solve.iterations or method.iterations
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
     rings = file.solve.operator == "rings"
-    if rings or (file.solve.operator == "auto" and finer_voxels(method, A, target) is None):  # else its method chooses
+    if rings or (file.solve.operator == "auto" and finer_voxels(method, A, target) is None):  # else the method chooses
         light, A = (_on_rings(light, A, rings),) * 2
-    describe(A, {})  # refuse what no manifest can describe, and no frames can show, before the long work
+    describe(A, {})  # reject what a manifest cannot describe or frames cannot show before the long work
     check_dither(file.frames.dither, A, target, file.frames.bits)
     if (tell := getattr(progress, "tell", None)) is not None:
         progress("rays", 0.0)
         corners = 1 if file.tolerances is None else len(file.tolerances.corners())
         tell(str(expected(A, target, method, file.solve.evaluations or limit * method.cost * corners, corners)))
     progress("light", 0.0)
-    if file.resin.precompensate:  # the method itself lets the dose of the plain light diffuse
+    if file.resin.precompensate:  # the method itself applies diffusion to the dose
         method = replace(method, diffusion=A.inner.diffusion)
     solved = light if file.resin.precompensate else A
     lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
@@ -244,18 +244,18 @@ def _one(
 
 
 def _on_rings(light: Any, A: Any, asked: bool) -> Any:
-    """The light of a job on rings, where they are asked for or faster. Raises `JobError` if they cannot be."""
+    """The operator of a job on rings, if they are required or faster. Raises `JobError` if they cannot be used."""
     rays = light.operator if isinstance(light, Defocused) else light
     why = "the dose diffuses" if light is not A else unsupported_reason(rays)
     if asked and why:
-        raise JobError(f'solve.operator: got "rings", which do not take this job: {why}; expected "voxels" or "auto"')
+        raise JobError(f'solve.operator: got "rings", which cannot run this job: {why}; expected "voxels" or "auto"')
     return A if why else with_algorithm(light, "rings" if asked else "auto")
 
 
 def _traded(job: Job, plan: Any, progress: StageProgress) -> tuple[ParetoPoint, ...]:
-    """Windows of a job's light and of shorter exposures."""
+    """Windows of a job's patterns and of shorter exposures."""
     if job.file.colors is not None:
-        raise JobError("windows of shorter exposures are found for one color; leave --pareto or [colors] out")
+        raise JobError("windows of shorter exposures need one color; leave out --pareto or [colors]")
     return pareto(plan, **_lamp(job), progress=lambda share: progress("pareto", share))
 
 
@@ -270,7 +270,7 @@ def _onward(
     place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None,
     lamp: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    """Arguments of `optimize` that resume an equal plan, or start with the light of another."""
+    """Arguments of `optimize` that resume an equal plan, or start from the patterns of another."""
     if place is None:
         return {}
     begun = load_plan(place, operator.device)
@@ -291,7 +291,7 @@ def _known(operator: Any, target: Any) -> tuple[Any, ...]:
 
 
 def _seal(target: Target) -> str:
-    """A hash of a target's fractions, which may be more than memory holds twice."""
+    """A hash of a target's fractions, without a second copy in memory."""
     values, seal = target.fraction, hashlib.sha256()
     each = max(BLOCK // max(target.grid.shape[1] * target.grid.shape[2] * 4, 1), 1)
     for first in range(0, target.grid.shape[0], each):
@@ -302,11 +302,11 @@ def _seal(target: Target) -> str:
 
 
 def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> tuple[list[Solved], PlanRecord]:
-    """The same for a job of two colors; one light where its rule sends no second."""
+    """The same for a job of two colors; one set of patterns if its rule has no second color."""
     if job.file.solve.operator == "rings":
-        raise JobError('solve.operator: got "rings", which take one color; expected "voxels" or "auto"')
+        raise JobError('solve.operator: got "rings", which support one color; expected "voxels" or "auto"')
     if job.file.frames.dither == FIT:
-        raise JobError(f"frames.dither: got {FIT!r}, which knows the dose of one color; expected 'error-diffusion'")
+        raise JobError(f"frames.dither: got {FIT!r}, which supports one color; expected 'error-diffusion'")
     operators: list[Any] = []
     for file in (job.file, recolored(job.file)):
         light = projection_of(file, target, device, job.folder)
@@ -326,7 +326,7 @@ def prove(
     path: str | Path, device: str | None = None, *, evaluations: float = 0.0, tolerances: bool = False,
     slices: tuple[int, int] | None = None, coarse: bool = False, progress: StageProgress = quiet,
 ) -> Proven:  # fmt: skip
-    """Simulate a written job from its frames' bytes and gray curve."""
+    """Simulate a job folder from the bytes and the gray curve of its frames."""
     folder, place = Folder.open(path), open_device(device)
     record, exposure, strength = _recorded(folder)
     off = tolerances_from(folder) if tolerances else None
@@ -334,7 +334,7 @@ def prove(
         what = "two colors" if strength else "no tolerances"
         raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one color")
     if evaluations and strength:
-        raise BadInput(f"{str(path)!r} has two colors, whose doses no bound is known for; prove it without one")
+        raise BadInput(f"{str(path)!r} has two colors, for which there is no bound; prove it without --bound")
     progress("read", 0.0)
     try:
         A = operator_from(folder, place)
@@ -355,7 +355,7 @@ def prove(
             beside = Folder.open(uv_folder(Path(path)))
             proof = subtracted(proof, strength, operator_from(beside, place), frames_of(beside, place))
     except MemoryError as error:
-        raise OutOfMemory(f"the light of {str(path)!r} takes more memory than there is: {error}; check its manifest, "
+        raise OutOfMemory(f"the patterns of {str(path)!r} need more memory than there is: {error}; check its manifest, "
                           "or prove it on a larger machine") from error  # fmt: skip
     return Proven(proof, record)
 
@@ -379,11 +379,11 @@ def _judged_target(folder: Folder, A: Any, device: Device) -> Target:
     """The target of a job folder; warns of a repaired mesh. Raises `StorageError`."""
     target = target_from(folder, A.grid, device)
     if mended := ((folder.manifest.inputs.get("target") or {}).get("solid") or {}).get("mended"):
-        warnings.warn(f"the mesh was repaired before it was solved for: {'; '.join(map(str, mended))}", MeshWarning,
+        warnings.warn(f"the mesh was repaired before solving: {'; '.join(map(str, mended))}", MeshWarning,
                       stacklevel=3)  # fmt: skip
     if target is None:
-        raise StorageError(f"{str(folder.path)!r} has no target to judge a print by; save the plan, give pack its "
-                           "target, or write the job with `vam solve`")  # fmt: skip
+        raise StorageError(f"{str(folder.path)!r} has no target to compare a print with; save the plan, pass its "
+                           "target to pack, or write the job with `vam solve`")  # fmt: skip
     return target
 
 

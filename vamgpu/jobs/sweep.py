@@ -1,4 +1,4 @@
-"""One job with several values of its keys: a folder and a proof for each, on one machine or on a cluster."""
+"""One job with several values of its keys: a folder and a proof for each value, on one machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Folder
 
 MOST = 100_000
-"""Points of a sweep; more are a mistake."""
+"""Most points of a sweep; more are a mistake."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One choice of values, and what came of it.
+    """One combination of values, and its results.
 
     Args:
-        number: Of the point, from 1.
-        values: Key of the job → its value, as ``--set`` takes it.
+        number: Number of the point, from 1.
+        values: Key of the job → its value, as for ``--set``.
         folder: The job folder.
-        window: Proved strict process window, a share of the greatest dose; NaN where there is none.
+        window: Proved strict process window, relative to the greatest dose; NaN if there is none.
         iou: Proved intersection over union at the best threshold [0 to 1].
         error_rate: Share of voxels on the wrong side of it.
-        seconds: Exposure that the proof expects [s]; NaN where the job says no irradiance.
-        error: Why there is no light, or nothing.
+        seconds: Exposure predicted by the proof [s]; NaN if the job has no irradiance.
+        error: Why the point failed; "" if it did not.
     """
 
     number: int
@@ -47,7 +47,7 @@ class Point:
 
 @dataclass(frozen=True)
 class _Task:
-    """Task of a worker."""
+    """Function that a worker runs."""
 
     job: Path
     settings: tuple[str, ...]
@@ -74,22 +74,22 @@ def sweep(
 ) -> list[Point]:
     """Solve and prove a job for every combination of values.
 
-    A point whose folder stands there from a run before is proven and not solved again. ``sweep.csv`` is written anew
+    If the folder of a point exists from an earlier run, it is proved and not solved again. ``sweep.csv`` is rewritten
     after every point.
 
     Args:
         job: The TOML file; workers of a cluster must see it, and ``path``, at the same place.
-        vary: Key → values.
+        vary: Key of the job → its values.
         path: Folder of the job folders, which are numbered from 0001.vam in the order of the combinations.
         settings: ``key=value`` for all points.
         cluster: As `vamgpu.jobs.cluster.workers` takes it; None for this process.
-        progress: Called with every point that is done, and the number of points.
+        progress: Called with every finished point, and the number of points.
 
     Returns:
         The points, in the order of the combinations.
 
     Raises:
-        JobError: The file or a key is wrong; what a value does to a single point is in its ``error``.
+        JobError: The file or a key is invalid; the error of a single point is in its ``error``.
         BadInput: Nothing varies, or there are too many points.
         DeviceError: As `vamgpu.jobs.cluster.workers`.
         StorageError: The folder cannot be written.
@@ -117,7 +117,7 @@ def sweep(
 
 
 def _solved(task: _Task) -> Point:
-    """Solve and prove one point; what is wrong with it is its answer."""
+    """Solve and prove one point; its error is returned."""
     point = task.point
     try:
         job = read_job(task.job, (*task.settings, *(f"{key}={value}" for key, value in point.values.items())))

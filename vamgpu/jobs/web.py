@@ -1,4 +1,4 @@
-"""Jobs of endless webs: what their TOML file asks for, carried out into a folder that is resumed and proven."""
+"""Jobs of endless webs: a TOML file is solved into a folder, which can be resumed and proved."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 class WebTarget(Section):
     """The part on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
 
-    A mesh stays where it is: its x along the web, its y from the roller's side outwards, its z across about the middle.
+    A mesh keeps its coordinates: x along the web, y outwards from the roller's side, z across, 0 in the middle.
 
-    lattice: one of `vamgpu.targets.lattices`.  cell: its edge.  strut: thickness of its struts.  level: of its surface.
-    mesh: file of a part.  period: from one part to the next.  tiles: NumPy file.
+    lattice: name of a lattice of `vamgpu.targets.lattices`.  cell: edge of its cell.  strut: thickness of its struts.
+    level: level of its surface.  mesh: file of a part.  period: distance from one part to the next.  tiles: NumPy file.
     """
 
     lattice: str | None = None
@@ -71,7 +71,7 @@ class WebTarget(Section):
 class WebLength(Section):
     """The web.
 
-    length: to be printed.  speed: where it is known.
+    length: length to print.  speed: speed of the web, if known.
     """
 
     length: Length
@@ -79,9 +79,9 @@ class WebLength(Section):
 
 
 class WebBeam(Section):
-    """The light, which is as wide as the film about the roller.
+    """The light, as wide as the film on the roller.
 
-    pitch: edge of a pixel in the bath.  height: of the light.
+    pitch: edge of a pixel in the bath.  height: height of the light.
     """
 
     pitch: Length
@@ -89,11 +89,12 @@ class WebBeam(Section):
 
 
 class WebSolve(Section):
-    """The search for light.
+    """Settings of the optimization.
 
-    method: by its name, with its own parameters, "best" for the widest window; by default that of [method].
-    iterations: of each segment.  core, overlap: of a segment, in windows of light.  device: where to compute; the best
-    one here by default.
+    method: name of the method, with its default parameters, or "best" for the widest window; by default that of
+    [method].  iterations: number of iterations for each segment.  core: length of a segment, in windows of light.
+    overlap: length also solved on either side of a segment, in windows of light.  device: device that computes; by
+    default the best one.
     """
 
     method: str | None = None
@@ -104,9 +105,9 @@ class WebSolve(Section):
 
 
 class WebFrames(Section):
-    """The packing of light into frames.
+    """The packing of patterns into frames.
 
-    gray: file of the projector's gray curve.  scale: light of a full-on pixel.
+    gray: file of the projector's gray curve.  scale: irradiance of a full-on pixel relative to the patterns' unit.
     """
 
     gray: Annotated[str | None, Named] = None
@@ -145,7 +146,7 @@ read_web: Callable[..., WebJob] = WebJob.read
 
 
 def is_web(path: str | Path) -> bool:
-    """Whether a job file is that of a web: it has a roller."""
+    """Whether a job file is for a web: it has a roller."""
     try:
         return "roller" in parse_toml(read_text(path))
     except tomllib.TOMLDecodeError:
@@ -212,7 +213,7 @@ def _lattice(section: WebTarget) -> Any:
     options = {key: getattr(section, key) for key in ("cell", "strut", "level") if getattr(section, key) is not None}
     if odd := [key for key in options if key not in signature(lattice).parameters]:
         takes = ", ".join(signature(lattice).parameters)
-        raise JobError(f"target: {name} takes other parameters, {takes}: remove {' and '.join(odd)}")
+        raise JobError(f"target: {name} has other parameters, {takes}: remove {' and '.join(odd)}")
     return lattice(**options)
 
 
@@ -220,7 +221,7 @@ def solve_web(
     job: WebJob, path: str | Path, *, overwrite: bool = False, cluster: str | None = None,
     progress: StageProgress = quiet,
 ) -> WebFolder:  # fmt: skip
-    """Write the frames of a web to a folder, or go on with one that was interrupted."""
+    """Write the frames of a web to a folder, or resume an interrupted run."""
     check_folder(Path(path))
     progress("voxels", 0.0)
     stream = stream_of(job)
@@ -235,7 +236,7 @@ def solve_web(
 
         def spread(numbers: range, scale: float | None) -> Iterator[Segment]:
             left = list(numbers)
-            if scale is None and left:  # the first segment tells how bright a full-on pixel is
+            if scale is None and left:  # the first segment sets the brightness of a full-on pixel
                 for segment in each(_segment, [_Task(job, left.pop(0), None)]):
                     scale = _found(segment).scale
                     yield segment
@@ -261,7 +262,7 @@ def _found(segment: Segment | VamError) -> Segment:
 
 
 def _segment(task: _Task) -> Segment | VamError:
-    """Solve a segment; what is wrong with it is its answer, for no worker does it better."""
+    """Solve a segment; its error is returned, because every worker would fail."""
     global _latest  # noqa: PLW0603 - a worker solves segments of one job, one after the other
     try:
         if _latest is None or _latest[0] != task.job:
@@ -272,7 +273,7 @@ def _segment(task: _Task) -> Segment | VamError:
 
 
 _latest: tuple[WebJob, Stream] | None = None
-"""The job that this process solved a segment of, and its stream: making that takes longer than some segments."""
+"""The last job of this process and its stream, which takes longer to make than some segments to solve."""
 
 
 def contrasts(

@@ -1,7 +1,7 @@
-"""The nouns of the library by their fields: one definition for Python, job files, manifests and the list of keys.
+"""The components of the library by their fields: one definition for Python, job files, manifests and list of keys.
 
-A noun is a class whose constructor takes named fields; their types tell the unit and the bounds, its docstring what
-they mean. `registry` names the nouns. Nothing here loads more than is asked for.
+A component is a class whose constructor takes named fields. Their types state unit and bounds, its docstring the
+meaning. `registry` names the components. Modules are imported only when they are needed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Keys of files in words: which there are, what they hold, what they mean; and as a JSON Schema for editors."""
+"""List the keys of files, what they hold and what they mean; also as a JSON Schema for editors."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from vamgpu.units import NAMES
 LEFT_OUT = "left out"
 NO_LIMIT = "no limit"
 FAR = 1e30
-"""From this size on a number stands for infinity, which no device takes."""
+"""Numbers from this size on mean infinity, which no device takes."""
 WORDS: dict[Any, str] = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a table. what: it holds.  default: as a file writes it; "" where it is required.  doc: its meaning."""
+    """One key of a table. what: its values.  default: as in a file; "" if the key is required.  doc: its meaning."""
 
     name: str
     what: str
@@ -36,7 +36,7 @@ class Key:
 
 
 def keys(table: type[Any]) -> tuple[Key, ...]:
-    """The keys of a noun, or of a `Section`, that files may write."""
+    """The keys of a component, or of a `Section`, that files may write."""
     if issubclass(table, BaseModel):
         hints, fields = get_type_hints(table, include_extras=True), table.model_fields
         docs = docs_of(table, list(fields))
@@ -116,11 +116,11 @@ def _default(value: Any, kind: Any) -> str:
         items = [_default(item, part) for item, part in zip(value, parts, strict=True)]
         return NO_LIMIT if items and set(items) == {NO_LIMIT} else f"[{', '.join(items)}]"
     table = write(value, units=True)
-    return table.get("kind", "as it is by default")
+    return table.get("kind", "its defaults")
 
 
 def explain(tables: dict[str, type[Any]]) -> str:
-    """The keys of tables and of every noun, as markdown."""
+    """The keys of tables and of every component, as Markdown."""
     return "\n".join([*(part for head, file in tables.items() for part in _file(head, file)), *_nouns()]) + "\n"
 
 
@@ -141,15 +141,15 @@ def _file(head: str, file: type[Any]) -> Iterator[str]:
 
 
 def _nouns() -> Iterator[str]:
-    yield "## Nouns\n"
+    yield "## Components\n"
     yield (
-        "A noun is a class that files may name, by its family and its kind: `vessel.fan` is a table with\n"
-        '`kind = "fan"` where a vessel is expected, such as [vessel]. The usual one needs no `kind`.\n'
+        "A component is a class that files name by its family and kind: `vessel.fan` is a table with\n"
+        '`kind = "fan"` where a vessel is expected, such as [vessel]. The default one needs no `kind`.\n'
     )
     for name, members in families().items():
         for kind in members.nouns:
             cls = find(name, kind)
-            usual = ", the usual one" if members.default == kind else ""
+            usual = ", the default" if members.default == kind else ""
             yield f"### {name}.{kind}{usual}\n"
             yield f"{first_of(cls)}\n"
             yield from _table(cls)
@@ -176,9 +176,9 @@ def _code(default: str) -> str:
 
 
 def json_schema(file: type[BaseModel]) -> dict[str, Any]:
-    """The JSON Schema of a file, with every noun that its tables may hold, for editors that complete and check TOML."""
+    """The JSON Schema of a file, with every component of its tables, for editors that complete and check TOML."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # defaults that are nouns have no JSON
+        warnings.simplefilter("ignore")  # defaults that are components have no JSON
         schema = file.model_json_schema()
         defined = schema.setdefault("$defs", {})
         while missing := sorted(set(_nouns_in(schema)) - set(defined)):
@@ -199,7 +199,7 @@ def _nouns_in(value: Any) -> Iterator[str]:
 
 
 def _clean(value: Any) -> Any:
-    """With references to nouns; without null, which TOML lacks, and defaults that a file would write otherwise."""
+    """With references to components; without null, which TOML lacks, and defaults that a file writes differently."""
     if isinstance(value, list):
         return [_clean(part) for part in value if part != {"type": "null"}]
     if not isinstance(value, dict):

@@ -14,19 +14,19 @@ import numpy as np
 from vamgpu.schema.quantities import Quantity, measured
 
 GIVEN = ("device",)
-"""Arguments that say where to compute, not what."""
+"""Arguments that select the device, not the computation."""
 MISSING: Any = inspect.Parameter.empty
 
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a noun.
+    """One field of a component.
 
     Args:
-        name: What it is called.
+        name: Its name.
         kind: Its type, with `Quantity` where it measures something.
-        default: What it is where nothing is said; `MISSING` where it must be given.
-        doc: What the docstring says of it.
+        default: Its default; `MISSING` if it is required.
+        doc: Its description in the docstring.
     """
 
     name: str
@@ -41,13 +41,13 @@ class Field:
 
     @property
     def quantity(self) -> Quantity | None:
-        """Quantity it measures; None for what is no number."""
+        """Quantity it measures; None if it is not a number."""
         return quantity_in(self.kind)
 
 
 @cache
 def fields_of(cls: type[Any]) -> tuple[Field, ...]:
-    """List the fields of a noun.
+    """List the fields of a component.
 
     Args:
         cls: Its class.
@@ -63,7 +63,7 @@ def fields_of(cls: type[Any]) -> tuple[Field, ...]:
 
 
 def given(noun: Any) -> dict[str, Any]:
-    """Arguments of a noun's constructor, by field."""
+    """Arguments of a component's constructor, by field."""
     if hasattr(noun, "described"):
         return noun.described()
     return {field.name: getattr(noun, field.name) for field in fields_of(type(noun))}
@@ -100,10 +100,10 @@ def quantity_in(kind: Any) -> Quantity | None:
 
 
 def check(noun: Any) -> None:
-    """Check the fields of a frozen noun by their types, and keep them as floats.
+    """Check the fields of a frozen component by their types, and store them as floats.
 
     Args:
-        noun: The noun.
+        noun: The component.
 
     Raises:
         BadInput: A value is out of its range.

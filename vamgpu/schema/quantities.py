@@ -1,7 +1,7 @@
 """Types of fields: what a number measures, and which numbers it may be.
 
-They work in dataclasses, whose constructors `vamgpu.schema.check` them, and in pydantic's models. ``Length`` is a float
-in mm in Python, ``"12.4 mm"`` in a file, and either where Python gives one.
+They work in dataclasses, whose constructors call `vamgpu.schema.check`, and in pydantic's models. ``Length`` is a float
+in mm in Python and ``"12.4 mm"`` in a file; Python may pass either to a model.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vamgpu.quantity import EXAMPLES, meant, parse, positive, unit_of
 from vamgpu.units import NAMES, dpt
 
 PLAIN = {"plain": True}
-"""Context of validation in which numbers come without units, in mm, s, mJ and rad, as in manifests."""
+"""Context of validation for numbers without units, in mm, s, mJ and rad, as in manifests."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class Quantity:
 
     @property
     def unit(self) -> str:
-        """That files and messages write; "" for a plain number."""
+        """Unit in files and messages; "" for a plain number."""
         return "" if self.kind is None else unit_of(self.kind)
 
     @property
     def bounds(self) -> str:
-        """In words and the unit that files write; "" where any number will do."""
+        """Bounds in words, in the unit of files; "" if any number is allowed."""
         unit = self.scale / NAMES[self.unit] if self.unit else 1.0
         limits = ((">", self.above), ("≥", self.least), ("≤", self.most), ("<", self.below))
         return ", ".join(f"{sign} {limit * unit:.6g}" for sign, limit in limits if isfinite(limit))
@@ -50,7 +50,7 @@ class Quantity:
         return self.above < value < self.below and self.least <= value <= self.most
 
     def check(self, name: str, value: Any) -> float | int:
-        """``value`` as a float, or an integer where it is whole; else `BadInput`."""
+        """``value`` as a float, or as an integer if it is whole; else `BadInput`."""
         if self.endless and value == inf:
             return inf
         if self.above == 0.0 or self.least == 0.0:
@@ -80,11 +80,11 @@ class Quantity:
         return value
 
     def _slip(self, value: float) -> tuple[str, str | None] | None:
-        """Usual lengths in words, and the unit that one out of them was likely meant in; None for one of them."""
+        """Usual lengths in words, and the likely unit of a length outside them; None for a usual length."""
         if self.usual is None or self.usual[0] <= value <= self.usual[1]:
             return None
         least, most = self.usual
-        return f"{least:g} to {most:g} mm" if least else f"{most:g} mm at most", meant(value, least, most)
+        return f"{least:g} to {most:g} mm" if least else f"at most {most:g} mm", meant(value, least, most)
 
     def spell(self, value: float) -> str | float:
         """As a file writes it."""
@@ -146,7 +146,7 @@ Thickness = Annotated[float, Quantity("a length", least=0.0)]
 Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]
 """A length that may be infinite."""
 Width = Annotated[Any, Quantity("a length", least=0.0)]
-"""A length that constructors also take from what measured it."""
+"""A length that constructors also take from a calibration."""
 Place = Annotated[float, Quantity("a length")]
 """A length that may be negative."""
 Absorption = Annotated[float, Quantity("an absorption", least=0.0)]

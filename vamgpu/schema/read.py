@@ -1,4 +1,4 @@
-"""Nouns from tables: of job files with units, of manifests without."""
+"""Components from tables: of job files with units, of manifests without."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
 MOST_SHOWN = 200
-"""Characters of a wrong value that are shown."""
+"""Characters shown of an invalid value."""
 
 
 EXPECTED = {
@@ -34,16 +34,16 @@ EXPECTED = {
     "string_type": "text in quotes",
     "dict_type": "a table",
 }
-"""What pydantic's types of errors ask for, in words of a file."""
+"""Type of pydantic's error → the expected value, in words of a file."""
 NOUN_WORD = "kind"
 NOUN = "noun"
-"""In place of ``$ref`` until all nouns are defined; see `vamgpu.schema.explain.json_schema`."""
+"""In place of ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`."""
 
 
 class Nouns:
-    """Type of a key whose table is a noun, for pydantic; reads a `Partial` if ``without`` or ``beside`` are given."""
+    """Type of a key whose table is a component, for pydantic; reads a `Partial` if ``without`` or ``beside`` is set."""
 
-    given: tuple[tuple[str, str | None], ...]  # (family, kind) of accepted nouns; None accepts a whole family
+    given: tuple[tuple[str, str | None], ...]  # (family, kind) of accepted components; None accepts a whole family
     without: tuple[str, ...]  # fields that come from elsewhere
     beside: dict[str, tuple[Any, Any]]  # type and default of keys that are no fields
 
@@ -55,13 +55,13 @@ class Nouns:
 
     @property
     def choices(self) -> tuple[tuple[str, str], ...]:
-        """(family, kind) of every noun that may stand there, those named since included."""
+        """(family, kind) of every component allowed here, with those registered later."""
         every = ((name, family(name).nouns if kind is None else (kind,)) for name, kind in self.given)
         return tuple((name, kind) for name, kinds in every for kind in kinds)
 
     @property
     def word(self) -> str:
-        """The key that says the kind."""
+        """The key that states the kind."""
         return next((family(name).word for name, _ in self.given), NOUN_WORD)
 
     def model(self, table: Mapping[str, Any]) -> type[BaseModel]:
@@ -93,17 +93,17 @@ class Nouns:
         return [kind for kind, model in found if key in model.model_fields]
 
     def read(self, table: Any, info: Any = None) -> Any:
-        """A noun; raises what pydantic collects."""
+        """A component; raises the errors that pydantic collects."""
         context = getattr(info, "context", None) or {}
         if not isinstance(table, Mapping):
             if not isinstance(table, (str, int, float, list, type(None))):
-                return table  # a noun already: the default of a field
+                return table  # a component already: the default of a field
             raise ValueError("expected a table")
         cls = self.chosen(table)
         fields = {key: value for key, value in table.items() if key != self.word}
         values = self.model(table).model_validate(fields, context=context)
         if isinstance(values, cls):
-            return values  # a noun that is a `Section` itself
+            return values  # a component that is a `Section` itself
         given = {name: getattr(values, name) for name in values.model_fields_set if name not in self.beside}
         given |= {name: context[name] for name in GIVEN if name in context and name in signature(cls).parameters}
         if self.without or self.beside:
@@ -127,14 +127,14 @@ class Nouns:
 
 @dataclass(frozen=True)
 class Partial:
-    """A noun that lacks fields which are given elsewhere: call it with them. beside: the other keys of its table."""
+    """A component without the fields that are given elsewhere: call it with them.  beside: other keys of its table."""
 
     cls: type[Any]
     given: dict[str, Any]
     beside: dict[str, Any]
 
     def __call__(self, **others: Any) -> Any:
-        """The noun; raises `BadInput`."""
+        """The component; raises `BadInput`."""
         return self.cls(**self.given, **others)
 
 
@@ -142,13 +142,13 @@ def noun(
     *names: str, kind: str | None = None, without: tuple[str, ...] = (),
     beside: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Nouns:  # fmt: skip
-    """Any noun of some families, or the one of a kind, as ``film: Annotated[Film, noun("film")]`` in a `Section`."""
+    """Any component of some families, or of one kind, as ``film: Annotated[Film, noun("film")]`` in a `Section`."""
     return Nouns(((name, kind) for name in names), without, beside)
 
 
 @cache
 def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
-    """A pydantic model of a noun's fields; those that no file can write are None, or left out."""
+    """A pydantic model of a component's fields; those that no file can write are None, or left out."""
     if issubclass(cls, Section):
         return cls
     found: dict[str, Any] = {}
@@ -162,7 +162,7 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
 
 
 def in_files(kind: Any) -> Any:
-    """A field's type as pydantic reads it; None for what files do not write."""
+    """A field's type as pydantic reads it; None if files do not write it."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return kind if quantity_in(kind) is not None else in_files(parts[0])
@@ -186,18 +186,18 @@ def in_files(kind: Any) -> Any:
 
 
 def _is_array(kind: Any) -> bool:
-    """Whether a field holds an array, or a number in place of an even one; what may also be listed is no array."""
+    """Whether a field holds an array, or a number for a uniform one; a field that may be a list is not an array."""
     if get_origin(kind) in (Union, UnionType):
         parts = [part for part in get_args(kind) if part is not NoneType]
         return any(map(_is_array, parts)) and all(part is float or _is_array(part) for part in parts)
     origin = get_origin(kind) or kind
-    if hasattr(origin, "__value__"):  # what NDArray is from Python 3.12 and NumPy 2.5 on
+    if hasattr(origin, "__value__"):  # NDArray from Python 3.12 and NumPy 2.5 on
         return _is_array(origin.__value__)
     return origin is np.ndarray
 
 
 def _joined(kinds: list[Any]) -> Any:
-    """A type for any of some: nouns become one choice of all, for that tells what is expected."""
+    """A union of types: components become one choice of all, so that messages name what is expected."""
     nouns = [part for kind in kinds for part in getattr(kind, "__metadata__", ()) if isinstance(part, Nouns)]
     plain = [kind for kind in kinds if not any(isinstance(part, Nouns) for part in getattr(kind, "__metadata__", ()))]
     if nouns:
@@ -209,7 +209,7 @@ def _joined(kinds: list[Any]) -> Any:
 
 
 class OneOrMany:
-    """The type of a key that holds a value or a list of them; complaints are about what was written."""
+    """The type of a key that holds a value or a list of them; errors refer to what was written."""
 
     one: Any
     many: Any
@@ -239,15 +239,15 @@ class Kept:
         return {"type": "object", "properties": {ARRAY: {"type": "string"}}}
 
     def read(self, value: Any, info: Any) -> Any:
-        """An array, or a number; raises what pydantic collects."""
+        """An array, or a number; raises the errors that pydantic collects."""
         context = info.context or {}
         if value is None or not context.get("plain"):
             if isinstance(value, (np.ndarray, NoneType)):
                 return value  # the default of a field
-            raise ValueError("expected an array, which only Python makes and only job folders keep")
+            raise ValueError("expected an array, which is made in Python and kept in job folders")
         if isinstance(value, Mapping) and set(value) == {ARRAY}:
             if "arrays" not in context:
-                raise ValueError("expected the arrays beside it; open the job folder that keeps them")
+                raise ValueError("expected the arrays of its job folder; open that folder")
             return context["arrays"](value[ARRAY])
         if isinstance(value, (int, float)):
             return float(value)
@@ -261,7 +261,7 @@ def read(
     name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None,
     arrays: Callable[[str], np.ndarray] | None = None,
 ) -> Any:  # fmt: skip
-    """The noun of a family that a table describes, as `write` writes it or a file's author does. Raises `BadInput`."""
+    """The component of a family that a table describes, written by `write` or by a user. Raises `BadInput`."""
     context: dict[str, Any] = {} if units else dict(PLAIN)
     if device is not None:
         context["device"] = device
@@ -283,7 +283,7 @@ class _Info:
 
 
 def complaint(entry: Any, remedy: str = "add it") -> str:
-    """One of pydantic's errors, to follow the name of its key: what was got, what was expected, what to do."""
+    """Text of pydantic's error, to follow the name of its key: the value, what was expected, and the remedy."""
     if entry["type"] in ("missing", "too_long", "too_short") and isinstance(entry["input"], (list, tuple)):
         return f": got {_short(entry['input'])}; expected a list of {_length(entry)} values: correct the list"
     if entry["type"] == "missing":
@@ -299,7 +299,7 @@ def complaint(entry: Any, remedy: str = "add it") -> str:
 
 
 def _length(entry: Any) -> str:
-    """Expected length of a list, if the error tells."""
+    """Expected length of a list, if the error contains it."""
     if entry["type"] == "missing":
         return f"at least {entry['loc'][-1] + 1}"
     context = entry.get("ctx", {})
@@ -307,20 +307,20 @@ def _length(entry: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """A value as text that a person reads; the beginning of a long one."""
+    """A value as readable text; the beginning of a long one."""
     text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def nouns_in(annotation: Any, metadata: Iterable[Any] = ()) -> Nouns | None:
-    """The nouns that a key's table may be; None where it is a section."""
+    """The components that a key's table may be; None if it is a section."""
     own = next((part for part in metadata if isinstance(part, Nouns)), None)
     inner = (nouns_in(part, getattr(part, "__metadata__", ())) for part in get_args(annotation))
     return own or next((found for found in inner if found is not None), None)
 
 
 def model_in(annotation: Any, metadata: Iterable[Any] = (), table: Any = None) -> type[BaseModel] | None:
-    """The model of a key's table, be it a section or a noun; None where it has none."""
+    """The model of a key's table, a section or a component; None if it has none."""
     nouns = next((part for part in metadata if isinstance(part, Nouns)), None)
     if nouns is None and isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation

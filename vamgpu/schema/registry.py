@@ -1,4 +1,4 @@
-"""The names of nouns, by family. A new noun is one file and one line here, or `register` in a package of one's own."""
+"""The names of components, by family. A new one takes a file and a line here, or `register` in another package."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any
 from vamgpu.errors import BadInput
 
 NEAR = 0.7
-"""Likeness (of `difflib`) from which on a name is offered in place of an unknown one."""
+"""Least similarity (of `difflib`) of a name that is suggested for an unknown one."""
 GROUP = "vamgpu.nouns"
-"""Entry points of installed packages that name nouns: ``"vessel.toy" = "toys.vessels:Toy"``."""
+"""Entry points of installed packages that register components: ``"vessel.toy" = "toys.vessels:Toy"``."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Nouns of one interface."""
+    """Components of one interface."""
 
     nouns: dict[str, str] = field(default_factory=dict)  # kind → "module:Class"
     stands: str = ""  # "module:Type" of constructor arguments that accept any of them
@@ -175,16 +175,16 @@ FAMILIES: dict[str, Family] = {
 
 
 def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
-    """Name a noun, so that job files, manifests and the list of keys know it.
+    """Register a component for job files, manifests and the list of keys.
 
     Args:
-        family: Such as "vessel"; a new name begins a family, whose nouns stand for the type ``stands``.
-        kind: What files call it.
+        family: Name such as "vessel"; a new one creates a family, whose components implement ``stands``.
+        kind: Its name in files.
         path: "module:Class" of a class that `fields_of` can read.
-        stands: "module:Type" that constructors ask for where any noun of a new family will do.
+        stands: "module:Type" of constructor arguments that accept any component of a new family.
 
     Raises:
-        BadInput: The kind is that of another noun.
+        BadInput: Another component has this kind.
     """
     nouns = FAMILIES.setdefault(family, Family(stands=stands)).nouns
     if nouns.setdefault(kind, path) != path:
@@ -193,14 +193,14 @@ def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
 
 @cache
 def installed() -> None:
-    """Register what installed packages name; once."""
+    """Register the components of installed packages; once."""
     for entry in entry_points(group=GROUP):
         family, _, kind = entry.name.partition(".")
         register(family, kind, entry.value)
 
 
 def families() -> dict[str, Family]:
-    """All families, with what installed packages name."""
+    """All families, with those of installed packages."""
     installed()
     return FAMILIES
 
@@ -208,12 +208,12 @@ def families() -> dict[str, Family]:
 def family(name: str) -> Family:
     """A family by name; raises `BadInput`."""
     if name not in families():
-        raise BadInput(f"no family {name!r} of nouns; there are {', '.join(FAMILIES)}")
+        raise BadInput(f"no family {name!r} of components; there are {', '.join(FAMILIES)}")
     return FAMILIES[name]
 
 
 REPLACED = {("method", kind): 'the default, "ramp",' for kind in ("best", "widest", "window")}
-"""Kinds that are gone, and what replaces them."""
+"""Kinds that were removed → what replaces them."""
 
 
 def find(name: str, kind: str) -> type[Any]:
@@ -225,13 +225,13 @@ def find(name: str, kind: str) -> type[Any]:
 
 
 def remedy(name: str, kind: str, known: Iterable[str]) -> str:
-    """What replaces a kind that is gone, or what an unknown one was meant to be, to end a complaint."""
+    """End of an error message: what replaces a removed kind, or which name an unknown one resembles."""
     instead = REPLACED.get((name, _plain(kind)))
     return f": {instead} replaces it" if instead else nearest(kind, known)
 
 
 def as_known(name: str, known: Iterable[str]) -> str:
-    """The known name that another is but for case, hyphens, underscores and spaces; else the name itself."""
+    """The known name that differs only in case, hyphens, underscores or spaces; else the name itself."""
     return next((each for each in known if _plain(each) == _plain(name)), name)
 
 
@@ -246,7 +246,7 @@ def nearest(name: Any, known: Iterable[str]) -> str:
 
 
 def nearest_of(name: Any, known: Iterable[str]) -> str | None:
-    """The known name that another one is nearly; None where none is near enough to be what was meant."""
+    """The known name that is similar to another one; None if none is similar enough."""
     lowered = {each.lower(): each for each in known}
     return next((lowered[near] for near in get_close_matches(str(name).lower(), list(lowered), n=1, cutoff=NEAR)), None)
 
@@ -258,7 +258,7 @@ def load(path: str) -> Any:
 
 
 def name_of(cls: type[Any]) -> tuple[str, str] | None:
-    """Family and kind of a class; None for one that has no name."""
+    """Family and kind of a class; None if it is not registered."""
     for name, members in families().items():
         for kind, path in members.nouns.items():
             if path.endswith(f":{cls.__name__}") and load(path) is cls:
@@ -267,7 +267,7 @@ def name_of(cls: type[Any]) -> tuple[str, str] | None:
 
 
 def families_of(cls: type[Any]) -> tuple[tuple[str, str | None], ...]:
-    """(family, kind) of the nouns that a constructor takes which asks for ``cls``; kind is None for a whole family."""
+    """(family, kind) of the components that an argument of type ``cls`` accepts; kind is None for a whole family."""
     for name, members in families().items():
         if members.stands.endswith(f":{cls.__name__}") and load(members.stands) is cls:
             return ((name, None),)

@@ -16,7 +16,7 @@ class Section(BaseModel):
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
-    """Old key → the key it is called now, for one release."""
+    """Old key → new key, for one release."""
 
     @model_validator(mode="before")
     @classmethod
@@ -24,14 +24,14 @@ class Section(BaseModel):
         for old in cls.renamed.keys() & table.keys() if isinstance(table, dict) else ():
             new = cls.renamed[old]
             if new in table:
-                continue  # the old key is complained of as unknown
+                continue  # the old key is reported as unknown
             warn_renamed(f"the key {old}", new, category=FutureWarning)
             table = {new if key == old else key: value for key, value in table.items()}
         return table
 
 
 class Misplaced(ValueError):
-    """An error between tables of a file; ``key`` is where to correct it."""
+    """An error between tables of a file; ``key`` is the key to correct."""
 
     def __init__(self, message: str, *key: str) -> None:
         super().__init__(message)
@@ -42,17 +42,17 @@ def _is_there(value: Any, info: ValidationInfo) -> Any:
     context = info.context or {}
     if context.get("files") and isinstance(value, str):
         path = Path(context["folder"]) / value
-        if not isfile(path):  # which no name, however odd, breaks
+        if not isfile(path):  # works for any name
             raise ValueError(f"there is no file {str(path)!r}; expected a path relative to the job file: correct it")
     return value
 
 
 Named: AfterValidator = AfterValidator(_is_there)
-"""The type of a key that may name a file: complains where the file is not there, if it is to be read."""
+"""The type of a key that may name a file: an error if the file is missing and must be read."""
 
 
 def tupled(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
+    """Lists as tuples, at all levels."""
     return tuple(tupled(entry) for entry in value) if isinstance(value, list) else value
 
 

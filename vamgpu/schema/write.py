@@ -1,4 +1,4 @@
-"""A noun as plain values that read back to an equal noun."""
+"""A component as plain values that read back to an equal component."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from vamgpu.schema.noun import fields_of, given, quantity_in
 from vamgpu.schema.registry import family, name_of
 
 LONGEST = 100_000
-"""Numbers that a list in a manifest may hold; more belong into a file."""
+"""Greatest number of values in a list of a manifest; more belong in a file."""
 ARRAY = "array"
-"""The key that names an array kept beside a description."""
+"""The key that names an array stored beside a description."""
 
 
 def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
-    """The kind and the fields of a noun, with those of the nouns it is made of.
+    """The kind and the fields of a component, with those of its components.
 
     Args:
-        noun: One whose class the registry knows.
+        noun: A component whose class is registered.
         units: Write text with units, as job files have it, in place of numbers in mm, s, mJ and rad.
-        arrays: Where arrays [...] are put, under names that the description has in their place; None refuses them.
+        arrays: Receives the arrays [...], under names that replace them in the description; None rejects arrays.
 
     Returns:
         The table.
 
     Raises:
-        BadInput: What nothing but Python can describe: a function, an array that is kept nowhere, an unknown class.
+        BadInput: Only Python can describe it: a function, an array that is not stored, an unknown class.
     """
     name = name_of(type(noun))
     if name is None:
         cls = f"{type(noun).__module__}.{type(noun).__qualname__}"
-        raise BadInput(f"nothing describes {_said(noun)}: {cls} is no registered noun; name it with "
+        raise BadInput(f"nothing describes {_said(noun)}: {cls} is not a registered component; use "
                        "vamgpu.schema.register")  # fmt: skip
     values = given(noun)
     table: dict[str, Any] = {} if family(name[0]).default == name[1] else {"kind": name[1]}
@@ -45,7 +45,7 @@ def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | Non
         if isinstance(value, (int, float)) and not isfinite(value) and value == field.default:
             continue
         if units and value is None:
-            continue  # TOML has no word for it
+            continue  # TOML has no null
         table[field.name] = _plain(value, field.kind, f"{type(noun).__name__} {field.name}", units, arrays)
     return table
 
@@ -55,7 +55,7 @@ def _plain(value: Any, kind: Any, name: str, units: bool, arrays: dict[str, np.n
         return value
     if isinstance(value, (int, float, np.integer, np.floating)):
         if not isfinite(value):
-            raise BadInput(f"{name} is {value!r}; a description holds finite numbers only")
+            raise BadInput(f"{name} is {value!r}; a description holds only finite numbers")
         number = int(value) if isinstance(value, (int, np.integer)) else float(value)
         quantity = quantity_in(kind) if units else None
         return number if quantity is None else quantity.spell(number)
@@ -67,12 +67,12 @@ def _plain(value: Any, kind: Any, name: str, units: bool, arrays: dict[str, np.n
         inner = zip(value, _elements(kind, len(value)), strict=True)
         return [_plain(item, part, f"{name}[{k}]", units, arrays) for k, (item, part) in enumerate(inner)]
     if callable(value) and name_of(type(value)) is None or isinstance(value, np.ndarray):
-        raise BadInput(f"{name} is {_said(value)}, which only this process knows; give numbers, or keep it in a file")
+        raise BadInput(f"{name} is {_said(value)}, which no file can hold; give numbers, or store it in a file")
     return write(value, units=units, arrays=arrays)
 
 
 def _kept(value: np.ndarray, name: str, arrays: dict[str, np.ndarray]) -> str:
-    """The name under which an array is put among others; the same one twice has one name."""
+    """The name under which an array is stored; the same array has one name."""
     known = next((key for key, other in arrays.items() if other is value), None)
     if known is None:
         known = next(key for k in count(1) if (key := f"{name}_{k}") not in arrays)
@@ -81,7 +81,7 @@ def _kept(value: np.ndarray, name: str, arrays: dict[str, np.ndarray]) -> str:
 
 
 def _elements(kind: Any, count: int) -> list[Any]:
-    """The types of a list's parts, as far as a field's type says."""
+    """The types of a list's parts, as far as a field's type states them."""
     for part in (kind, *get_args(kind)):
         parts = get_args(part)
         if get_origin(part) is Sequence or (get_origin(part) is tuple and parts[-1] is Ellipsis):

@@ -1,6 +1,6 @@
 """Play a fixed pattern on a controller board and compare its recorded timing with the emulated controller's.
 
-Usage: ``python bench.py PORT --capture FILE.csv`` or ``python bench.py --emulated``; README.md says how to wire it.
+Usage: ``python bench.py PORT --capture FILE.csv`` or ``python bench.py --emulated``; README.md explains the wiring.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ LIMITS = {
     "light on-time": (50e-6, 100e-6),
     "lens command to trigger": (300e-6, 600e-6),
 }
-"""How far the mean may be from the emulator's, and the greatest from the least [s]; a lens byte takes 260 us to begin
-with, and the port may send it a byte late."""
-QUIET = 5e-3  # between two frames on the lens's line at least [s]
-NUMBER = 1  # of the play
+"""Allowed difference of the mean from the emulator's, and of the greatest from the least [s]; a lens byte alone takes
+260 us, and the port may send it a byte late."""
+QUIET = 5e-3  # least time between two frames on the lens's line [s]
+NUMBER = 1  # start number of the play
 
 
 @dataclass
 class Edges:
-    """Recorded times [s]: rises of triggers, light from and to, begins of the lens's frames."""
+    """Recorded times [s]: rises of triggers, begin and end of light, begins of the lens's frames."""
 
     triggers: list[float] = field(default_factory=list)
     lights: list[tuple[float, float]] = field(default_factory=list)
@@ -49,7 +49,7 @@ class Edges:
 
 
 def play(controller: Controller, clock: Clock) -> None:
-    """Forty slots with lens, trigger and light, then steady light that the lease ends. Raises `BadInput`."""
+    """Play forty slots with lens, trigger and light, then steady light that the lease ends. Raises `BadInput`."""
     rows = (ControllerRow(i, PERIOD_US * (i + 1), 100 * (i % 2), DELAY_US, ON_US) for i in range(ROWS))
     controller.mode("time")
     controller.load(rows)
@@ -113,7 +113,7 @@ LINES = ("trigger", "photodiode", "lens line")
 
 
 def _edges(times: np.ndarray, level: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """When a signal rises and falls."""
+    """Times at which a signal rises and falls."""
     if level.min() == level.max():
         raise BadInput(f"the {name} does not change in the recording; check its clip and its column")
     change = np.diff((level > (level.min() + level.max()) / 2).astype(int))
@@ -121,7 +121,7 @@ def _edges(times: np.ndarray, level: np.ndarray, name: str) -> tuple[np.ndarray,
 
 
 def measures(edges: Edges) -> dict[str, list[float]]:
-    """Intervals to compare [s]. Raises `BadInput` for a recording that misses some of them."""
+    """Intervals to compare [s]. Raises `BadInput` if the recording lacks some."""
     found = (len(edges.triggers), len(edges.lights), len(edges.lens))
     if found != (ROWS, ROWS + 1, ROWS):
         raise BadInput(
@@ -140,7 +140,7 @@ def measures(edges: Edges) -> dict[str, list[float]]:
 
 
 def compared(board: Edges, model: Edges) -> list[dict[str, Any]]:
-    """The table: mean and spread of both [s], and whether the board is as the emulator, row by row."""
+    """The table: mean and spread of both [s], and whether the board agrees with the emulator, row by row."""
     rows = []
     theirs = measures(model)
     for name, values in measures(board).items():
@@ -156,13 +156,13 @@ def compared(board: Edges, model: Edges) -> list[dict[str, Any]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Read the command line; 1 where the board is not as the emulator, 2 where it was not measured."""
+    """Read the command line; returns 1 if the board differs from the emulator, 2 if it was not measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("port", nargs="?", help="of the controller, such as /dev/ttyACM0")
+    parser.add_argument("port", nargs="?", help="serial port of the controller, such as /dev/ttyACM0")
     parser.add_argument("--emulated", action="store_true", help="compare the emulator with itself")
     parser.add_argument("--capture", type=Path, help="CSV of the recording, written while the pattern plays")
-    parser.add_argument("--columns", type=int, nargs=3, default=(1, 2, 3), help="of trigger, photodiode, lens line")
-    parser.add_argument("--json", type=Path, default=Path("bench.json"), help="takes the table")
+    parser.add_argument("--columns", type=int, nargs=3, default=(1, 2, 3), help="trigger, photodiode, lens line")
+    parser.add_argument("--json", type=Path, default=Path("bench.json"), help="file for the table")
     given = parser.parse_args(arguments)
     if given.emulated == (given.port is not None) or (given.port and given.capture is None):
         parser.error("give --emulated, or a port and --capture")
@@ -180,8 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measured(given: argparse.Namespace) -> Edges:
-    """Edges of the board; a person starts and saves the recording."""
-    with Controller.open(given.port) as controller:  # first: a wrong port costs no recording
+    """Edges of the board; the user starts and saves the recording."""
+    with Controller.open(given.port) as controller:  # open it first, so that a wrong port does not waste a recording
         input("Start the recording, then press Enter.")
         play(controller, RealClock())
     input(f"Save the recording as {given.capture}, then press Enter.")

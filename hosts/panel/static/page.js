@@ -1,6 +1,6 @@
 "use strict";
 const PATIENCE = 2000; // longest wait for an answer [ms]
-const SILENT = 1.0; // age of the last look at the machines from which a print that has light is silent [s]
+const SILENT = 1.0; // age of the last poll of the machines from which a print with light counts as silent [s]
 const SHAPES = {
   standby: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0z",
   starting: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0zm-2 2l5 4-5 4z",
@@ -51,8 +51,8 @@ function rows(now) {
     dose: [`${fixed(100 * now.spent, 1)} % of the plan`, ""],
     frame: [now.frame < 0 ? "none yet" : `${now.frame} (slot ${now.slot + 1}${now.slots ? ` of ${now.slots}` : ""})`, ""],
     position: [`${fixed(now.position, 3)} ${now.unit}`, ""],
-    interlock: now.light ? ["closed", ""] : now.ended ? ["not asked any more", ""]
-      : now.interlock_closed === null ? [now.state === "standby" ? "not asked yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
+    interlock: now.light ? ["closed", ""] : now.ended ? ["no longer read", ""]
+      : now.interlock_closed === null ? [now.state === "standby" ? "not read yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
     lease: !now.light || age === null ? ["light is off", ""]
       : age > now.lease ? [`not renewed for ${ms(age)}: the controller has closed the light`, "warn"]
       : [`light closes ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
@@ -82,12 +82,12 @@ function show(now) {
   const missing = none ? "" : `${now.frame < 0 ? now.slots : left} of ${now.slots} slots were not shown. `;
   const black = now.dark ? `${now.dark} frames were shown black. ` : "";
   const waits = now.waits !== null && state !== "starting", open = now.interlock_closed === false;
-  const todo = state === "starting" ? "Frames are loaded and the motion runs up; the light comes by itself. "
+  const todo = state === "starting" ? "Frames are loaded and the motion runs up; then the light turns on. "
     : !waits || !(now.waits > 0) ? "" : open ? "Close the enclosure, then press resume. "
-    : state === "held" ? "When the cause is gone, press resume. " : "Press resume to go on. ";
+    : state === "held" ? "Fix the cause, then press resume. " : "Press resume to continue. ";
   explain((now.message && !now.resuming ? `${now.message}. ` : "") + todo + (now.ended ? missing + black : ""), now);
   at("waits").hidden = !waits;
-  at("waits").textContent = !waits ? "" : now.waits > 0 ? `can go on for ${time(now.waits)}` : "can go on no longer: begin anew with fresh resin";
+  at("waits").textContent = !waits ? "" : now.waits > 0 ? `can continue for ${time(now.waits)}` : "can no longer continue: start again with fresh resin";
   at("bar").style.width = now.slots ? `${(100 * (now.frame < 0 ? 0 : now.slot + 1)) / now.slots}%` : "0";
   const told = rows(now);
   if (Object.keys(values).join() !== Object.keys(told).join()) { // their order stays the same
@@ -229,7 +229,7 @@ function connection() {
   at("state").textContent = "connection lost";
   document.title = "connection lost";
   const closes = last && last.lease ? ` The controller closes the light ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
-  at("lost").textContent = heard ? `Nothing heard for ${time(Math.max(1, age))}; what stands below is old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "Nothing heard yet.";
+  at("lost").textContent = heard ? `No answer for ${time(Math.max(1, age))}; the values below are old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "No answer yet.";
   at("lost").hidden = false;
   for (const button of Object.values(buttons)) { button.disabled = true; button.title = "connection lost"; }
 }

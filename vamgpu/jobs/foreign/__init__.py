@@ -1,1 +1,1 @@
-"""Patterns of other programs: read with what their files say of the print, and written as jobs that are proven."""
+"""Patterns of other programs: read with the print data in their files, and written as jobs that can be proved."""

@@ -1,8 +1,8 @@
 """Dr.TVAM (EPFL): a configuration in JSON, meshes beside it, patterns as an NPZ file or EXR images.
 
-Its frames lie as ours do: row 0 is the largest z, column 0 the smallest r, and pattern k of n is shown where the
-projector stands at the angle 2πk/n, counterclockwise unless the configuration says clockwise. Lengths have no unit
-there; they are taken for millimeters.
+Its frames have our orientation: row 0 is the largest z, column 0 the smallest r. Pattern k of n is shown with the
+projector at the angle 2πk/n, counterclockwise unless the configuration sets clockwise. Its lengths have no unit and are
+read as millimeters.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import Target
 
 PATTERNS = ("patterns.npz", "patterns", "patterns_normalized_uint8.npz")
-"""Where its patterns are, beside the configuration or in its output folder, the best first."""
+"""Files of its patterns, beside the configuration or in its output folder, the best first."""
 ORIGIN = (0.0, 0.0, 0.0)
 """Point of the part's frame that lies on the axis."""
 
@@ -60,13 +60,13 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
     tables = setup.tables(angles, (columns, rows))
     tables["target"] = {"mesh": str(setup.part.mesh.resolve()), "factor": 1.0, **tables["target"]}
     found = np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1))
-    if setup.clockwise:  # the same light in the order in which our turntable turns
+    if setup.clockwise:  # the same patterns in the order of our turntable
         found = np.roll(found[::-1], 1, axis=0)
     return ForeignPatterns("Dr.TVAM", found, Turntable(angles, lit_share=0), tables, setup.part, notes=setup.notes)
 
 
 def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
-    """Task of a configuration, to be solved here. Raises `StorageError`, `BadInput`, `MeshError`."""
+    """Job of a configuration, to be solved by `vam solve`. Raises `StorageError`, `BadInput`, `MeshError`."""
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]
@@ -80,7 +80,7 @@ def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
 
 @contextmanager
 def _explaining(path: Path) -> Iterator[None]:
-    """Say of a configuration that cannot be read what was expected."""
+    """For a configuration that cannot be read, report what was expected."""
     try:
         yield
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -97,7 +97,7 @@ def _explaining(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class _SetUp:
-    """All that a configuration says but its patterns."""
+    """All of a configuration but its patterns."""
 
     pitch: float
     voxel: float
@@ -107,7 +107,7 @@ class _SetUp:
     notes: tuple[str, ...]
 
     def tables(self, angles: int, pixels: tuple[int, int]) -> dict[str, Any]:
-        """Tables of a job file, for patterns of that size."""
+        """Tables of a job file for patterns of that size."""
         return {
             "target": {"pitch": _mm(self.voxel)},
             "beam": {"pitch": _mm(self.pitch), "pixels": list(pixels), "spread": "0 mm"},
@@ -134,13 +134,13 @@ def _set_up(path: Path, said: Any) -> _SetUp:
 
 
 class _Part:
-    """The part where Dr.TVAM puts it: its bounding box, not its circle, is centered, and scaled by its longest edge."""
+    """The part where Dr.TVAM places it: its bounding box, not its circle, is centered; its longest edge scales it."""
 
     def __init__(self, mesh: Path, said: Mapping[str, Any], box: tuple[float, ...]) -> None:
         self.mesh, self.said, self.box = mesh, said, box
 
     def placed(self) -> Solid:
-        """The part, centered on nothing but what the configuration says. Raises `MeshError`."""
+        """The part, centered only if the configuration says so. Raises `MeshError`."""
         solid = load_mesh(self.mesh, center=False)
         if not self.said.get("scale_and_center", True):
             return solid
@@ -150,7 +150,7 @@ class _Part:
         return solid.translated(-0.5 * (low + high)).scaled(size).translated(middle)
 
     def __call__(self, file: JobFile, device: Device) -> Target:
-        """On voxels that hold the part, as a job of it has them, and the sensor, which says what resin was judged."""
+        """The voxels of a job for the part, and the sensor, which covers the judged resin."""
         pitch, margin, solid = pitch_of(file), file.target.margin, self.placed()
         scene = Scene([Body(solid)], factor=file.target.factor or 1.0, origin=ORIGIN)
         needed = scene.grid(pitch, margin=margin).shape
@@ -160,7 +160,7 @@ class _Part:
 
 
 def write_drtvam(light: np.ndarray, path: Path) -> None:
-    """Write light [angle, r, z] as Dr.TVAM's ``patterns.npz``: float32 [pattern, row, column]."""
+    """Write patterns [angle, r, z] as Dr.TVAM's ``patterns.npz``: float32 [pattern, row, column]."""
     patterns = np.ascontiguousarray(light.transpose(0, 2, 1)[:, ::-1], np.float32)
     with open(path, "wb") as file:
         np.savez_compressed(file, patterns=patterns)
@@ -192,11 +192,9 @@ def export_drtvam(frames: Frames, path: str | Path) -> Path:
 
 
 def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
-    """A set-up in Dr.TVAM's words. Raises `BadInput` for one that it has none for."""
+    """A set-up as a configuration of Dr.TVAM. Raises `BadInput` if Dr.TVAM does not support it."""
     if A.motion.theta is not None or A.motion.dwell is not None:
-        raise BadInput(
-            f"got {A.motion} angles; expected even ones over a full turn, lit as long: Dr.TVAM has no others"
-        )
+        raise BadInput(f"got {A.motion} angles; expected equal steps and times over a full turn: Dr.TVAM has no others")
     vessel = A.vessel
     medium: dict[str, Any] = {"albedo": 0.0, "extinction": float(getattr(vessel, "absorption", 0.0))}
     if isinstance(vessel, Vial):
@@ -207,8 +205,8 @@ def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
         medium["ior"] = getattr(vessel, "resin_index", 1.0)
         vial = {"type": "index_matched", "r": getattr(vessel, "radius", None) or 2.0 * A.grid.inscribed_radius}
     else:
-        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel: Dr.TVAM has no other that "
-                       "is round")  # fmt: skip
+        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel: Dr.TVAM has no other "
+                       "round vessel")  # fmt: skip
     (columns, rows), pitch = A.beam.pixels, A.beam.pitch
     film = {"type": "vfilm"} | {f"res{axis}": n for axis, n in zip("xyz", A.grid.shape, strict=True)}
     scales = {f"scale{axis}": n * A.grid.pitch for axis, n in zip("xyz", A.grid.shape, strict=True)}
@@ -225,10 +223,10 @@ def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
 
 def _table(said: Any, name: str) -> dict[str, Any]:
     if not isinstance(said, dict):
-        raise TypeError(f"its outermost braces: it is a {type(said).__name__}, no table")
+        raise TypeError(f"its outermost braces: it is a {type(said).__name__}, not a table")
     table = said[name]
     if not isinstance(table, dict):
-        raise TypeError(f"{name}, which is no table")
+        raise TypeError(f"{name}, which is not a table")
     return table
 
 
@@ -254,30 +252,29 @@ def _mm(value: float) -> str:
 
 
 def _projector(said: Mapping[str, Any]) -> list[str]:
-    """Parts of a projector that are ignored. Raises `BadInput` for one whose light is not parallel."""
+    """Ignored parts of a projector. Raises `BadInput` if its light is not parallel."""
     kind, motion = said.get("type"), said.get("motion", "circular")
     if kind not in ("collimated", "telecentric") or motion != "circular" or said.get("tilt"):
         raise BadInput(
-            f"its projector is {kind!r} with motion {motion!r}; expected a collimated or telecentric one that goes "
-            "round in a circle without a tilt: import its patterns as a folder of EXR images with a job of your own"
+            f"its projector is {kind!r} with motion {motion!r}; expected a collimated or telecentric one on a "
+            "circle without a tilt: import its patterns as a folder of EXR images with your own job"
         )
     if kind == "telecentric":
-        return ["its aperture is left out: light is taken for parallel; add [defocus] to the job"]
+        return ["its aperture is left out: the light counts as parallel; add [defocus] to the job"]
     return []
 
 
 def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The table of a vessel, and what is left out of it. Raises `BadInput` for what this library has no model of."""
+    """The table of a vessel, and what is left out of it. Raises `BadInput` if this library has no model of it."""
     medium, kind, notes = _table(said, "medium"), said.get("type"), []
     albedo, extinction = _number(medium, "albedo", 0.0, zero=True), _number(medium, "extinction", zero=True)
     if albedo > 1.0:
         raise ValueError(f"albedo, which is {albedo:g}; expected a share from 0 to 1")
     if albedo > 0.0:
         notes.append(f"its resin scatters (albedo {albedo:g}), which is left out: {1 - albedo:.3g} of its extinction "
-                     "is taken for absorption")  # fmt: skip
+                     "counts as absorption")  # fmt: skip
     if said.get("occlusions"):
-        raise BadInput("its vial has occlusions, which are not imported; expected none: state them as inserts of a job "
-                       "of your own")  # fmt: skip
+        raise BadInput("its vial has occlusions, which are not imported; expected none: use inserts in a job file")
     around = _number(said, "ior_surrounding", 1.0, least=1.0, zero=True)
     resin = _number(medium, "ior", least=1.0, zero=True)
     absorption = f"{extinction * (1.0 - albedo)!r} 1/mm"
@@ -293,7 +290,7 @@ def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         }, notes  # fmt: skip
     raise BadInput(
         f"its vial is {kind!r}; expected index_matched or cylindrical: import its patterns as a folder of EXR images "
-        "with a job of your own, whose [vessel] says what they went through"
+        "with your own job, whose [vessel] describes the vial"
     )
 
 
@@ -304,7 +301,7 @@ def _beside(path: Path, said: Mapping[str, Any]) -> Path:
     found = next((each for each in tried if each.exists()), None)
     if found is None:
         raise StorageError(f"no patterns beside {str(path)!r}: looked for {', '.join(PATTERNS)}; name them with "
-                           "--patterns, or let `vam solve` find light: --out job.toml")  # fmt: skip
+                           "--patterns, or let `vam solve` optimize patterns: --out job.toml")  # fmt: skip
     return found
 
 

@@ -1,4 +1,4 @@
-"""Patterns of other programs made into jobs that are proven, printed and solved on."""
+"""Patterns of other programs made into jobs, to prove, print or optimize further."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def import_patterns(
     overwrite: bool = False,
     progress: StageProgress = quiet,
 ) -> Imported:
-    """Make a job of another program's patterns, whose folder ``vam prove`` judges by this library's proof."""
+    """Convert another program's patterns to a job folder, which ``vam prove`` can prove."""
     place, origin = Path(path), Path(source)
     check_place(place, overwrite=overwrite)
     progress("patterns", 0.0)
@@ -63,15 +63,15 @@ def import_patterns(
     folder = Path(job).parent if job is not None else origin.parent
     own: dict[str, Any] = {}
     if job is not None:
-        read_text(job)  # raises what a missing job file raises
+        read_text(job)  # raises as for a missing job file
         own = load_toml(job, "the job file", missing=JobError, wrong=JobError)
     try:
         checked = Job.of(_merged(found.tables, own), settings, folder=folder, name=origin.stem)
     except JobError as error:
         if job is not None:
             raise
-        raise JobError(f"{str(source)!r} does not say all that a job says; give a job file beside it, with part and "
-                       f"pixels: --job job.toml\n{error}") from error  # fmt: skip
+        raise JobError(f"{str(source)!r} lacks keys of a job; add a job file with part and pixels: --job job.toml"
+                       f"\n{error}") from error  # fmt: skip
     there = open_device(device or checked.file.solve.device)
     motion = _motion(checked.file, found, own, folder, source)
     file = _with_pixels(checked.file, found, source)
@@ -83,7 +83,7 @@ def import_patterns(
     if not most > 0.0:
         raise BadInput(f"every pattern of {str(source)!r} is dark; expected some light")
     packing: dict[str, Any] = packing_of(file.frames, folder) | {"scale": most if found.full is None else found.full}
-    packing["dither"] = packing["dither"] or "round"  # as the other program shows it
+    packing["dither"] = packing["dither"] or "round"  # as the other program rounds
     frames = pack(Solved(there.upload(found.light), A, part), **packing)
     progress("folder", 0.0)
     inputs = {
@@ -95,7 +95,7 @@ def import_patterns(
 
 
 def _with_pixels(file: JobFile, found: ForeignPatterns, source: str | Path) -> JobFile:
-    """A job with the pixels of patterns. Raises `BadInput` where the job says others."""
+    """A job with the pixels of patterns. Raises `BadInput` if the job has others."""
     _, columns, rows = found.light.shape
     if file.beam.pixels not in (None, (columns, rows)):
         raise BadInput(f"{str(source)!r} has patterns of {columns} × {rows} pixels, the job's beam {file.beam.pixels}; "
@@ -109,7 +109,7 @@ def _motion(file: JobFile, found: ForeignPatterns, own: dict[str, Any], folder: 
     motion = motion_of(file.turntable.model_copy(update={"angles": file.turntable.angles or count}), folder)
     if motion.angles != count:
         raise BadInput(f"{str(source)!r} has patterns for {count} angles, the job {motion.angles}; expected as many: "
-                       "leave [turntable] out, or name the angles of each")  # fmt: skip
+                       "leave out [turntable], or set the angle of each pattern")  # fmt: skip
     if found.motion is None or "range" in own.get("turntable", {}) or isinstance(file.turntable.angles, str):
         return motion
     if "lit_share" not in own.get("turntable", {}):
@@ -118,11 +118,11 @@ def _motion(file: JobFile, found: ForeignPatterns, own: dict[str, Any], folder: 
 
 
 def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Make a job file of what another program was to solve, for ``vam solve``; the part is written beside it."""
+    """Write a job file for ``vam solve`` from another program's configuration, with the part beside it."""
     origin, place = Path(source), Path(path)
     if origin.suffix.lower() != ".json":
-        raise BadInput(f"a job file is made of a configuration of Dr.TVAM in JSON, and {str(source)!r} is none; import "
-                       "patterns into a folder: --out job.vam")  # fmt: skip
+        raise BadInput(f"a job file is made from a configuration of Dr.TVAM in JSON, and {str(source)!r} is not one; "
+                       "import patterns into a folder: --out job.vam")  # fmt: skip
     mesh = place.with_name(f"{place.stem}-part.ply")
     for taken in (place, mesh):
         if os.path.lexists(taken) and not overwrite:
@@ -141,12 +141,10 @@ def found_in(
     """Patterns in a file or folder of another program; arguments and errors as for `import_patterns`."""
     ending = source.suffix.lower()
     if target is not None and ending not in ENDINGS:
-        raise BadInput(
-            f"voxels are taken beside a sinogram of VAMToolbox, and {str(source)!r} is none; leave --target out"
-        )
+        raise BadInput(f"--target is for a sinogram of VAMToolbox, and {str(source)!r} is not one; leave it out")
     if patterns is not None and ending != ".json":
-        raise BadInput(f"patterns are named beside a configuration of Dr.TVAM, and {str(source)!r} is none; import "
-                       "them themselves, with a job")  # fmt: skip
+        raise BadInput(f"--patterns is for a configuration of Dr.TVAM, and {str(source)!r} is not one; import "
+                       "the patterns themselves, with a job")  # fmt: skip
     if source.is_dir() or ending in FORMATS:
         return read_pictures(source, layout)
     if ending == ".json":
@@ -160,7 +158,7 @@ def found_in(
 
 
 def _merged(found: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Tables of a source under those of a job, whose part and whose vessel take the place of the source's."""
+    """Tables of a source merged with those of a job, whose part and vessel replace those of the source."""
     kept = {name: table for name, table in found.items() if name not in VESSELS or not set(own) & set(VESSELS)}
     part = own.get("target")
     if isinstance(part, dict) and "target" in kept:

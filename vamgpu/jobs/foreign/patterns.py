@@ -13,20 +13,20 @@ from vamgpu.geometry import Turntable
 from vamgpu.jobs.model import JobFile
 from vamgpu.targets.target import Target
 
-STEPPED = "its container stands still while a pattern is shown (turntable.lit_share = 0)"
-"""A note on programs that know no other motion."""
+STEPPED = "its container is at rest while a pattern is shown (turntable.lit_share = 0)"
+"""A note for programs with no other motion."""
 
 Voxelize = Callable[[JobFile, Device], Target]
 
 
 @dataclass(frozen=True, eq=False)
 class ForeignPatterns:
-    """Patterns of another program; a job supplies what is None."""
+    """Patterns of another program; a job supplies fields that are None."""
 
     program: str
     light: np.ndarray  # [angle, r, z] ≥ 0, in any unit
     motion: Turntable | None = None
     tables: dict[str, Any] = field(default_factory=dict)  # of a job file
     target: Voxelize | None = None
-    full: float | None = None  # light of a full-on pixel; None takes the brightest
+    full: float | None = None  # irradiance of a full-on pixel; None takes the brightest
     notes: tuple[str, ...] = ()  # what was left out or assumed

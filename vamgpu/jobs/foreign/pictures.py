@@ -1,4 +1,4 @@
-"""Folders of images and films: what this library exports, what OpenCAL plays, and anything like them."""
+"""Folders of images, and videos: those that this library exports or OpenCAL plays, and similar ones."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class Layout:
     """Orientation of images without a description; None takes the middle, every image, and linear gray levels."""
 
     flip_r: bool = False  # column 0 is the largest r
-    flip_z: bool = False  # row 0 is the smallest z, as in films of VAMToolbox
-    reverse: bool = False  # in the order of falling angles
+    flip_z: bool = False  # row 0 is the smallest z, as in videos of VAMToolbox
+    reverse: bool = False  # in order of decreasing angle
     axis: float | None = None  # column of the axis, from 0
     level: float | None = None  # row of the part's middle, from 0
-    angles: int | None = None  # images of a turn
+    angles: int | None = None  # images per turn
     gray: GrayCurve | None = None
 
 
 def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
-    """Light of a folder of images, or of a film. Raises `StorageError`, `BadInput`."""
+    """Patterns from a folder of images, or from a video. Raises `StorageError`, `BadInput`."""
     if path.is_dir():
         levels, remark = images_of(path)
     else:
@@ -50,7 +50,7 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
         return _ours(levels, remark, path)
     turn = levels.shape[0] if layout.angles is None else layout.angles
     if not 0 < turn <= levels.shape[0]:
-        raise BadInput(f"{str(path)!r} has {levels.shape[0]} pictures; expected at least the {turn} of a turn")
+        raise BadInput(f"{str(path)!r} has {levels.shape[0]} images; expected at least the {turn} of a turn")
     light = _light(levels[:turn], layout.gray)
     light = light[:, ::-1] if not layout.flip_z else light  # now row 0 is the smallest z
     light = light[:, :, ::-1] if layout.flip_r else light
@@ -102,7 +102,7 @@ def _by_number(file: Path) -> list[tuple[int, str]]:
 
 
 def _light(levels: np.ndarray, gray: GrayCurve | None) -> np.ndarray:
-    """Light of gray levels, of a full-on pixel 1; that of images of floats as it is."""
+    """Light of gray levels, 1 for a full-on pixel; images of floats stay as they are."""
     top = TOP.get(levels.dtype.name)
     if top is None:
         if levels.dtype.kind != "f" or not np.isfinite(levels).all():
@@ -113,33 +113,33 @@ def _light(levels: np.ndarray, gray: GrayCurve | None) -> np.ndarray:
 
 
 def _around(lit: np.ndarray, middle: float, path: Path) -> slice:
-    """The fewest pixels, as many on both sides of a middle, that hold all that is lit. Raises `BadInput`."""
+    """The smallest range of pixels, symmetric about a middle, that holds all lit pixels. Raises `BadInput`."""
     places = np.flatnonzero(lit)
     if not places.size:
-        raise BadInput(f"every picture of {str(path)!r} is black; expected some light")
+        raise BadInput(f"every image of {str(path)!r} is black; expected some light")
     if 2.0 * middle != round(2.0 * middle) or not 0 <= middle <= lit.size - 1:
-        raise BadInput(f"the axis is at pixel {middle:g} of {lit.size}; expected a whole or a half one: measure again")
+        raise BadInput(f"the axis is at pixel {middle:g} of {lit.size}; expected a whole or half pixel: measure again")
     reach, room = max(middle - places[0], places[-1] - middle), min(middle, lit.size - 1 - middle)
     if reach > room:
         raise BadInput(
-            f"light reaches from pixel {places[0]} to {places[-1]} of {lit.size}, about an axis at {middle:g} which "
-            "has no room for it on one side; expected pictures with the axis nearer to their middle"
+            f"light reaches from pixel {places[0]} to {places[-1]} of {lit.size}, about an axis at {middle:g} with "
+            "too few pixels on one side; expected images with the axis nearer to their middle"
         )
     return slice(round(middle - reach), round(middle + reach) + 1)
 
 
 def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
-    """Light of what this library exported, which says how it lies. Raises `StorageError`, `BadInput`."""
+    """Light of this library's exports, which state their orientation. Raises `StorageError`, `BadInput`."""
     try:
         said = parse_json(remark)
         if "canvas" in said:
-            raise BadInput(f"{str(path)!r} was exported onto a canvas; expected frames as they are: export them anew")
+            raise BadInput(f"{str(path)!r} was exported onto a canvas; expected plain frames: export them without")
         if "flat_field" in said:
             raise BadInput(f"{str(path)!r} was made for a projector's flat field, which it does not hold; expected "
                            "plain frames: prove the job that it was exported from")  # fmt: skip
         settings = Placement(**{**said["settings"], "shift": tuple(said["settings"]["shift"])})
         bits, columns = int(said["bits"]), int(said["columns"])
-        levels = levels[:, : int(said["rows"]), :columns]  # films of an even size have some more
+        levels = levels[:, : int(said["rows"]), :columns]  # videos of an even size have some more
         images = levels if bits == 8 else np.packbits(levels > (127 if levels.dtype == np.uint8 else 0), axis=2)
         frames = Frames.from_bytes(np.ascontiguousarray(images), "numpy", bits=bits, columns=columns,
                                    gray=GrayCurve.parse(said["gray"]), scale=float(said["scale"]),

@@ -1,7 +1,7 @@
-"""VAMToolbox (Berkeley): sinograms and targets that were pickled, or saved as arrays.
+"""VAMToolbox (Berkeley): sinograms and targets, pickled or saved as arrays.
 
-A sinogram is [r, angle, z] in degrees, a target [y, x, z]; r grows along x·cos a − y·sin a and light runs along
-x·sin a + y·cos a, which is our angle θ = −(a + 90°). Lengths are in centimeters. Nothing in a pickle is run.
+A sinogram is [r, angle, z] in degrees, a target [y, x, z]; r grows along x·cos a − y·sin a and light runs along x·sin a
++ y·cos a, which is our angle θ = −(a + 90°). Lengths are in centimeters. Code in a pickle is never run.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ ENDINGS = (".sino", ".npy", ".pkl", ".pickle")
 
 
 def read_vamtoolbox(path: Path, target: Path | None = None) -> ForeignPatterns:
-    """Light of a sinogram. Raises `StorageError`, `BadInput`."""
+    """Patterns of a sinogram. Raises `StorageError`, `BadInput`."""
     array, geometry = _volume(path, "a sinogram [r, angle, z]")
     said = geometry.get("angles") if geometry is not None else None
     even = np.arange(array.shape[1]) * 360.0 / array.shape[1]
     theirs = np.asarray(even if said is None else said, np.float64).ravel()
     if theirs.shape != (array.shape[1],) or not np.isfinite(theirs).all():
-        raise BadInput(f"{str(path)!r} has {array.shape[1]} angles and {theirs.size} of them named; expected as many")
+        raise BadInput(f"{str(path)!r} has {array.shape[1]} angles and names {theirs.size}; expected the same number")
     poses = np.mod(-(theirs + 90.0), 360.0)
-    order = np.argsort(poses, kind="stable")  # the same light in the order in which our turntable turns
+    order = np.argsort(poses, kind="stable")  # the same patterns in the order of our turntable
     tables: dict[str, Any] = {"turntable": {"angles": int(array.shape[1]), "lit_share": 0.0}}
-    notes = ["a sinogram has no vessel: light is taken for straight unless the job has one"]
+    notes = ["a sinogram has no vessel: the light counts as straight unless the job has one"]
     if geometry is not None:
         pixel, absorption = (_number(geometry.get(name)) for name in ("projector_pixel_size", "absorption_coeff"))
         radius = _number(geometry.get("container_radius"))
@@ -57,9 +57,9 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> ForeignPatterns:
     least, most = float(array.min()), float(array.max())
     if least < 0.0:
         if most <= 0.0:
-            raise BadInput(f"the sinogram {str(path)!r} reaches from {least:g} to {most:g}; expected light, which is 0 "
-                           "or above: change its sign, or import what was made of it to be shown")  # fmt: skip
-        notes.append(f"it reaches down to {least:g}: what is below 0 is taken for dark")
+            raise BadInput(f"the sinogram {str(path)!r} reaches from {least:g} to {most:g}; expected patterns, "
+                           "which are 0 or more: change the sign, or import the images made from it")  # fmt: skip
+        notes.append(f"it reaches down to {least:g}: values below 0 count as dark")
     light = np.ascontiguousarray(np.maximum(array, 0.0)[:, order].transpose(1, 0, 2))
     part = None if target is None else _Part(*_volume(target, "a target [y, x, z]")[:1], target.stem)
     motion = Turntable(poses[order] * deg, lit_share=0)
@@ -67,7 +67,7 @@ def read_vamtoolbox(path: Path, target: Path | None = None) -> ForeignPatterns:
 
 
 class _Part:
-    """The voxels that VAMToolbox solved for."""
+    """The target voxels of VAMToolbox."""
 
     def __init__(self, values: np.ndarray, name: str) -> None:
         self.values, self.name = values, name
