@@ -118,10 +118,8 @@ def simulate(
     pixel = traced.column if traced else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
-    scores = claimed
-    if dose is not own:
-        held = judged_parts(dose, fraction, limits)
-        scores = score(held.dose, held.target, threshold=threshold)
+    held = judged_parts(dose, fraction, limits)
+    scores = claimed if dose is own else score(held.dose, held.target, threshold=threshold)
     plain = scores if limits is None else score(dose, held.target, threshold=scores.threshold * limits.void)
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
