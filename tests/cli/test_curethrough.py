@@ -60,7 +60,7 @@ def test_model_writes_doses_and_a_report(job: Path, capsys: pytest.CaptureFixtur
     assert main(["curethrough", "model", str(job), "--doses", str(doses)]) == 0
     said = capsys.readouterr().out
     assert "excess height, uncorrected" in said and "corrected, corrected" not in said
-    assert "print wrong" in (job.parent / "part-model.html").read_text()
+    assert "print incorrectly" in (job.parent / "part-model.html").read_text()
     from vamgpu.curethrough.dose import column_doses
 
     machine = CurethroughJob.parse(EXAMPLE).machine

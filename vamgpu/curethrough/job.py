@@ -85,16 +85,16 @@ class Outcome:
 
     @property
     def verdict(self) -> tuple[bool, str]:
-        """Whether all prints right, and a sentence or two on what does not."""
+        """Whether everything prints correctly, and a sentence or two on what does not."""
         if self.after is None:
             error = self.before.heights.error
             wrong = int((self.before.heights.over + self.before.heights.under > 0).sum())
-            text = f"{wrong:,} columns of pixels print wrong, by {length(error / max(1, wrong))} of height on average."
+            text = f"{wrong:,} columns of pixels print incorrectly, by {length(error / max(1, wrong))} of height on average."
             return error == 0, text
         ratio = self.ratio
         missed, closed = (0 if found is None else int(found.sum()) for found in (self.missed, self.closed))
         if ratio is None:
-            return True, "The slices print right as they are."
+            return True, "The slices print correctly without a correction."
         text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
         if missed:
             text += f" {missed:,} features lack room behind them for the light they need."
