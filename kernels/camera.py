@@ -30,9 +30,9 @@ def measure_depth(
     images: Images, open: Open, reached: Reached, floor: Real, gain: Real, brightest: Real, depth: SinogramOut,
     weight: SinogramOut,
 ) -> None:  # fmt: skip
-    """depth = reached·ln(open / image), weight = 1 / its variance; 0 and 0 where a pixel says nothing.
+    """depth = reached·ln(open / image), weight = 1 / its variance; both are 0 for invalid pixels.
 
-    floor: variance of the noise in the dark.  gain: and per gray level.  brightest: from there on levels are saturated.
+    floor: variance of the dark noise.  gain: variance per gray level.  brightest: least saturated level.
     """
     levels, field = images.swapaxes(1, 2), np.resize(open, (len(images), *open.shape[1:])).swapaxes(1, 2)
     variance, lit = floor + gain * np.maximum(levels, 0.0), reached[:, None] > 0.0

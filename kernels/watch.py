@@ -88,9 +88,9 @@ def share_gain(
 def conversion_deviation(
     extinction: Array, sharp: Array, rounded: Array, knots: Knots, slopes: Knots, model: Real, variance: ArrayInOut
 ) -> None:
-    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), a deviation of conversion, of that of extinction.
+    """variance = √(variance·slope² + 4·(sharp − rounded)² + model²), the deviation of conversion from extinction's.
 
-    slope = that of the last knot that is not above the extinction, of the first one below all.
+    slope is that of the last knot at or below the extinction, or of the first knot if there is none.
     """
     piece = np.clip(np.searchsorted(knots, extinction, side="right") - 1, 0, len(knots) - 1)
     variance[...] = np.sqrt(variance * slopes[piece] ** 2 + 4.0 * (sharp - rounded) ** 2 + model**2)

@@ -112,9 +112,9 @@ def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: 
 
 def test_an_empty_stack_of_darkness_is_scored() -> None:
     found = correct_stack(Correction(PRINTER), np.zeros((40, 3, 4), np.uint8), device="numpy")
-    assert repr(found) == "Outcome(40 × 3 × 4 slices, y, x: The slices print right as they are.)"
+    assert repr(found) == "Outcome(40 × 3 × 4 slices, y, x: The slices print correctly without a correction.)"
     assert found.ratio is None and len(found.before.features) == 0
-    assert "print right as they are" in page_of(found, "x", {}).html()
+    assert "print correctly without a correction" in page_of(found, "x", {}).html()
     assert sample(np.zeros((4, 3, 5), np.uint8)).width == 5
 
 

@@ -89,7 +89,8 @@ class Outcome:
         if self.after is None:
             error = self.before.heights.error
             wrong = int((self.before.heights.over + self.before.heights.under > 0).sum())
-            text = f"{wrong:,} columns of pixels print incorrectly, by {length(error / max(1, wrong))} of height on average."
+            mean = length(error / max(1, wrong))
+            text = f"{wrong:,} columns of pixels print incorrectly, by {mean} of height on average."
             return error == 0, text
         ratio = self.ratio
         missed, closed = (0 if found is None else int(found.sum()) for found in (self.missed, self.closed))

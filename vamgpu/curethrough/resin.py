@@ -211,7 +211,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises:
         StorageError: The file cannot be read.
-        BadInput: It is no table of finite numbers; the message names the line.
+        BadInput: The file is not a table of finite numbers; the message names the line.
     """
     file = Path(path)
     try:

@@ -99,15 +99,15 @@ class CameraPose:
 
     @property
     def centered(self) -> bool:
-        """Whether images are as the projection has them."""
+        """Whether images are in the geometry of the projection."""
         return self == CameraPose()
 
     def seen(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Centered images as this pose shows them.
+        """Turn centered images into images of this pose.
 
         Args:
-            images: Gray levels, or anything else, [angle, row, column].
-            pitch: Of a pixel [mm].
+            images: Gray levels or other values, [angle, row, column].
+            pitch: Pitch of a pixel [mm].
 
         Returns:
             The images, [angle, row, column].
@@ -116,11 +116,11 @@ class CameraPose:
         return _resampled(images, turn.T, -turn.T @ shift)
 
     def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Images of this pose as a centered camera would see them.
+        """Turn images of this pose into those of a centered camera.
 
         Args:
-            images: Gray levels, or anything else, [angle, row, column].
-            pitch: Of a pixel [mm].
+            images: Gray levels or other values, [angle, row, column].
+            pitch: Pitch of a pixel [mm].
 
         Returns:
             The images, [angle, row, column].
@@ -135,7 +135,7 @@ class CameraPose:
 
 
 def _resampled(images: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Images whose pixel p, from the middle, is that at turn·p + shift; the edge goes on beyond itself."""
+    """Images whose pixel p, from the middle, is that at turn·p + shift; edge values continue outside."""
     from scipy.ndimage import affine_transform  # takes longer to load than all of vamgpu
 
     middle = 0.5 * (np.array(images.shape[1:]) - 1.0)
@@ -152,8 +152,8 @@ class MonitoringCamera:
     Each pixel sees along one ray, so that a `Projection` with the camera's pixels, spread and angles and the vial's
     indices at its wavelength is its geometry. In images [angle, row, column] rows count along z and columns along r.
 
-    To first order: light that is scattered is lost to the view through the vial, and light that is scattered into the
-    view at an angle was weakened nowhere.
+    To first order: scattered light is lost to the view through the vial, and light scattered into the view at an angle
+    is not weakened.
 
     Args:
         projection: The rays. Its vessel absorbs nothing: what resin took before the print is in the open field.

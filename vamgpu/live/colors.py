@@ -130,7 +130,7 @@ class ColorReplanner:
     def _start(
         self, model: KineticModel, plan: Pair, planned: int, counts: Sequence[int], rise: float, before: float
     ) -> tuple[int, Pair]:
-        """Turns, and light to begin with: the plan's, as bright as brings the part to the middle of what is asked."""
+        """Turns, and starting light: the plan's, scaled so that the part gets the middle of the required doses."""
         missing = max(0.5 * (self.weights.inside + self.weights.most) - before, 0.02)
         share = planned * missing / rise
         peak = share * max(extent(plan.visible)[1], 1e-30)
@@ -157,7 +157,7 @@ class ColorReplanner:
         return all(extent(part)[1] <= most * (1.0 + ROUNDING) for part, most in zip(light, self.most, strict=True))
 
     def _loss(self, model: KineticModel, now: DeviceArray, deviation: Any) -> Band:
-        """The loss of what can still be mended: what is solid stays so, whatever inhibitor is made later."""
+        """The loss of voxels that can still be corrected: solid ones stay solid, even with more inhibitor."""
         band = self.weights.band(model.resin)
         sure = np.asarray(now, float) - SURE * np.asarray(deviation, float)
         part = np.asarray(self._fractions) >= 0.5

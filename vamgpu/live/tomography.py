@@ -35,20 +35,20 @@ from vamgpu.operators.space import require
 
 ITERATIONS = 30
 NEIGHBORS = 12.0
-"""Greatest sum of a row of the second differences along three axes, sizes counted."""
+"""Greatest absolute row sum of the second differences along three axes."""
 TINY = 1e-30
-"""Less than any weight, and any bound of a step."""
+"""Less than any weight and any bound of a step."""
 PATCH = 2.0
 """Standard deviation [voxels] of the patches in which a deviation is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticalDepths:
-    """Optical depths of a turn's images, as a camera's projection has them, on its device."""
+    """Optical depths of a turn's images, in the geometry of a camera's projection, on its device."""
 
-    depth: DeviceArray  # times the share of its column's light that gets in, [angle, r, z]
-    weight: DeviceArray  # 1/variance, [angle, r, z]; 0: the pixel says nothing
-    pixels: int  # number of those that say anything
+    depth: DeviceArray  # times the share of its column's light that enters, [angle, r, z]
+    weight: DeviceArray  # 1/variance, [angle, r, z]; 0 for invalid pixels
+    pixels: int  # number of valid pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,11 @@ class Reconstruction:
 
     Attributes:
         field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
-        cured: Conversion of the resin, [x, y, z] likewise.
-        iterations: Pairs of projections that were made; a replay asks for as many.
-        misfit: Mean square of what images and field differ by over the variance of the noise, dimensionless: near 1
-            where camera and noise are as described.
-        seconds: How long it took [s].
+        cured: Conversion of the resin, [x, y, z] on the tomograph's device.
+        iterations: Projector evaluations that were made; a replay uses the same number.
+        misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
+            camera and noise are as described.
+        seconds: Wall time [s].
     """
 
     field: DeviceArray

@@ -26,22 +26,22 @@ from vamgpu.webs.store import RECORD, SegmentRecord, WebFolder
 from vamgpu.webs.stream import Progress, Stream
 
 PlanFolders = WebFolder | Sequence[WebFolder]
-"""A web as it is shown: a folder, or several, of which each goes on where the one before it ends."""
+"""A web as shown: a folder, or several, each of which continues the one before."""
 
 
 class WebReplanner:
     """Optimizes the segments of a web beyond the commit horizon, for another lamp or another resin.
 
-    Frames before the horizon stay as they are. What they deliver to columns that later frames light too is an offset of
-    the loss. Later frames begin as planned, and no pixel is brighter than the lamp then makes it.
+    Frames before the horizon do not change. Their dose in columns that later frames also light is an offset of the
+    loss. Later frames start as planned, and no pixel is brighter than the lamp then allows.
 
     Args:
-        stream: That planned the web; its tiles are read from the very beginning.
-        drifts: How the light turned out to be, one or more; the last one goes on.
-        iterations: Of each segment; the stream's by default.
+        stream: The stream that planned the web; its tiles are read from the start.
+        drifts: One or more measured changes of the light; the last one continues to apply.
+        iterations: Iterations of each segment; the stream's by default.
 
     Raises:
-        BadInput: A value is out of its range, or the film cannot absorb otherwise.
+        BadInput: A value is out of its range, or the absorption of this film cannot be changed.
     """
 
     stream: Stream
@@ -56,14 +56,14 @@ class WebReplanner:
 
     @property
     def gain(self) -> float:
-        """Light over planned, from now on."""
+        """Light relative to the plan, from now on."""
         return self.drifts[-1].gain
 
     def open_window(self, horizon: int) -> tuple[int, int]:
-        """Columns that both committed frames and later ones light.
+        """Columns that both committed and later frames light.
 
         Args:
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
 
         Returns:
             The first, and the one after the last.
@@ -82,7 +82,7 @@ class WebReplanner:
 
         Args:
             plan: The web as planned; several folders where each goes on where the one before it ends.
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
 
         Returns:
             Dose [l, rho, z] of the columns `open_window`.
@@ -122,7 +122,7 @@ class WebReplanner:
         Args:
             plan: The web as planned, or as replanned before; several folders where each goes on where the one before
                 it ends.
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
             delivered: Dose of the open window [l, rho, z]; that of the committed frames by default.
             first: Number of the first segment to solve; the horizon by default.
 
@@ -174,7 +174,7 @@ class WebReplanner:
         Args:
             path: Of the folder, another one than the plan's.
             plan: As for `segments`.
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
             count: Of segments beyond the horizon; None for all. A later call goes on with further ones.
             delivered: As for `segments`, [l, rho, z].
             overwrite: Begin anew.

@@ -84,8 +84,8 @@ class GeneralizedLogistic(Response):
     """M(d) = low + (high − low) / (1 + exp(−steepness·(d − middle)))^(1/skew), Richards' curve.
 
     Args:
-        low: M in darkness, dimensionless.
-        high: M at any dose however great, dimensionless.
+        low: M without light, dimensionless.
+        high: M in the limit of high dose, dimensionless.
         steepness: Relative to the part's dose, above 0.
         middle: Dose relative to the part's.
         skew: Above 0, dimensionless.

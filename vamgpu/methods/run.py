@@ -130,7 +130,7 @@ def optimize(
                        "vam.load(path) of one that was saved")  # fmt: skip
     check_tolerances(tolerances)
     if cancel is not None and not callable(cancel):
-        raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
+        raise BadInput(f"cancel is {cancel!r}; expected a function that returns whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
     brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
@@ -161,18 +161,18 @@ def optimize(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What light is sought on: operator, target and limits of its voxels, of all corners of tolerances."""
+    """The optimization problem: operator, target and limits of its voxels, for all corners of tolerances."""
 
     operator: Any
     target: DeviceArray
     limits: Limits | None
-    judge: OptimizerState | None  # on the voxels of the caller, where light is sought on others
-    finer: float = 1.0  # dose of a light on these voxels over that on the caller's
+    judge: OptimizerState | None  # on the caller's voxels, if the optimization uses different ones
+    finer: float = 1.0  # dose of the same light on these voxels over that on the caller's
     notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, posed: Any, target: Any, method: Method, tolerances: Tolerances | None) -> _Problem:
-        """That of a method: on voxels as fine as light for `SurfaceRamp`, where memory does."""
+        """The problem of a method: for `SurfaceRamp` on voxels finer than a pixel, if memory allows."""
         fractions, limits = fractions_of(posed, target), getattr(target, "limits", None)
         if limits is not None and (limits.weighted or limits.gray.any()):
             check_bodies(method, limits)
@@ -211,12 +211,12 @@ class _Problem:
         return cls(asked, stacked, limits, judge and OptimizerState(*judge, {}), finer, notes)
 
     def state(self, memory: dict[str, Any], method: Method) -> OptimizerState:
-        """A run on it."""
+        """The state of a run on it."""
         limits, criterion = self.limits, method.criterion
         if limits is not None and (limits.weighted or limits.gray.any()):
-            criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
+            criterion = "loss"  # a window ignores weights and the upper end of a gray dose
         state = OptimizerState(self.operator, self.target, memory, criterion, limits)
-        if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some of the part is as deep
+        if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some voxels are that deep
             state.margin = PIXEL_DEEP
         return state
 
@@ -230,12 +230,12 @@ def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | Non
 
 
 def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
-    """Refuse an exposure limit for a method that knows none, and for a run that dims no light."""
+    """Reject an exposure limit for a method without one, and for a run that dims no light."""
     if limit == 0:
         raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which dims no light; expected "
                        "iterations ≥ 1, or no limit")  # fmt: skip
     if not isinstance(method, SurfaceRamp):
-        raise BadInput(f'got exposure_limit with {method!r}; expected "default", which seeks light that is no brighter')
+        raise BadInput(f'got exposure_limit with {method!r}; expected "default", which limits the brightness')
 
 
 def _limit_light(

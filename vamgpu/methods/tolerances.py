@@ -137,23 +137,23 @@ class CornerDoses:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far a machine and its resin may be off: light is sought that prints wherever they are, with one threshold.
+    """How far a machine and its resin may deviate: the method finds patterns that print everywhere in this range.
 
-    Every tolerance goes to both of its ends, in all combinations; these corners, the middles of the faces between them
-    and the nominal print are scenarios: light for corners alone has a narrower window at other points of the box. Each
-    has an operator of its own, made anew with the beam, vessel or axis that it says; only a wobble moves images by
-    linear interpolation, and an axis where the light is not that of a `Projection` about a round vessel or in air.
+    One threshold holds for all scenarios: the corners, which combine both ends of every tolerance, the middles of the
+    faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
+    box. Each scenario has its own operator with its beam, vessel or axis. Linear interpolation moves images only for a
+    wobble, and for an axis unless the operator is a `Projection` of a round vessel or air.
 
     Args:
         axis: Place of the axis of rotation across the light, ± [mm].
-        spread: Least and greatest standard deviation of the point spread [mm]; None for the beam's alone.
-        absorption: Of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
-        dose: Of the whole exposure, ± a share of it.
+        spread: Least and greatest standard deviation of the point spread [mm]; None for only the beam's.
+        absorption: Absorption of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
+        dose: Dose of the whole exposure, ± a share of it.
         index: Refractive index of the resin, ±.
-        wobble: How far the vial stands off the axis, in any direction [mm]; four are looked at.
-        judged: "worst" for the least dose of any corner and the greatest of any; "mean + spread" for the mean dose of
-            all corners, and corners brought nearer to it by the square root of how many tolerances there are, which is
-            the standard deviation where each does alike.
+        wobble: Distance of the vial from the axis, in any direction [mm]; four directions are evaluated.
+        judged: "worst" for the least and the greatest dose of all corners; "mean + spread" for their mean dose, and
+            corners whose deviation from it is divided by √(number of tolerances), which is the standard deviation if
+            all tolerances have equal effects.
 
     Raises:
         ToleranceError: The least point spread exceeds the greatest.

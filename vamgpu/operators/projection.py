@@ -165,7 +165,7 @@ class Projection(LinearOperator):
             self.device.launch(back_footprint, **fields, **self._light)
 
     def of_poses(self, chosen: Sequence[int]) -> Projection:
-        """This projection at some of its angles; all that does not depend on them is shared.
+        """This projection at some of its angles; everything that does not depend on them is shared.
 
         Args:
             chosen: Numbers of the angles, in order.
@@ -174,17 +174,17 @@ class Projection(LinearOperator):
             The projection, whose light is [chosen angle, r, z].
 
         Raises:
-            BadInput: Angles are lit for times of their own, which are shares of a whole turn's.
+            BadInput: The angles have unequal dwell times, which are relative to a whole turn.
         """
         if self.motion.dwell is not None:
-            raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
+            raise BadInput(f"got {self.motion} angles; expected angles of equal dwell")
         return self.turned(self.motion.chosen(chosen))
 
     def turned(self, motion: Turntable) -> Projection:
-        """This projection at other angles of the same turn; all that does not depend on them is shared.
+        """This projection at other angles of the same turn; everything that does not depend on them is shared.
 
         Args:
-            motion: The angles, of no longer arcs than its own.
+            motion: The angles, whose arcs are no longer than its own.
 
         Returns:
             The projection.
@@ -200,7 +200,7 @@ class Projection(LinearOperator):
         return self._rows.weights
 
     def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
-        """Dose of some slices, of which each has its own light: none lights another.
+        """Dose of some slices, each from its own light only.
 
         Args:
             light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.

@@ -56,7 +56,7 @@ class Cone:
         return {name: getattr(self.plane, name) for name in ("vessel", "throw", "offset", "tilt")}
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
 
         Args:
             across: Laboratory X [mm], (...,).
@@ -107,15 +107,15 @@ class Inclined:
             object.__setattr__(self, name, value)
 
     def described(self) -> dict[str, Any]:
-        """Describe the constructor's arguments: ``plane`` has the absorption of the longer way.
+        """Return the constructor's arguments; the absorption stored in ``plane`` includes the longer path.
 
         Returns:
-            Its arguments by name.
+            The arguments by name.
         """
         return self._given  # type: ignore[attr-defined]
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
 
         Args:
             across: Laboratory X [mm], (...,).

@@ -165,7 +165,7 @@ class SquareBath(Vessel):
         return np.where((u >= low) & (u <= high), left, 0.0)
 
     def _path(self, q: Floats) -> Floats:
-        """Way through the liquid from the window to the vial [mm]."""
+        """Path length in the liquid from the window to the vial [mm]."""
         sine, cosine, half = self._sines[2], self._cosines[2], 0.5 * self.width
         place = (q - half * sine) / cosine  # along the window, where the ray leaves it
         start, radius = place * sine - half * cosine, self.vessel.radius
@@ -196,11 +196,11 @@ class SquareBath(Vessel):
         """Check that a target can be printed, as `Vial.check_fits` does.
 
         Args:
-            radius: Of the target about the axis [mm].
+            radius: Radius of the target about the axis [mm].
 
         Raises:
             BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds what light reaches at every angle.
+            TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
             OpticsWarning: Vial, window or liquid leave less than 0.8 of the light.
@@ -209,14 +209,14 @@ class SquareBath(Vessel):
         if radius > self.lit_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but light from the window {self.width:g} mm wide "
-                f"reaches {self.lit_radius:.4g} mm; scale or center the target, take a wider bath, or tilt it less"
+                f"reaches {self.lit_radius:.4g} mm; scale or center the target, use a wider bath, or tilt it less"
             )
         slope, offset = self._line
         left = float(self._share(np.array([-offset / slope]), np.zeros(1))[0])
         if left < LOW_TRANSMITTANCE:
             warnings.warn(
-                f"window and liquid leave {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; allow a longer "
-                "exposure, or take a clearer liquid",
+                f"window and liquid leave {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; use a longer "
+                "exposure, or a clearer liquid",
                 OpticsWarning,
                 stacklevel=2,
             )

@@ -32,8 +32,8 @@ class Vial(Vessel):
 
     Laboratory frame: a voxel at (x, y) seen at the angle θ lies at X = y·cos θ − x·sin θ, the direction in which the
     beam's columns are counted, and Y = −(x·cos θ + y·sin θ), along which light travels. A column at offset u in the
-    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. The deviation d(u) has the sign of u, rays
-    converge, where the resin is denser than the bath: the chord's direction (−sin d, cos d) leans towards the axis.
+    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. If the resin is denser than the bath, the
+    deviation d(u) has the sign of u and rays converge: the chord's direction (−sin d, cos d) leans towards the axis.
 
     Layers by Snell's invariant index · distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
     absorption in the resin from the inner face on.
@@ -44,9 +44,9 @@ class Vial(Vessel):
         resin_index: Refractive index of the resin.
         wall_index: Refractive index of the wall.
         bath_index: Refractive index around the vial, in which the columns of the beam are counted.
-        absorption: Of the resin, natural logarithm [1/mm].
-        polarization: Of the light: "none", unpolarized; "s", its field along the axis of the vial; "p", across it.
-            Unpolarized light loses the mean of what s and p light lose, each at all faces (`transmittance`).
+        absorption: Absorption of the resin, natural logarithm [1/mm].
+        polarization: Polarization of the light: "none", unpolarized; "s", its field along the axis of the vial; "p",
+            across it. Unpolarized light has the mean of the s and p losses over all faces (`transmittance`).
 
     Raises:
         BadInput: A value is out of its range, or the wall leaves no room for resin.

@@ -105,7 +105,7 @@ class Spiral:
         return psi
 
     def wound(self, along: Array, depth: Array) -> tuple[Array, Array]:
-        """Where points of the flat film lie in the wound body.
+        """Places in the wound body of points of the flat film.
 
         Args:
             along: Lengths l [mm], (...,).
@@ -119,14 +119,14 @@ class Spiral:
         return r * np.cos(psi), r * np.sin(psi)
 
     def flat(self, x: Array, y: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Which points of the flat film lie at some places of the wound body.
+        """Points of the flat film at given places of the wound body.
 
         Args:
             x: Places [mm], (...,).
             y: Places [mm], (...,).
 
         Returns:
-            l and ρ [mm], and whether there is film at all, (...,) each.
+            l and ρ [mm], and whether there is film, (...,) each.
         """
         r, turn = np.hypot(x, y), np.arctan2(y, x) % (2.0 * pi)
         above = r - self.inner - self.rise * turn
@@ -140,7 +140,7 @@ class Spiral:
 
         Args:
             pitch: Voxel edges [mm] along l, rho, z; one number for cubes.
-            width: Along z [mm].
+            width: Width along z [mm].
 
         Returns:
             Whole voxels that cover length, thickness and width.

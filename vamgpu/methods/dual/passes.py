@@ -152,18 +152,18 @@ class Tolerant(Rule):
 
 @dataclass(frozen=True)
 class DualColor(Rule):
-    """DC: what is too much becomes UV light, what is too little more visible light.
+    """DC: excess dose becomes UV light, missing dose becomes more visible light.
 
     Args:
-        recompute: True, the default, is the rule of the text, what it leaves open settled as the erratum has it. The
-            oversupply of the visible buildup, scaled by its maximum, is projected anew as UV light in every pass, while
+        recompute: True, the default, is the rule of the paper's text, with open points as in the erratum. In every
+            pass, the oversupply of the visible buildup, scaled by its maximum, is projected again as UV light, while
             undersupply adds up in the visible light; both buildups are then scaled by one factor, the maximum of their
-            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer where it could undo
-            more than the greatest oversupply: a thin part in a wide void would have no dose left. Undersupply falls,
-            oversupply grows with the passes, since the visible light grows and the UV light does not: read both, and
-            take False for contrast. False keeps the scale of the first pass, compares the difference of the buildups,
-            and adds to both colors: a projected descent that lowers both.
-        passes: Passes at most.
+            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer if it would undo
+            more than the greatest oversupply: otherwise a thin part in a wide void would have no dose left. With the
+            passes, undersupply falls and oversupply grows, because only the visible light grows: read both, and use
+            False for contrast. False keeps the scale of the first pass, compares the difference of the buildups, and
+            adds to both colors: a projected descent that lowers both.
+        passes: Most passes.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 
     Raises:
