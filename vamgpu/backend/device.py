@@ -119,7 +119,7 @@ class Device(ABC):
         """An object that exports a plain table by DLPack, sharing memory with it or not."""
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """A handle of the same memory for other lanes, which means the same there; None where it cannot be had."""
+        """A handle of the same memory for other lanes, which means the same there; None if it cannot be had."""
         return array.handle
 
     @abstractmethod
@@ -324,7 +324,7 @@ class Device(ABC):
         return out
 
     def _shared(self, array: DeviceArray) -> DeviceArray | None:
-        """The same memory as a table; None where slabs forbid it."""
+        """The same memory as a table; None if slabs forbid it."""
         if not array.lanes:
             return array
         handle = self._relaid(array, 0) if array.shape[2] == array.lanes else None
@@ -379,7 +379,7 @@ class Device(ABC):
         return self.table(values)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
-        """A table to write that is the NumPy array itself; None where device and host share no memory.
+        """A table to write that is the NumPy array itself; None if device and host share no memory.
 
         What was written is there once `synchronize` returns.
         """

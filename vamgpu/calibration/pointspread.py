@@ -101,7 +101,7 @@ class PointSpread:
         if not near.size:
             raise BadInput(
                 f"{file!r} was measured at {positions.tolist()} mm; expected one within {reach:g} mm of the "
-                "axis: take a greater reach, or measure there"
+                "axis: use a greater reach, or measure there"
             )
         least, greatest = (cls.behind(float(blur), pitch, fill, pixel).width for blur in (near.min(), near.max()))
         return least, greatest

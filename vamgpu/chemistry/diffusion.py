@@ -100,7 +100,7 @@ class Spread(LinearOperator):
     Args:
         grid: The voxels of the doses.
         diffusion: What spreads, over an exposure.
-        device: Where to compute; the best device here by default.
+        device: Where to compute; the best available device by default.
     """
 
     domain: VolumeSpace | WebSpace

@@ -46,7 +46,7 @@ def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tup
     """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm]."""
     dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
     if dose >= 1.0:
-        raise BadInput(f"dose may be off by {dose:g}; expected a share below 1")
+        raise BadInput(f"tolerance of the dose is {dose:g}; expected a share below 1")
     shares = (1.0,) if dose == 0.0 else (1.0 - dose, 1.0 + dose)
     offsets = (0.0,) if axis == 0.0 else (-axis, 0.0, axis)
     widths = (0.0,) if blur == 0.0 else (0.0, blur)

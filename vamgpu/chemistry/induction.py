@@ -81,7 +81,7 @@ def fit_induction(
         measured: Induction times [s] in the order of `NAMES`.
         supply: [C] over [A] before printing, a ratio; 200 does not run out.
         order: Of the reaction in [C], 0 or 1.
-        device: Where to compute; the best device here by default.
+        device: Where to compute; the best available device by default.
 
     Returns:
         The constants and the times that they give.

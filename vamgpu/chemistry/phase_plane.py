@@ -46,7 +46,7 @@ def stationary(rates: Rates, visible: float, uv: float, supply: float | None = N
         supply: Concentration of C that is held; that of the rates by default.
 
     Returns:
-        The state, or None where there is none.
+        The state, or None if there is none.
 
     Raises:
         BadInput: An irradiance is negative, or k₂ is 0 and [B] would grow for ever.

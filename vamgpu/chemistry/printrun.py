@@ -135,9 +135,9 @@ class PrintRun:
             fields = [self.transport.device.upload(found[name]) for name in Concentrations.FIELDS]
             frame, time, owner = int(found["frame"]), float(found["time"]), str(found["print"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
+            raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it again") from error
         if owner != self.fingerprint:
-            raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")
+            raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it again")
         return Concentrations(*fields, time), frame  # pyright: ignore[reportCallIssue] - as many as FIELDS
 
     @cached_property

@@ -40,7 +40,7 @@ Face = Fixed | None
 
 @dataclass(frozen=True)
 class Boundary:
-    """One entry a face of a species' box, in the order of `FACES`: None where no flux passes, or `Fixed`."""
+    """One entry a face of a species' box, in the order of `FACES`: None if no flux passes, or `Fixed`."""
 
     faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
 

@@ -149,7 +149,7 @@ class Estimator:
         rounds: How often derivatives are taken anew.
         residual: Standard deviation of a voxel's own relative gain.
         smooth: Standard deviation [voxels] of the neighborhood that shares it.
-        rings: Whether `nearly` computes on rings, see `RingProjection`; None where they are faster.
+        rings: Whether `nearly` computes on rings, see `RingProjection`; None if they are faster.
 
     Raises:
         BadInput: A value is out of its range.
@@ -251,7 +251,7 @@ class Estimator:
 
     @cached_property
     def quick(self) -> RingProjection | None:
-        """The planned operator on rings; None where rays go on. Its tables are made when it is first asked for."""
+        """The planned operator on rings; None if rays go on. Its tables are made when it is first asked for."""
         return on_rings(self.operator, self.rings)
 
     def _placed_anew(self, absorption: float, across: float) -> Projection:
@@ -445,7 +445,7 @@ class Estimator:
         return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[1] * self._curve.density
 
     def _check(self, values: np.ndarray, chi: float) -> None:
-        """Refuse what no print has."""
+        """Reject what no print has."""
         off = max(abs(values[2]) / (0.1 * self._width(0)), abs(values[3]) / (0.1 * self._width(1)))
         absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:

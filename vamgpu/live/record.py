@@ -61,7 +61,7 @@ class LiveSetup:
         spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
         dose: Of one unit of planned light, in units of the resin's dose.
         lit_share: Share of each step during which its image is lit while the vial turns; pictures are of its angle.
-        rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None where they are faster.
+        rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None if they are faster.
     """
 
     shape: tuple[int, int, int]
@@ -180,7 +180,7 @@ class LiveRecord:
             StorageError: The folder holds a live print already, or cannot be written.
         """
         if (self.folder / DECISIONS).exists():
-            raise StorageError(f"{str(self.folder)!r} holds a live print already; take another folder")
+            raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / SETUP).write_text(json.dumps(asdict(setup), indent=1))
@@ -252,7 +252,7 @@ class LiveRecord:
         """
         told = self.decisions
         if not told:
-            raise StorageError(f"{str(self.folder)!r} holds no decision; take the record of a print that was watched")
+            raise StorageError(f"{str(self.folder)!r} holds no decision; use the record of a print that was watched")
         return told
 
     def setup(self) -> LiveSetup:

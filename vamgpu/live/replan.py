@@ -52,7 +52,7 @@ def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
     require(space, values, name)
     known = isfinite(total(values)) if isinstance(values, DeviceArray) else np.isfinite(values).all()
     if not known:
-        raise BadInput(f"{name} holds NaN or infinity; expected finite numbers: go on by the last plan")
+        raise BadInput(f"{name} holds NaN or infinity; expected finite numbers: continue with the last plan")
     return device.field(values)
 
 

@@ -100,7 +100,7 @@ class Tomograph:
         turbidity: Of the resin.
         contrast: δ, how much neighboring voxels differ, over the extinction of fully cured resin. The more, the
             sharper and the noisier.
-        rings: Whether to see on rings, see `RingProjection`; None where they are faster.
+        rings: Whether to see on rings, see `RingProjection`; None if they are faster.
 
     Raises:
         BadInput: The contrast is not above 0.

@@ -119,7 +119,7 @@ class BCLP(ByDescent):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty where they do not."""
+        """Why places far apart on a web depend on each other; empty if they do not."""
         if self.q in (None, self.p):
             return self.loss.coupling
         return f"q is {self.q} with p = {self.p}: that couples the whole web; expected q = p, or None"

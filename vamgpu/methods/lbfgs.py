@@ -90,7 +90,7 @@ class LBFGS(ByPairs):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty where they do not."""
+        """Why places far apart on a web depend on each other; empty if they do not."""
         if not self.efficiency:
             return ""
         return f"efficiency is {self.efficiency}: its penalty is set by all light of a web; expected 0"

@@ -46,14 +46,14 @@ class ExposureLimit:
         if exposure_limit is None:
             if irradiance is not None or critical_dose is not None:
                 raise BadInput(
-                    "got an irradiance or a critical dose without exposure_limit; leave them out, or say how long the "
-                    "light may last"
+                    "got an irradiance or a critical dose without exposure_limit; leave them out, or give the "
+                    "longest exposure"
                 )
             return None
         if irradiance is None or critical_dose is None:
             lacking = "irradiance" if irradiance is None else "critical_dose"
             raise BadInput(
-                f"got an exposure_limit without {lacking}; a time needs the lamp and the resin: give both irradiance "
+                f"got an exposure_limit without {lacking}; time depends on lamp and resin: give both irradiance "
                 "and critical_dose"
             )
         return cls(
@@ -72,7 +72,7 @@ class ExposureLimit:
         return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
 
     def check(self, operator: Any, even: float) -> None:
-        """Refuse a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
+        """Reject a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(

@@ -220,12 +220,12 @@ FACTS = ("name", "radius", "volume", "height")
 
 
 def pixel_pitch(plan: Any) -> float | None:
-    """Distance of a plan's pixels [mm]; None where nobody knows it."""
+    """Distance of a plan's pixels [mm]; None if nobody knows it."""
     return getattr(getattr(getattr(plan, "operator", None), "beam", None), "pitch", None)
 
 
 def target_of(plan: Any) -> Target | None:
-    """The target of a plan; one of fractions alone is told from them. None where nobody knows it, or of a web."""
+    """The target of a plan; one of fractions alone is told from them. None if nobody knows it, or of a web."""
     target, grid = getattr(plan, "target", None), getattr(plan.operator, "grid", None)
     if target is None or isinstance(target, Target) or not isinstance(grid, Grid):
         return target if isinstance(target, Target) else None
@@ -234,7 +234,7 @@ def target_of(plan: Any) -> Target | None:
 
 
 def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
-    """The target that a job folder keeps, and its mesh; None where it keeps none. Raises `StorageError`."""
+    """The target that a job folder keeps, and its mesh; None if it keeps none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
     try:
@@ -300,7 +300,7 @@ def operator_from(folder: Folder, device: Device, *, solved: bool = False) -> An
         return projection_from(inputs["geometry"], device, folder.array, solved=solved)
     except MemoryError as error:
         raise OutOfMemory(f"the light of {str(folder.path)!r} takes more memory than there is: {error}; check its "
-                          "manifest, or take a larger machine") from error  # fmt: skip
+                          "manifest, or use a larger machine") from error  # fmt: skip
 
 
 def save_plan(
@@ -419,7 +419,7 @@ class RecordedMethod:
         return self.text.partition("(")[0]
 
     def steps(self, state: Any) -> Steps:
-        """Refuse to go on."""
+        """Reject to go on."""
         raise BadInput(f"the plan is by {self.text}, of which its folder keeps the name alone; give a method, and the "
                        "plan's light as its start")  # fmt: skip
 

@@ -330,7 +330,7 @@ def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray)
             raise ToleranceError(
                 blamed,
                 f"leaves part of the target dark ({corner}): even light gives its darkest voxel "
-                f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; take a smaller tolerance or a "
+                f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; use a smaller tolerance or a "
                 "beam of more pixels",
             )
 
@@ -388,7 +388,7 @@ def _projected(A: Projection, corner: Corner) -> Any:
                              "less: check its unit, mm")  # fmt: skip
     if corner.spread is not None:
         if A.footprint != "exact":
-            raise ToleranceError("spread", "has no meaning for footprint='joseph'; take footprint='exact'")
+            raise ToleranceError("spread", "has no meaning for footprint='joseph'; use footprint='exact'")
         beam = replace(beam, spread=corner.spread)
     if corner.absorption or corner.index:
         vessel = _resin(vessel, corner)

@@ -80,7 +80,7 @@ def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
 
 
 def _box(values: Array, span: int) -> tuple[slice, slice, slice] | None:
-    """The part's bounding box, ``span`` voxels wider; None where the part is not."""
+    """The part's bounding box, ``span`` voxels wider; None if the part is not."""
     filled = values > _FULL
     if not filled.any():
         return None

@@ -114,7 +114,7 @@ def _voxels(parts: Parts) -> tuple[int, int]:
     if not found[IN]:
         raise BadInput(
             f"no voxel within {parts.reach:g} voxels of the axis is in the part (fraction ≥ {parts.level:g}); "
-            "center the target on the axis or choose a finer pitch"
+            "center the target on the axis or use a finer pitch"
         )
     return int(found[OUT]), int(found[IN])
 

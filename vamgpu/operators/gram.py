@@ -72,7 +72,7 @@ class GramInverse:
 
     @staticmethod
     def unsupported_reason(operator: Any) -> str:
-        """Why there is no inverse of a projector, or of scenarios of some; empty where there is one."""
+        """Why there is no inverse of a projector, or of scenarios of some; empty if there is one."""
         for each in operator.operators if isinstance(operator, Scenarios) else (operator,):
             if isinstance(each, RingProjection):
                 continue

@@ -42,13 +42,13 @@ class Projection(LinearOperator):
         beam: Pixels, with their fill factor and point spread.
         motion: Angles of the turntable.
         vessel: For example a `Vial`; None for straight light.
-        device: A name or a device; the best one here by default.
+        device: A name or a device; the best available one by default.
         footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
             fill factor, no point spread, columns as wide as voxels, and a container at rest while a frame is lit
             (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
 
     Raises:
-        BadInput: An argument is of another kind, or Joseph's rays do not fit the geometry.
+        BadInput: An argument is of another type, or Joseph's rays do not fit the geometry.
         DeviceError: There is no such device.
     """
 
@@ -99,10 +99,10 @@ class Projection(LinearOperator):
         if self.vessel is not None or abs(beam.pitch / grid.pitch - 1.0) > 1e-6:
             raise BadInput(f"got footprint='joseph' with {self.vessel!r}, pixels of {beam.pitch:g} mm and voxels of "
                            f"{grid.pitch:g} mm; Joseph's rays are straight and as far apart as voxels: leave the "
-                           "vessel out and make the pitches equal, or take footprint='exact'")  # fmt: skip
+                           "vessel out and make the pitches equal, or use footprint='exact'")  # fmt: skip
         if beam.fill != 1.0 or beam.spread:
             raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays know no fill factor and no point "
-                           "spread: give neither, or take footprint='exact'")  # fmt: skip
+                           "spread: give neither, or use footprint='exact'")  # fmt: skip
 
     def _turn(self, motion: Turntable) -> None:
         """Be a projection at these angles."""

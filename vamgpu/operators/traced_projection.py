@@ -60,7 +60,7 @@ class TracedProjection(LinearOperator):
         most_steps: Steps after which a ray counts as trapped; by default enough to cross the grid 8 times.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range, or a ray never leaves.
+        BadInput: An argument is of another type or out of its range, or a ray never leaves.
         ShapeMismatch: The medium or the rays were made for another geometry.
         DeviceError: There is no such device, or it has too little memory.
     """

@@ -241,7 +241,7 @@ class Roller:
             u: Offsets of the columns [mm], (...,).
             angle: Lean towards +x in the bath [rad], (...,), broadcast with ``u``.
             leg: Length of each leg [mm]; by default the roller's.
-            device: Marches rays through a field of the index; a name or a device, the best one here by default.
+            device: Marches rays through a field of the index; a name or a device, the best available one by default.
 
         Returns:
             The rays, flattened.

@@ -132,7 +132,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     else:
         raise RayError(
             f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; expected rays that "
-            f"leave: shorten the straight runs of {layers.leg:g} mm, or take a thicker film than "
+            f"leave: shorten the straight runs of {layers.leg:g} mm, or use a thicker film than "
             f"{layers.outer - layers.inner:g} mm"
         )
     return Traced(_joined(pieces), share, length, end)

@@ -84,7 +84,7 @@ def shadowgram(
         The image and the rays it is made of.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
         RayError: A ray never leaves.
     """
     if not isinstance(field, GridField):

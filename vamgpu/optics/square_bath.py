@@ -23,28 +23,29 @@ from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickn
 class SquareBath(Vessel):
     """A round vial that turns in a square bath of liquid; the bath stands still, and light enters by one flat window.
 
-    The liquid is what the vial has around it, its bath_index. Parallel light stays parallel behind a flat window: at
-    right angles it goes straight on, through a window tilted by τ it turns by τ − asin(sin τ · front_index /
-    liquid index) and grows narrower. Both faces of the window cost their Fresnel share, window and liquid absorb. What
-    enters by another side is not counted: the beam is to be no wider than the window.
+    The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window: at right
+    angles it continues straight; a window tilted by τ turns it by τ − asin(sin τ · front_index / liquid index) and
+    makes it narrower. Both faces of the window have Fresnel's loss, window and liquid absorb. Light through another
+    side is
+    ignored: the beam must not be wider than the window.
 
-    A square vial that turns with the part is none of these: its light comes by two faces at once, so that two rays
-    meet in most points, in other places at every angle. `TracedProjection` follows them, with the index of the square
-    as ``CoRotatingMedium(index=…)``. A square vat full of resin that stands still is a `Vat`.
+    This is not for a square vial that turns with the part: its light enters through two faces at once, so two rays meet
+    in most points, which differ at every angle. `TracedProjection` traces them, with the index of the square as
+    ``CoRotatingMedium(index=…)``. For a square vat full of resin that stands still use `Vat`.
 
     Args:
         vessel: the round vial; its bath_index is that of the liquid.
-        width: inside of the bath [mm].
+        width: inner width of the bath [mm].
         wall: thickness of the window [mm].
         wall_index: refractive index of the window.
         front_index: refractive index in front of the window, where the columns of the beam are counted.
-        tilt: turn of the bath against the light, about the axis [rad].
-        wall_absorption: of the window, natural logarithm [1/mm].
-        liquid_absorption: of the liquid, natural logarithm [1/mm].
+        tilt: rotation of the bath relative to the light, about the axis [rad].
+        wall_absorption: absorption of the window, natural logarithm [1/mm].
+        liquid_absorption: absorption of the liquid, natural logarithm [1/mm].
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, the vial does not fit into the bath, or no light
-            gets through a window so tilted.
+        BadInput: a value is not finite or negative, an index is below 1, the vial does not fit into the bath, or no
+            light passes the tilted window.
     """
 
     vessel: Vial | DoubleWalledVial
@@ -74,7 +75,7 @@ class SquareBath(Vessel):
 
     @property
     def is_round(self) -> bool:
-        """Never: light from another direction meets its window otherwise."""
+        """Always False: the window differs for light from another direction."""
         return False
 
     @property
@@ -89,7 +90,7 @@ class SquareBath(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light from the window reaches at every pose [mm]."""
+        """Radius that light from the window reaches at every angle [mm]."""
         return self._lit_radius
 
     @cached_property

@@ -196,7 +196,7 @@ class Vial(Vessel):
         """Check that a target of this radius about the axis can be printed.
 
         Args:
-            radius: Of the target [mm].
+            radius: Radius of the target [mm].
 
         Raises:
             BadInput: The radius is not a finite number above 0.
@@ -211,13 +211,13 @@ class Vial(Vessel):
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "
                 f"{self.printable_radius:.4g} mm, the smaller of its inner radius {self.inner_radius:.4g} mm and "
                 f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; "
-                "scale or center the target, take a wider vial, or bring the bath's index closer to the resin's"
+                "scale or center the target, use a wider vial, or bring the bath's index closer to the resin's"
             )
         if radius > self.lit_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but beyond {self.lit_radius:.4g} mm the "
                 f"{self.barrier} of index {min(face.inner_index for face in self.faces):g} keeps the light out of the "
-                f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or take a "
+                f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or use a "
                 f"{self.barrier} of higher index"
             )
         dim = self._radius_of_low_transmittance(radius)

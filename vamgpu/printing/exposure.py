@@ -69,7 +69,7 @@ def expose(
     unit = irradiance / positive("light of a full-on pixel", full)
     rate = dose_unit(A, 1.0 / A.motion.angles, unit=unit, absorption=absorption)
     if scores.threshold <= 0:
-        raise BadInput("the frames send no light into the part; pack a plan that does")
+        raise BadInput("the frames send no light into the part; pack another plan")
     seconds = wanted / (scores.threshold * rate)
     found = ExposureTimes(
         irradiance=irradiance,

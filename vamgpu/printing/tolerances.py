@@ -160,7 +160,7 @@ class _Nominal:
         if scenario.off is None:
             return self._seen(self.dose, 1.0 + amount)
         if not isinstance(self.A, Projection):
-            raise BadInput(f"{type(self.A).__name__} is exposed as it is; only a plain Projection is varied")
+            raise BadInput(f"{type(self.A).__name__} cannot be varied; only a plain Projection can")
         dose = scenario.off(self.A, amount).T(self.light)
         self.exposures += 1
         return self._seen(dose if self._more is None else _combined(1.0, dose, 1.0, self._more), 1.0)

@@ -57,7 +57,7 @@ def named(path: Path) -> Path:
 
 
 def check_folder(place: Path) -> None:
-    """Refuse a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
+    """Reject a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
     if not place.parent.is_dir():
         raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
                            "choose another path")  # fmt: skip
@@ -154,7 +154,7 @@ def _workshop(place: Path) -> tuple[Path, int | None]:
 
 
 def _locked(folder: Path) -> int | None:
-    """A lock on a folder, which ends with this process; None where the disk knows no locks."""
+    """A lock on a folder, which ends with this process; None if the disk knows no locks."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)

@@ -43,7 +43,7 @@ class Entry:
     values: np.ndarray | DeviceArray | Streamed
     axes: tuple[str, ...]  # names of its axes
     unit: str = "1"  # its unit; "1" for a plain number
-    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None where it is no picture
+    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None if it is no picture
 
 
 @dataclass(frozen=True)

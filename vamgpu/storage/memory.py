@@ -26,12 +26,12 @@ def budget() -> int:
         return int(SHARE * _installed())
     found = bytes_of(said)
     if found is None:
-        raise BadInput(f"{MEMORY} is {said!r}; expected a size such as {MEMORY}=24GB: set it anew, or unset it")
+        raise BadInput(f"{MEMORY} is {said!r}; expected a size such as {MEMORY}=24GB: correct it, or unset it")
     return found
 
 
 def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> None:
-    """Refuse what takes more memory than the budget, before it is decoded."""
+    """Reject what takes more memory than the budget, before it is decoded."""
     most = budget()
     if claim > most:
         raise error(

@@ -138,7 +138,7 @@ def optimize_colors(
         warm: Iterations for the visible light alone; four times as many follow for both colors by the linear model.
         progress: Gets every `Step`.
         cancel: Asked before each one.
-        resume: A plan of the same model and weights to go on from, bit by bit; it stays as it is.
+        resume: A plan of the same model and weights to go on from, bit for bit; it stays as it is.
 
     Returns:
         The plan with the light of least loss.
@@ -194,7 +194,7 @@ def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
 
 
 def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
-    """Copies of the memories of a plan. Raises `BadInput` where it is of another run."""
+    """Copies of the memories of a plan. Raises `BadInput` if it is of another run."""
     if start is not None:
         raise BadInput("both start and resume were given; expected one: start begins anew, resume goes on")
     if plan.model is not model or plan.weights != weights or not plan.state:
