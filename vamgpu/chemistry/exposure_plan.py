@@ -131,17 +131,16 @@ def plan_exposure(
 
     Args:
         turn: The light of a turn.
-        turns: How many.
+        turns: Number of turns.
         power: Factor by which the light of a turn is multiplied.
-        period: Of a turn [s]; without it the shortest that the limits allow.
+        period: Time of a turn [s]; by default the shortest that the limits allow.
         visible_limit, ultraviolet_limit: Irradiance of a full-on pixel in air [mW/cm²].
 
     Returns:
         Times [s] and irradiances [mW/cm²].
 
     Raises:
-        BadInput: The period is too short for a limit, or neither a period nor the limit of a color that shines is
-            given.
+        BadInput: The period is too short for a limit, or neither a period nor the limit of a used color is given.
     """
     turns, power = counts("turns", (turns,), 1)[0], positive("power", power)
     angles = turn.visible.motion.angles

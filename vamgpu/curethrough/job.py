@@ -52,18 +52,18 @@ class PrintedStack:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A modeled stack, and its correction where there is one.
+    """A modeled stack, and its correction if there is one.
 
     Args:
         machine: Printer and resin.
         shape: Slices, y and x of the part.
-        threshold: Gray level from which a pixel is solid.
+        threshold: Least gray level of a solid pixel.
         sample: Columns that are followed.
-        solid: What these should be, bool [slice, column].
-        before: The print of the slices as they are.
+        solid: Expected state of these columns, bool [slice, column].
+        before: The print of the uncorrected slices.
         after: The print of the corrected slices.
-        correction: What was corrected for.
-        missed: Features that lack dose at their back side, summed over pixels [slice].
+        correction: The correction.
+        missed: Features that get too little dose at their back, summed over pixels [slice].
         closed: Voids that stay cured, summed over pixels [slice].
         written: Slices that were written.
     """
@@ -98,7 +98,7 @@ class Outcome:
             return True, "The slices print correctly without a correction."
         text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
         if missed:
-            text += f" {missed:,} features lack room behind them for the light they need."
+            text += f" {missed:,} features have too little room behind them for the light that they need."
         if closed:
             text += f" {closed:,} voids are too short: they stay cured at this speed and power."
         return missed + closed == 0 and ratio < 1, text

@@ -30,9 +30,10 @@ class ReplannedColors:
     """Light of both colors of each of the turns that remain.
 
     Args:
-        light: Of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark where the print should stop.
-        kept: What the plan that was running would make of the print.
-        expected: What this light makes of it; its ``turns`` is the moment to stop.
+        light: Light of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark if the print should
+            stop.
+        kept: Forecast of the print with the running plan.
+        expected: Forecast with this light; its ``turns`` is the moment to stop.
         evaluations: Projector evaluations spent, each one forward and one back projection of both colors.
     """
 
@@ -52,10 +53,10 @@ class ColorReplanner:
 
     Args:
         target: A `Target`, or fractions [x, y, z].
-        model: Of the print as planned.
+        model: Model of the planned print.
         most: Greatest light of a pixel of each color, in units of the plan's.
-        weights: Effective doses that are asked for.
-        threshold: Effective dose from which resin is solid; None for the middle between outside and inside.
+        weights: Required effective doses.
+        threshold: Least effective dose of solid resin; None for the middle between outside and inside.
 
     Raises:
         BadInput: A value is out of its range.
@@ -83,24 +84,24 @@ class ColorReplanner:
         self, model: KineticModel, delivered: SpeciesFields, plan: Pair, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0,
     ) -> ReplannedColors:  # fmt: skip
-        """Light for the rest of a print, the best found with what may be spent.
+        """The best light for the rest of a print within the given evaluations.
 
         Args:
             model: With operators and lamps as estimated, for example `KineticModel.going_on`; its turns and start do
                 not count.
             delivered: State after the turns so far, for example `KineticModel.state` of the light that was shown.
-            plan: Light of each turn that would be shown otherwise, [angle, r, z] of both colors.
-            planned: Turns it would be shown for.
-            turns: Numbers of further turns that are allowed, 0 for a stop now.
-            evaluations: Projector evaluations that may be spent.
+            plan: Planned light of each remaining turn, [angle, r, z] of both colors.
+            planned: Planned number of remaining turns.
+            turns: Allowed numbers of further turns, 0 for a stop now.
+            evaluations: Limit of projector evaluations.
             deviation: Standard deviation of the effective dose so far, [x, y, z], or one for all.
 
         Returns:
             The best of the light found and the plan's own.
 
         Raises:
-            BadInput: A state or light that is no number, or no turns.
-            ShapeMismatch: An array of another geometry.
+            BadInput: A state or light is not a number, or there are no turns.
+            ShapeMismatch: An array has another geometry.
         """
         counts, allowed = allowed_turns(turns, planned), positive("evaluations", evaluations)
         state, light = _on_device(model, delivered, plan)

@@ -96,11 +96,11 @@ class Tomograph:
     Only resin within the vial's printable radius is seen; farther out it counts as not cured.
 
     Args:
-        camera: That took the images.
-        turbidity: Of the resin.
+        camera: The camera of the images.
+        turbidity: Turbidity of the resin.
         contrast: δ, how much neighboring voxels differ, over the extinction of fully cured resin. The more, the
             sharper and the noisier.
-        rings: Whether to see on rings, see `RingProjection`; None if they are faster.
+        rings: Whether to reconstruct on rings, see `RingProjection`; None if they are faster.
 
     Raises:
         BadInput: The contrast is not above 0.
@@ -134,7 +134,7 @@ class Tomograph:
             Depths and weights, on the device.
 
         Raises:
-            BadInput: No pixel is good.
+            BadInput: No pixel is valid.
             ShapeMismatch: The images are of another geometry.
         """
         depth, weight = self.camera.measured(images)
@@ -151,15 +151,15 @@ class Tomograph:
 
         Args:
             images: Gray levels [angle, row, column]; frames that were lost are NaN. Or what `measure` made of them.
-            last: What the turn before said, to go on from.
-            iterations: Pairs of projections at most.
-            deadline: Time that it may take [s]; the best field so far is returned, after one iteration at least.
+            last: Result of the turn before, as a start.
+            iterations: Most projector evaluations.
+            deadline: Time limit [s]; the best field so far is returned, after at least one iteration.
 
         Returns:
             The field.
 
         Raises:
-            BadInput: No pixel is good, or fewer than one iteration is asked for.
+            BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: Images or field are of another geometry.
         """
         begun = perf_counter()
@@ -192,13 +192,13 @@ class Tomograph:
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.
             iterations: As for `see`; it takes as long.
-            seed: Of the noise.
+            seed: Seed of the noise.
 
         Returns:
             [1/mm], [x, y, z]; times `Turbidity.slope_at` that of the conversion.
 
         Raises:
-            BadInput: No pixel is good, or fewer than one iteration is asked for.
+            BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: The images are of another geometry.
         """
         return np.sqrt(self.variance(images, iterations=iterations, seed=seed).numpy())

@@ -81,7 +81,7 @@ class WebReplanner:
         """Dose that the committed frames deliver to the open window.
 
         Args:
-            plan: The web as planned; several folders where each goes on where the one before it ends.
+            plan: The web as planned; several folders if each continues the one before.
             horizon: Number of committed segments.
 
         Returns:
@@ -127,13 +127,13 @@ class WebReplanner:
             first: Number of the first segment to solve; the horizon by default.
 
         Yields:
-            The segments in order, each as soon as it is solved; ``scale`` is what a full-on pixel now gives.
+            The segments in order, each as soon as it is solved; ``scale`` is the current light of a full-on pixel.
 
         Raises:
-            BadInput: The plan has not so many segments, or a dose is no number.
-            ShapeMismatch: The dose is of another window.
+            BadInput: The plan has fewer segments, or a dose is not a number.
+            ShapeMismatch: The dose is that of another window.
             StorageError: The folder is damaged.
-            TileError: The tiles are others than the plan was made from.
+            TileError: The tiles differ from those of the plan.
         """
         stream, layout, first = self.stream, self.stream.layout, horizon if first is None else first
         folders, known = _folders(plan), _segments(plan, horizon)
@@ -169,23 +169,23 @@ class WebReplanner:
     ) -> WebFolder:  # fmt: skip
         """Write a web of the committed frames, byte for byte, and of those found for the rest.
 
-        A killed run leaves a folder of whole segments; the same call goes on with it, to the same bytes.
+        A killed run leaves a folder of whole segments; the same call continues it, to the same bytes.
 
         Args:
-            path: Of the folder, another one than the plan's.
+            path: Path of the folder, not the plan's.
             plan: As for `segments`.
             horizon: Number of committed segments.
-            count: Of segments beyond the horizon; None for all. A later call goes on with further ones.
+            count: Number of segments beyond the horizon; None for all. A later call continues with further ones.
             delivered: As for `segments`, [l, rho, z].
-            overwrite: Begin anew.
+            overwrite: Replace an existing folder.
             progress: Called after each segment.
 
         Returns:
-            The folder; `vamgpu.webs.proof.prove_web` knows by it which light its frames were made for.
+            The folder, which tells `vamgpu.webs.proof.prove_web` the light of its frames.
 
         Raises:
             BadInput, ShapeMismatch, TileError: As for `segments`.
-            StorageError: The folder is that of another web, or cannot be written.
+            StorageError: The folder belongs to another web, or cannot be written.
         """
         place = Path(path)
         folders, known = _folders(plan), _segments(plan, horizon)

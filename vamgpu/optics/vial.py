@@ -107,11 +107,11 @@ class Vial(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light reaches at every pose [mm]: less than printable_radius where the wall reflects totally."""
+        """Radius that light reaches at every angle [mm]: less than printable_radius if the wall reflects totally."""
         return min(self.printable_radius, self.aperture * self.bath_index / self.resin_index)
 
     def transmitted(self, u: Floats) -> Floats:
-        """Tell what share of the power of columns reaches the resin, where one does.
+        """Share of the power of columns that reaches the resin, for columns that do.
 
         Args:
             u: Offsets of the columns, [...] [mm].
@@ -200,7 +200,7 @@ class Vial(Vessel):
 
         Raises:
             BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds what light reaches at every angle.
+            TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
             OpticsWarning: Within the radius the faces transmit less than 0.8.

@@ -1,4 +1,4 @@
-"""Rules that compare a buildup with the design and project what is missing or too much: SC, SC2 and DC.
+"""Rules that compare a buildup with the design and project missing and excess dose: SC, SC2 and DC.
 
 Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The text
 leaves scales open; what is chosen here is said where it is chosen.
@@ -99,7 +99,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class SingleColor(Rule):
-    """SC: the design projected and nothing more; the greatest dose is the design's."""
+    """SC: only the projected design; the greatest dose is the design's."""
 
     papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
@@ -111,14 +111,14 @@ class SingleColor(Rule):
 
 @dataclass(frozen=True)
 class Tolerant(Rule):
-    """SC2: one color, corrected by what the part lacks and by what exceeds a one-sided tolerance around it.
+    """SC2: one color, corrected by the missing dose and by the dose above a one-sided tolerance.
 
     The scale of the first pass is kept, so that passes are steps of a projected descent.
 
     Args:
-        tolerance: Dose allowed anywhere, over the greatest of the design; gray values below it are ignored where the
-            dose is too high, as in the paper.
-        passes: Passes at most, one projector evaluation each.
+        tolerance: Dose allowed anywhere, relative to the greatest of the design; gray values below it are ignored where
+            the dose is too high, as in the paper.
+        passes: Most passes, one projector evaluation each.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 
     Raises:
