@@ -99,8 +99,8 @@ class Spread(LinearOperator):
 
     Args:
         grid: The voxels of the doses.
-        diffusion: What spreads, over an exposure.
-        device: Where to compute; the best available device by default.
+        diffusion: Diffusion over an exposure.
+        device: A name or a device; the best available device by default.
     """
 
     domain: VolumeSpace | WebSpace

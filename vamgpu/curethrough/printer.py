@@ -55,7 +55,7 @@ def check_eta(slice_height: float, absorption_height: float) -> None:
 
 
 def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
-    """Light of every gray level: in proportion, or as a curve says.
+    """Light of every gray level: proportional, or from a curve.
 
     Args:
         full: Irradiance of level 255 [mW/mm²].

@@ -22,9 +22,9 @@ class Differentiable(ABC):
     """A function of fields with its vector-Jacobian product; heirs become functions of PyTorch and JAX.
 
     Attributes:
-        device: Where it computes.
-        spaces: Of its inputs, one each.
-        space: Of its value.
+        device: The device of its arrays.
+        spaces: Spaces of its inputs, one each.
+        space: Space of its value.
     """
 
     device: Device

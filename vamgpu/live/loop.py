@@ -196,7 +196,7 @@ class LiveLoop:
 
         Args:
             state: Before the turn.
-            frames: Of the turn, gray levels [angle, row, column].
+            frames: Frames of the turn, gray levels [angle, row, column].
 
         Returns:
             The state after it, and the decision.

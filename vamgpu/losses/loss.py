@@ -83,7 +83,7 @@ class Loss(ABC):
         """The same loss with every voxel's share multiplied by a weight.
 
         Args:
-            weight: Of every voxel ≥ 0, [x, y, z] on the dose's device.
+            weight: Weight of every voxel ≥ 0, [x, y, z] on the dose's device.
 
         Returns:
             The loss.
@@ -116,7 +116,7 @@ class KernelLoss(Loss):
         """Name the kernel that computes the loss.
 
         Args:
-            device: Where the loss is computed.
+            device: Device of the loss.
 
         Returns:
             The kernel, and its arguments besides dose, target, weight, reach and parts.

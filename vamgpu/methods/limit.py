@@ -20,14 +20,14 @@ MARGIN = 0.99
 class ExposureLimit:
     """A time in which a print must be done, by a lamp and a resin.
 
-    An exposure lasts until the dose halfway between the least in the part and the greatest outside is the critical one,
-    by a projector whose brightest pixel is full-on. So it limits the brightest pixel over that dose.
+    An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical one,
+    with a projector whose brightest pixel is full-on. So it limits the ratio of the brightest pixel to that dose.
 
     Args:
-        seconds: Of the light at most [s].
-        irradiance: Of a full-on pixel in air [mW/mm²].
-        critical_dose: From which resin is solid [mJ/mm³].
-        absorption: Of the resin [1/mm], where the operator absorbs no light.
+        seconds: Longest exposure [s].
+        irradiance: Irradiance of a full-on pixel in air [mW/mm²].
+        critical_dose: Least dose that makes resin solid [mJ/mm³].
+        absorption: Absorption of the resin [1/mm], if the operator absorbs no light.
 
     Raises:
         BadInput: A value is not above 0.

@@ -35,14 +35,14 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Corner:
-    """One way in which all tolerances are used up at once; all zero is nominal.
+    """One combination of extreme tolerances; all zero is nominal.
 
     Args:
-        axis: Of rotation, towards +r [mm].
+        axis: Displacement of the axis of rotation, towards +r [mm].
         spread: Standard deviation of the point spread [mm]; None for the beam's own.
         absorption: Share by which the resin absorbs more.
-        index: Of the resin, by so much greater.
-        wobble: Of the vial from its axis, along x and y [mm].
+        index: Increase of the resin's refractive index.
+        wobble: Displacement of the vial from its axis, along x and y [mm].
         dose: Share by which every dose is greater.
     """
 
@@ -75,7 +75,7 @@ class CornerDose:
     """What one light gives at a corner, in units of the light.
 
     Attributes:
-        name: Of the corner.
+        name: Name of the corner.
         least: Dose inside the part.
         leak: Greatest dose outside it.
         greatest: Dose anywhere.
@@ -282,7 +282,7 @@ class Tolerances:
 
         Args:
             operator: The nominal projector.
-            light: Of its pixels [angle, r, z] ≥ 0, or a plan.
+            light: Light of its pixels [angle, r, z] ≥ 0, or a plan.
             target: A `Target`, or fractions [x, y, z].
 
         Returns:

@@ -1,4 +1,4 @@
-"""Contrast: the share of a dose, or of what the resin makes of it, that lies in the part."""
+"""Contrast: the share of a dose, or of the resin's response, that is in the part."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Oblique(LinearOperator):
         beam: Pixels; ``fill`` and ``spread`` must be left out.
         motion: Angles of the turntable.
         light: A `Cone`, an `Inclined`, or any vessel (None for air), whose rows are level.
-        wobble: Where the axis stands at each angle; the light and all vessels stay where they are.
+        wobble: Position of the axis at each angle; the light and all vessels do not move.
         device: A name or a device; the best available one by default.
 
     Raises:

@@ -89,7 +89,7 @@ class WebProjection(LinearOperator):
 
         Args:
             grid: The web.
-            light: Of one pose.
+            light: Light of one pose.
             step: From pose to pose [columns].
             beam: The light's pixels; by default each row of light is a slice.
             device: A name or a device; the best available one by default.

@@ -78,7 +78,7 @@ class TunableLens:
         """Ray transfer matrix from L1 to L4, both included (S1).
 
         Args:
-            power: Of the tunable lens [dpt].
+            power: Power of the tunable lens [dpt].
 
         Returns:
             The matrix (2, 2) on (height [mm], angle [rad]).

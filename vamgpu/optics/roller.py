@@ -202,7 +202,7 @@ class Roller:
         """The widest beam whose columns all meet the film.
 
         Args:
-            pitch: Of its pixels [mm].
+            pitch: Pitch of its pixels [mm].
             rows: How many rows it has.
 
         Returns:

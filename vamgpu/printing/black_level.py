@@ -14,7 +14,7 @@ from vamgpu.printing.placement import Placement
 
 
 def no_light(plan: Any, settings: Placement) -> NoLight:
-    """The error that tells why no pixel of a plan's frames has light above 0."""
+    """The error that explains why no pixel of a plan's frames has light above 0."""
     light = plan.sinogram
     low, high = extent(light, lower=-inf, upper=inf)
     if high > 0.0:
@@ -44,7 +44,7 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
 
 
 def check_dose(light: DeviceArray, parts: Parts) -> None:
-    """Refuse frames that print nothing, rather than to judge them."""
+    """Reject frames that print nothing."""
     # light [angle, r, z]
     everywhere = {"lower": -inf, "upper": inf}
     if extent(parts.dose, parts.target, **everywhere, reach=parts.reach or 0.0)[1] > 0.0:

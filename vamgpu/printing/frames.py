@@ -75,7 +75,7 @@ class Frames:
 
         Args:
             images: Bytes as for `Frames.images`, uint8 [angle, row, column].
-            device: Where to compute; the best available device by default.
+            device: A name or a device; the best available device by default.
             **fields: The other fields of the class.
 
         Returns:
@@ -130,7 +130,7 @@ class Frames:
         """Copy the bytes to another device.
 
         Args:
-            device: Where to compute; the best available device by default.
+            device: A name or a device; the best available device by default.
 
         Returns:
             The same frames there.

@@ -176,7 +176,7 @@ def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: 
 
 
 def _packing(bits: int, gray: GrayCurve, flat: np.ndarray | None, place: Placement) -> Callable[..., Frames]:
-    """A function that packs other light, or a plan, in the same way, of a full-on pixel and a dither of its own."""
+    """A function that packs other patterns, or a plan, in the same way, with its own full-on pixel and dither."""
 
     def packed(light: Patterns | DeviceArray, full: float | None, dither: str) -> Frames:
         return pack(
@@ -195,7 +195,7 @@ def _fitted(plan: Patterns, packed: Callable[..., Frames], place: Placement, sca
 
 
 def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
-    """A plan of other light, of this strict window where nothing is off."""
+    """A plan of other patterns, with this strict window at the nominal corner."""
     if not isinstance(plan, Plan):
         return Solved(light, plan.operator, plan.target)
     if plan.tolerances is None:
@@ -300,7 +300,7 @@ def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndar
 
 
 def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
-    """Frames whose error is carried on, or, with a `PackWarning`, those that are rounded where their dose is better."""
+    """Frames with error diffusion, or rounded ones if their dose is better, with a `PackWarning`."""
     misses = _miss(plan, diffused), _miss(plan, rounded)
     if misses[0] <= misses[1]:
         return diffused
@@ -314,7 +314,7 @@ def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
 
 
 def _miss(plan: Patterns, frames: Frames) -> float:
-    """Distance of the frames' dose from proportion to that of the plan's light: the sine of their angle."""
+    """Sine of the angle between the frames' dose and that of the plan; 0 if they are proportional."""
     # A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
     A: Any = plan.operator
     wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
@@ -323,7 +323,7 @@ def _miss(plan: Patterns, frames: Frames) -> float:
 
 
 def _folded(images: DeviceArray) -> DeviceArray:
-    """Frames of 0 and 1, eight columns a byte."""
+    """Frames of 0 and 1, eight columns per byte."""
     angles, rows, columns = images.shape
     folded = images.device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
     images.device.launch(fold_bits, images=images, folded=folded)
@@ -331,7 +331,7 @@ def _folded(images: DeviceArray) -> DeviceArray:
 
 
 def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
-    """A plan as it is, or light of one's own beside its operator. Raises `BadInput`, `ShapeMismatch`."""
+    """The given plan, or own patterns with their operator. Raises `BadInput`, `ShapeMismatch`."""
     operator = hasattr(plan, "range") and hasattr(plan, "T")
     if light is None:
         if operator or hasattr(plan, "__array__"):
@@ -377,7 +377,7 @@ def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
 
 
 def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
-    """The lit pixel that a share of them stays at or below; the brightest where none is given and it is not hot."""
+    """A quantile of the lit pixels; without one, the brightest unless it is an outlier."""
 
     def found(quantile: float) -> float:
         return ranked(shared, lambda counts: _rank(counts, quantile, shared))

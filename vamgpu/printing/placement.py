@@ -1,4 +1,4 @@
-"""Placement of frames against the beam, and the settings that made them of light."""
+"""Placement of frames on the beam, and the settings of their packing."""
 
 from __future__ import annotations
 

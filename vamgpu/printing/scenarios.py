@@ -14,11 +14,11 @@ from vamgpu.optics.beams import Misaligned, with_absorption
 
 @dataclass(frozen=True)
 class Scenario:
-    """One thing that may be off."""
+    """One kind of error."""
 
     name: str
     unit: str  # of the amounts: "pixel", or "%"
-    amounts: tuple[float, ...]  # by how much it is off in the table, in pixels or as a share
+    amounts: tuple[float, ...]  # amounts in the table, in pixels or as a share
     farthest: float  # amount up to which the first wrong voxel is searched for
     # the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None if the
     # dose is only scaled

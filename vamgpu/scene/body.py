@@ -199,7 +199,7 @@ class Body:
         Args:
             grid: The voxels; what lies outside is cut off.
             place: Transform of the CAD frame.
-            device: Where meshes are voxelized.
+            device: Device that voxelizes meshes.
 
         Returns:
             Shares [x, y, z].

@@ -13,7 +13,7 @@ class Clear(Absorbing):
     """A transparent material: its refractive index, what it absorbs, its density; None if no source says.
 
     Args:
-        name: What it is called.
+        name: Name.
         index: Refractive index by wavelength.
         extinction: Absorption by wavelength.
         density: Density [mJ·s²/mm⁵].

@@ -58,8 +58,8 @@ class Dispersion(Spectrum):
         constant: The formula's constant, dimensionless.
         terms: The formula's coefficients, in pairs.
         index: Refractive index at each wavelength of "points".
-        temperature: At which it was measured [K].
-        source: Where the numbers are from.
+        temperature: Temperature of the measurement [K].
+        source: Source of the numbers.
     """
 
     form: Literal["sellmeier", "powers", "cauchy", "points"]

@@ -89,7 +89,7 @@ class Rule(Protocol):
         """Improve ``state.light`` and ``state.uv``.
 
         Args:
-            state: Of the run; its light is in units of the design whenever a pass is yielded.
+            state: State of the run; its light is in units of the design whenever a pass is yielded.
 
         Returns:
             The records of the passes, one after each.
