@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib import metadata
 from inspect import isgenerator
 from pathlib import Path
@@ -44,11 +44,10 @@ def _wanted() -> list[str]:
 
 @lru_cache(maxsize=1)
 def device_list() -> tuple[str, ...]:
-    """Working devices, a GPU's layout on a processor, and each kind that is missing, see `needs`."""
+    """Working devices, a GPU's layout on two processors, and each kind that is missing, see `needs`."""
     working = vamgpu.devices()
     missing = (kind for kind in _wanted() if not any(name.startswith(kind) for name in working))
-    clever = sorted((name for name in working if name.startswith("opencl")), key=lambda name: "pocl" not in name)
-    return (*working, *(f"{name}{GPU_LAYOUT}" for name in clever[:1]), *missing)
+    return (*working, *(f"{name}{GPU_LAYOUT}" for name in _processors()[:2]), *missing)
 
 
 @cache
@@ -111,20 +110,22 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     file = Path(metafunc.definition.path)
     for fixture, names in choices.items():
         if fixture in metafunc.fixturenames:
-            met = [name for name in names if _is_met(name, file)]
-            marked = [pytest.param(name, marks=pytest.mark.slow) if _is_slow(name) else name for name in met]
+            met = [name for name in names if _is_met(name, fixture, file)]
+            late = [_is_slow(name, file) or (fixture == "opencl_device" and GPU_LAYOUT in name) for name in met]
+            marked = [pytest.param(n, marks=pytest.mark.slow) if slow else n for n, slow in zip(met, late, strict=True)]
             metafunc.parametrize(fixture, marked, indirect=True)
 
 
-def _is_met(device: str, file: Path) -> bool:
+def _is_met(device: str, fixture: str, file: Path) -> bool:
     """Kernels and operators agree on all devices, by the contracts: other tests meet the reference and a processor."""
-    others = device in _processors()[1:] or device == "warp:cpu" or device.endswith(GPU_LAYOUT)
-    return not others or _is_close(file)
+    if device in _processors()[1:]:  # one more driver for the same layout
+        return file.name == "test_kernels.py" or (fixture.startswith("opencl_") and _is_close(file))
+    return _is_close(file) or not (device == "warp:cpu" or device.endswith(GPU_LAYOUT))
 
 
-def _is_slow(device: str) -> bool:
-    """A second processor is one more driver for the same layout."""
-    return device in _processors()[1:]
+def _is_slow(device: str, file: Path) -> bool:
+    """A second processor is one more driver; beyond the contracts the reference is one more device."""
+    return device.removesuffix(GPU_LAYOUT) in _processors()[1:] or (device == "numpy" and not _is_close(file))
 
 
 def _is_close(file: Path) -> bool:
@@ -166,6 +167,16 @@ def shares_of_a_pose_are_found_once() -> Iterator[None]:
         patch.setattr(footprint, "_matrix", remembered(footprint._matrix))
         patch.setattr(traced, "march", remembered(traced.march, most=32))
         patch.setattr(proof, "spans", remembered(proof.spans, most=2))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def proofs_look_at_few_points() -> Iterator[None]:
+    """Distances and walls are tested with the judge of surfaces; proofs and pages elsewhere only pass them on."""
+    from vamgpu.printing import judgement
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judgement, "judge_surface", partial(judgement.judge_surface, samples=1_000))
         yield
 
 

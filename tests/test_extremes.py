@@ -47,7 +47,7 @@ def plan_of(operator: vam.Projection, light: np.ndarray) -> Any:
 
 def solved(operator: vam.Projection, target: Any) -> tuple[np.ndarray, np.ndarray, Any]:
     """Light, dose and proof of a few steps, all of them finite."""
-    plan = optimize(operator, target, iterations=4)
+    plan = optimize(operator, target, iterations=2)
     proof = simulate(operator, pack(plan), target)
     light, dose = plan.sinogram.numpy(), plan.dose().numpy()
     assert np.isfinite(light).all() and light.min() >= 0.0 and light.max() > 0.0

@@ -105,7 +105,7 @@ def test_values_that_none_may_upload_come_through(device: Device) -> None:
 def made() -> dict[str, Any]:
     """What a print is made of, and the objects of a run."""
     target = vam.Target.from_array(np.pad(np.ones((6, 6, 4)), ((5, 5), (5, 5), (2, 2))), 0.25, "block")
-    A = vam.Projection(GRID, BEAM, MOTION, VIAL, "numpy")
+    A = vam.Projection(GRID, BEAM, MOTION, VIAL)
     plan = vam.optimize(A, target, "lbfgs", 3)
     frames = vam.pack(plan, bits=1)
     proof = vam.simulate(A, frames, target)

@@ -108,6 +108,8 @@ def pages() -> list[Path]:
 @cache
 def modules(*packages: str) -> dict[Path, ast.Module]:
     """Trees of the modules of packages, by their files."""
+    if len(packages) > 1:
+        return {path: tree for package in packages for path, tree in modules(package).items()}
     files = [path for package in packages for path in sorted((ROOT / package).rglob("*.py"))]
     return {path: ast.parse(path.read_text("utf-8")) for path in files if not path.is_symlink()}
 
@@ -120,13 +122,18 @@ def texts(node: ast.AST) -> Iterator[tuple[int, str]]:
             yield part.lineno, part.value
 
 
+def _called(node: ast.Call) -> str:
+    """Name of a function or method that is called."""
+    return getattr(node.func, "id", getattr(node.func, "attr", ""))
+
+
 def messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """What errors and warnings of a module say."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for argument in (*node.exc.args, *(keyword.value for keyword in node.exc.keywords)):
                 yield from texts(argument)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("warn", "warnings.warn") and node.args:
+        elif isinstance(node, ast.Call) and _called(node) == "warn" and node.args:
             yield from texts(node.args[0])
 
 
@@ -153,11 +160,15 @@ def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.attr
 
 
+ANY = re.compile("|".join(WORDS), re.IGNORECASE)
+
+
 def amiss(place: Path, lines: Iterator[tuple[int, str]]) -> list[str]:
     """Where lines use a word that has a better one."""
     return [
         f"{place.relative_to(ROOT)}:{number}: {found[0]!r} → {instead}"
         for number, line in lines
+        if ANY.search(line)
         for word, instead in WORDS.items()
         if (found := re.search(word, line, re.IGNORECASE))
     ]

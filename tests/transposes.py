@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 
-def transpose_gap(A: Any, most: int = 400, seed: int = 0, matrix: np.ndarray | None = None) -> float:
+def transpose_gap(A: Any, most: int = 120, seed: int = 0, matrix: np.ndarray | None = None) -> float:
     """Greatest gap between A.T and the entries of A, over the greatest entry.
 
     Columns of A are found one by one, of ``most`` entries of its domain at most. A.T is given the light of one pose at

@@ -46,12 +46,12 @@ def beams(
         *_defocus(axes["g"], device, fwhm, depth_of_focus, quick), *_tiles(axes["h"], device),
     ]  # fmt: skip
     caption = (
-        "Light of one pose, travelling upwards. A pupil at a finite distance spreads columns as a fan, and rows too "
-        "as a cone; inclined light climbs through the slices; a rod that stands in the light throws a shadow. Columns "
-        "beside the axis and an axis that wobbles move every image, by parts of a pixel. Away from the focus a pixel "
-        "widens by two numbers, its width in focus and its depth of focus, which a beam of the quality M² joins. A "
-        "tile set down a little off its place leaves a seam that is as weak as its overlap is wide. Each of them is a "
-        "projector with its exact transpose."
+        "Light of one angle, travelling upwards. A pupil at a finite distance spreads the columns into a fan, or "
+        "columns and rows into a cone; inclined light climbs through the slices; a rod in the light casts a shadow. "
+        "Columns off the axis and a wobbling axis shift every image by fractions of a pixel. Away from the focus a "
+        "pixel widens. Two numbers describe this, its width in focus and its depth of focus; the beam quality M² links "
+        "them. A slightly misplaced tile leaves a seam: the wider the overlap, the weaker the seam. The lens also "
+        "blurs it. Each of these is an operator with its exact transpose."
     )
     return Picture(figure, caption, tuple(facts))
 
@@ -85,8 +85,8 @@ def _fan(axis: Axes, device: Device, n: int, throw: float) -> list[Fact]:
     single = _shine(Projection(*_geometry(n), Fan(throw=throw), device), slice(n // 2 - 1 - n // 10, n // 2 - n // 10))
     places = [_middle(single[i, :, 0]) for i in (-2, 1)]
     depth = (n - 3.0) * 0.5 * PITCH
-    return [Fact("fan: spread of a column at r over the volume's depth, per depth", (places[1] - places[0]) / depth, "",
-                 expected=u / throw, source="r / throw")]  # fmt: skip
+    return [Fact("fan: lateral spread of a column at r, divided by the volume's depth", (places[1] - places[0]) / depth,
+                 "", expected=u / throw, source="r / throw")]  # fmt: skip
 
 
 def _cone(axis: Axes, device: Device, n: int, throw: float) -> list[Fact]:
@@ -95,7 +95,7 @@ def _cone(axis: Axes, device: Device, n: int, throw: float) -> list[Fact]:
     _seen(axis, dose[:, n // 2 - 1].T, "Cone from the side", "z [mm]")
     even = _shine(A, slice(None))[:, n // 2, n // 2]
     reach = 0.5 * (n - 1) * 0.5 * PITCH
-    return [Fact("cone: irradiance nearest the pupil over farthest", float(even[-1] / even[0]),
+    return [Fact("cone: irradiance nearest the pupil divided by farthest", float(even[-1] / even[0]),
                  expected=((throw + reach) / (throw - reach)) ** 2, source="distance²")]  # fmt: skip
 
 
@@ -180,6 +180,7 @@ def _tiles(axis: Axes, device: Device) -> list[Fact]:
     exact = float(np.abs(tiles.T(tiles.split(even)) - plain).max() / plain.max())
     axis.set(xlabel="z [mm]", ylabel="dose over the tall beam's", title="Tiles, one 40 µm off")
     axis.legend(loc="upper left")
-    return [Fact("seam of tiles that only touch, 0.4 rows off", seams[0], "%", 3, 40.0, "0.4 of a row"),
+    return [Fact("seam of tiles that only touch, 0.4 rows off", seams[0], "%", 3, 40.0, "0.4 of a row, without blur"),
             Fact("seam of tiles that overlap by 1.6 mm", seams[1], "%", 3, 2.5, "40 µm / 1.6 mm"),
-            Fact("tiles in place against the tall beam, over its dose", exact, "", 2, 2e-6, bound="≤")]  # fmt: skip
+            Fact("tiles in place: difference from the tall beam, divided by its dose", exact, "", 2, 2e-6,
+                 bound="≤")]  # fmt: skip

@@ -24,7 +24,7 @@ COARSE = 2.0
 LIGHTS = (
     ("L-BFGS, voxels of 2 pixels", "lbfgs", COARSE, 1.0),
     ("L-BFGS, voxels of ¾ pixel", "lbfgs", 0.75, 1.0),
-    ("as b, found for rest", "lbfgs", 0.75, 0.0),
+    ("as b, optimized for rest", "lbfgs", 0.75, 0.0),
     ("default", "ramp", 0.75, 1.0),
 )
 """Title, method, width of voxels over that of a pixel, and lit share with which the light is found."""
@@ -75,7 +75,7 @@ def below(
     )
     keys = ("claimed", "W0.5", "W1", "bodies", "voids", "rms", "p95", "peak")
     table = Table(
-        ("light", "claimed", "W ½ pixel", "W 1 pixel", "bodies", "voids", "RMS [µm]", "95 % [µm]", "peak ÷ mean"),
+        ("patterns", "claimed", "W ½ pixel", "W 1 pixel", "bodies", "voids", "RMS [µm]", "95 % [µm]", "peak ÷ mean"),
         ("+.3f", "+.3f", "+.3f", ".0f", ".0f", ".0f", ".0f", ".0f"),
         tuple((f"{letter}, {title}", tuple(numbers[key] for key in keys))
               for letter, (title, numbers) in zip(letters, rows, strict=True)),
@@ -85,13 +85,13 @@ def below(
 
 def _caption(evaluations: int) -> str:
     return (
-        f"One part, the same pixels, angles and {evaluations} projector evaluations, four lights, exposed while the "
-        "vial turns on voxels of half a pixel, by a judge that takes nothing from the solver. Above, the dose in the "
-        "plane y = 0 with the outline of the mesh. Below, what gets solid: right in gray, excess in red, missing in "
-        "blue. W at a distance is the least dose so deep in the part minus the greatest so far outside, over the "
-        "peak.\n\n"
-        "The claimed window is that of the mean doses of the voxels that the light was found on. Voxels of two pixels "
-        "hide what the dose does within them. The default asks for a dose that ramps from one pixel outside the "
+        f"Four sets of patterns for one part, with the same pixels, angles and {evaluations} projector evaluations. An "
+        "independent judge exposes them on voxels of half a pixel while the vial turns. Above, the dose in the plane y "
+        "= 0 with the outline of the mesh. Below, the print: correct in gray, excess in red, missing in blue. W at a "
+        "distance is the least dose at least that deep in the part minus the greatest at least that far outside, "
+        "divided by the peak.\n\n"
+        "The claimed window uses the mean doses of the voxels on which the patterns were optimized. Voxels of two "
+        "pixels hide how the dose varies inside them. The default makes the dose rise from one pixel outside the "
         "surface to one inside."
     )
 

@@ -58,17 +58,18 @@ def calibration(
         Fact("its standard error", line.error, "mm/dpt", 2),
         Fact("largest error of the axis", float(np.abs(errors).max()), "columns", 2, 0.1, "a tenth of a pixel", "≤"),
         Fact("standard deviation of its error", float(errors.std()), "columns", 2),
-        Fact("standard error that a fit claims", float(np.mean([axis.error for axis in found])), "columns", 2),
+        Fact("standard error that a fit states", float(np.mean([axis.error for axis in found])), "columns", 2),
         Fact("radius of the roller", found[0].radius, "columns", 6, RADIUS, "simulated roller"),
     )
     caption = (
-        "Focus: a camera stands at known places while the lens steps through its powers; the mirrors show a grating. "
-        "The sharpness of a picture is its mean squared Sobel gradient; a Lorentzian through it has its peak where the "
-        "camera is in focus, and the line through all peaks is the lens's slope. The recordings are simulated: blur "
-        f"grows with defocus, {photons:.0f} photons a bright pixel, 8 bits.\n\n"
-        "Axis: light runs backwards through the projector, one column of mirrors after another sends it to a "
-        "photodiode, and the roller's shadow has two blurred edges. Steps fitted to both give its axis in parts of a "
-        f"pixel: the scans are simulated with uneven light, stray light and {100 * noise:g} % of noise a reading."
+        "Focus: a camera stands at known positions while the lens steps through its powers; the mirrors show a "
+        "grating. The sharpness of an image is its mean squared Sobel gradient. A Lorentzian fitted to it peaks where "
+        "the camera is in focus, and the line through all peaks is the lens's slope. The recordings are simulated: "
+        f"blur grows with defocus, {photons:.0f} photons per bright pixel, 8 bits.\n\n"
+        "Axis: light runs backwards through the projector. One column of mirrors after another sends it to a "
+        "photodiode; the roller's shadow has two blurred edges. Step functions fitted to both edges give the axis to a "
+        f"fraction of a pixel. The scans are simulated with uneven light, stray light and {100 * noise:g} % noise per "
+        "reading."
     )
     return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL,))
 

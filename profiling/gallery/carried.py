@@ -71,11 +71,12 @@ def carried(
     lensed = _lensed(axes["b"], axes["c"], scene, iterations)
     shaded = _insert(axes["d"], axes["e"], axes["f"], scene, iterations)
     caption = (
-        "Cured resin refracts: a lump off the axis is a lens that turns with the vial, so no one-pose map of rays "
-        "serves every pose, and each ray is traced anew at each. Top: its rays at three poses, in the resin's own "
-        "coordinates; light planned for straight rays leaves its dose elsewhere; planned through the lens it "
-        "prints again. Bottom: overprinting. A rod stops the light; what lies behind it at one pose must be lit from "
-        "others: planned without knowing the rod, the part keeps its shadows; planned with it, they are filled."
+        "Cured resin refracts. A lump off the axis is a lens that turns with the vial, so the rays of one angle do not "
+        "serve the others, and every ray is traced again at each angle. Top: its rays at three angles, in the resin's "
+        "own coordinates. Patterns planned for straight rays deposit their dose in the wrong place; patterns planned "
+        "through the lens print correctly. Bottom: overprinting. A rod stops the light; the resin behind it at one "
+        "angle must be lit from others. If the plan ignores the rod, the part keeps its shadows; if it includes the "
+        "rod, they are filled."
     )
     return Picture(figure, caption, (*bent, *lensed, *shaded), papers=(SHARMA, THRESHOLDS))
 
@@ -102,7 +103,7 @@ def _paths(axis: Axes, scene: Scene, step: float, width: float, center: tuple[fl
     turns = [_turn(track) for track in tracks]
     # ∫∇n ds / n of a Gaussian at distance b is 2·√π·step·(b/w)·exp(−b²/w²), greatest at b = w/√2
     weak = np.sqrt(2.0 * np.pi) * step * np.exp(-0.5)
-    return [Fact("greatest turn of a ray", float(np.degrees(max(turns))), "°",
+    return [Fact("greatest deflection of a ray", float(np.degrees(max(turns))), "°",
                  expected=float(np.degrees(weak)), source="weak lens, to first order")]  # fmt: skip
 
 
@@ -135,11 +136,11 @@ def _lensed(before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fa
     _dose(after, known, part, scene, "Planned through the lump")
     disc = scene.grid.cylinder()
     return [
-        Fact("window of light planned straight, in straight light", _window(untouched, part, disc), "", 3),
-        Fact("the same light through the lump", _window(ignored, part, disc), "", 3),
-        Fact("window of light planned through the lump", _window(known, part, disc), "", 3),
+        Fact("window of patterns planned straight, along straight rays", _window(untouched, part, disc), "", 3),
+        Fact("the same patterns through the lump", _window(ignored, part, disc), "", 3),
+        Fact("window of patterns planned through the lump", _window(known, part, disc), "", 3),
         Fact("transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖)", lens.dot_test(), "", 2, 2e-8, bound="≤"),
-        Fact("largest gap to the plain projection where nothing is carried", 100 * _gap(air, scene), "%", 2),
+        Fact("largest difference from the plain projection without lump or rod", 100 * _gap(air, scene), "%", 2),
     ]
 
 
@@ -159,7 +160,7 @@ def _insert(alone: Axes, before: Axes, after: Axes, scene: Scene, iterations: in
     _dose(after, doses[1], part, scene, "Planned around the rod")
     dark = float((shadow[scene.steel] == 0).mean())
     return [
-        Fact("share of the rod's voxels that light leaves alone", 100 * dark, "%", expected=100.0, source="opaque"),
+        Fact("share of the rod's voxels that get no light", 100 * dark, "%", expected=100.0, source="opaque"),
         Fact("window around the rod, planned without it", _window(doses[0], part, disc), "", 3),
         Fact("window around the rod, planned with it", _window(doses[1], part, disc), "", 3),
     ]

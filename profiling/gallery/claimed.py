@@ -51,11 +51,11 @@ def claimed(
     facts = (Fact("width of a pixel in the resin", 1e3 * pixel, "µm", 3),)
     said = (f"by {FOOTPRINTS[name]}: “{proof.verdict.sentence}”" for name, proof in proofs.items())
     caption = (
-        "The boat, 11.5 mm high, in a vat of the resin's index, solved twice with the same method and as many steps. "
-        "The operator of interpolated rays knows one point in the middle of a voxel. That of exact footprints takes "
-        "the mean over the voxel's box of a pixel's box behind the lens. Claimed is the strict window by each "
-        "operator, proved that by rays traced without either's tables. W a pixel from the surface, bodies and surface "
-        f"are those of the print, on voxels half as wide. The verdicts: {'; '.join(said)}"
+        "The boat, 11.5 mm high, in an index-matched vat, solved twice with the same method and the same number of "
+        "steps. The operator of interpolated rays samples one point in the middle of a voxel. The operator of exact "
+        "footprints averages the light of a pixel, blurred by the lens, over the voxel. “Claimed” is the strict window "
+        "according to each operator; “proved” is the window from independently traced rays. W one pixel from the "
+        f"surface, bodies and surface are those of the print, on voxels half as wide. The verdicts: {'; '.join(said)}"
     )
     return Picture(figure, caption, facts, table)
 

@@ -58,11 +58,11 @@ def contrast(device: Device, quick: bool = False, fwhm: float = 0.0324, seed: fl
                    "width along ρ [µm]", "ξ"), (".1f", ".1f", ".1f", ".1f", ".4f"), tuple(rows))  # fmt: skip
     caption = (
         "Light that enters a film from a medium of lower index stays within arcsin m of its normal. Above, the spatial "
-        "frequencies that the directions left carry, for m = "
+        "frequencies that the remaining directions carry, for m = "
         + ", ".join(f"{m:.2f}" for m in RATIOS)
-        + ". Below them, what the resin makes of the best dose of each range for one random target; ξ is the share of "
-        f"it that lies in the target. A point, {1e3 * fwhm:g} µm wide in one beam, summed over all directions, grows "
-        "along ρ and shrinks along l. The paper saw ξ fall by 8.9 % for a target of its own that is not published."
+        + ". Below them, the print from the best dose of each range, for one random target; ξ is the share of it "
+        f"inside the target. A point, {1e3 * fwhm:g} µm wide in one beam, summed over all directions, widens along ρ "
+        "and narrows along l. The paper saw ξ fall by 8.9 % for its own unpublished target."
     )
     return Picture(figure, caption, facts, table, (ROLL_TO_ROLL,))
 

@@ -59,15 +59,15 @@ def correction(
         Fact("cured void after, mean", float(after.over().mean()) / um, "µm", 3),
         Fact("uncured part before, mean", float(before.under().mean()) / um, "µm", 4),
         Fact("uncured part after, mean", float(after.under().mean()) / um, "µm", 3),
-        Fact("height of full light to the critical dose, from none", printer.build_up_height() / um, "µm", 4),
-        Fact("slices shown after the last", corrector.slices - len(part), "", 3),
+        Fact("height over which full light reaches the critical dose", printer.build_up_height() / um, "µm", 4),
+        Fact("slices added after the last", corrector.slices - len(part), "", 3),
     )
     caption = (
-        "Full light in the void behind a feature brings its back side to the critical dose; inside, the dose rises as "
-        "far as it may and dies down to the critical one at the front; all else is dark. Only the first feature lies "
-        "on the platform and keeps its light. The map tells the fastest speed at which every feature of a pixel gets "
-        "its dose with the slices shown. Below: slices from the side, the height that full light takes to the critical "
-        "dose, and the highest dose by feature height for critical doses of 3, 5 and 8 gel doses."
+        "Full light in the void behind a feature brings its back side to the critical dose. Inside, the dose rises as "
+        "far as allowed and falls to the critical dose at the front; everything else is dark. Only the first feature "
+        "lies on the platform and keeps its light. The map shows the highest speed at which every feature of a pixel "
+        "gets its dose with the slices shown. Below: slices from the side, the height over which full light reaches "
+        "the critical dose, and the highest dose by feature height for critical doses of 3, 5 and 8 gel doses."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

@@ -51,16 +51,17 @@ def curethrough(
     facts = (
         Fact("dose left by level 0 alone", base.phi_min * base.critical_dose / mJ_cm3, "mJ/cm³", 4, 36.0, "paper"),
         Fact("Φ of full light", base.phi_max, "", 4),
-        Fact("height of full light to the critical dose, from none", base.build_up_height() / um, "µm", 4),
+        Fact("height over which full light reaches the critical dose", base.build_up_height() / um, "µm", 4),
         Fact("Ω* of the feature", float(highest_dose(height / slice_height, base.phi_min, base.phi_max, base.eta))),
         Fact("largest difference of a streamed dose from the closed sum, over the largest dose", apart, "", 2, 1e-5,
              "float32", "≤"),
     )  # fmt: skip
     caption = (
-        "A slice that lights the window also lights what was printed before, a tenth of it per absorption height. So a "
-        "feature's dose is right only inside a region: at least the critical dose (i), no more than full light builds "
-        "up from its back side (ii), and no more than dies down to the critical dose at its front (iii). Blue curves "
-        "lower a setting by half, orange curves raise it by half. Critical dose 576 mJ/cm³ unless chosen otherwise."
+        "A slice that lights the window also lights what was printed before; its light falls to a tenth over each "
+        "absorption height. So the dose in a feature must stay within three limits: at least the critical dose (i), at "
+        "most what full light builds up from its back side (ii), and low enough to fall to the critical dose at its "
+        "front (iii). Blue curves lower a setting by half, orange curves raise it by half. The critical dose is 576 "
+        "mJ/cm³ unless stated otherwise."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

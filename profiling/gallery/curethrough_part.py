@@ -62,12 +62,12 @@ def curethrough_part(
     axes["d"].set_ylim(0, 1)
     axes["d"].legend(loc="lower left", title="dose inside", alignment="left")
     caption = (
-        "Bridges of growing height over 3 mm of void; the light comes from above, and what is higher is cured later. "
-        "Uncorrected, the light of every bridge cures the void before it (orange) and its back side lacks dose (red). "
+        "Bridges of growing height over 3 mm of void. The light comes from above, and higher parts cure later. Without "
+        "correction, the light of every bridge cures the void before it (orange), and its back side lacks dose (red). "
         "Corrected slices begin the light in the void behind a bridge and end it early, so that both its sides just "
-        "reach the critical dose. Judged by that dose, little but the rounding to 256 levels is left. Judged by the "
-        "gel dose, a fraction of the critical one, all that lies between the two counts as error, whatever the dose "
-        "inside is. Every score is that of the bytes of the slices."
+        "reach the critical dose. Judged by the critical dose, little remains but the rounding to 256 levels. Judged "
+        "by the gel dose, a fraction of the critical one, everything between the two counts as error, whatever the "
+        "dose inside. All scores are computed from the 8-bit slices."
     )
     header = ("dose inside", "mean ratio, critical dose", "largest", "mean ratio, gel dose")
     table = Table(header, (".2g", ".2g", ".3f"), tuple(rows))
@@ -116,9 +116,9 @@ def _facts(machine: Printer, outcome: Outcome) -> tuple[Fact, ...]:
     before, after = (one.heights for one in (outcome.before, outcome.after))
     return (
         Fact("Φ of full light", machine.phi_max),
-        Fact("full light from no dose to the critical one", machine.build_up_height() / um, "µm"),
-        Fact("slices added behind the last", machine.tail),
-        Fact("height errors of the whole part, corrected over uncorrected", outcome.ratio, "", 2, 0.01, bound="≤"),
+        Fact("height over which full light reaches the critical dose", machine.build_up_height() / um, "µm"),
+        Fact("slices added after the last", machine.tail),
+        Fact("height errors of the part, corrected divided by uncorrected", outcome.ratio, "", 2, 0.01, bound="≤"),
         Fact("largest cure-through of a pixel, uncorrected", float(before.over.max()), "mm", 3),
         Fact("largest cure-through of a pixel, corrected", 1e3 * float(after.over.max()), "µm", 3, 1e3 * 0.1 *
              machine.slice_height, "a tenth of a slice", "≤"),

@@ -53,10 +53,10 @@ def designs(device: Device, quick: bool = False, pixels: int = 300, angles: int 
                   for target in targets for label in (list(rules)[0], list(rules)[-1]))  # fmt: skip
     thinnest = usaf_bars()[-1].width
     caption = (
-        f"Single slices of {n} × {n} pixels, the diagonal is Ø30 mm; {turn} angles. Left the design, then what has at "
-        "least half of D_in,max: right in black, missing in blue, too much in red. Gray wedges are shown as doses. "
-        f"Bars of groups −2 to 1 are scaled to the square: the thinnest are {1e3 * thinnest:.0f} µm wide, "
-        f"{thinnest / targets[0].grid.pitch:.1f} pixels here. The paper's designs are {PIXELS} pixels wide."
+        f"Single slices of {n} × {n} pixels with a diagonal of 30 mm; {turn} angles. Left: the design. Then: the "
+        "voxels with at least half of D_in,max; correct in black, missing in blue, excess in red. Gray wedges are "
+        f"shown as doses. Bars of groups −2 to 1 are scaled to the square: the thinnest are {1e3 * thinnest:.0f} µm "
+        f"wide, {thinnest / targets[0].grid.pitch:.1f} pixels here. The paper's designs are {PIXELS} pixels wide."
     )
     table = Table(header, ("+.3f", "+.3f", "+.3f", ".3f", ".3f", ".4f", ".4f"), tuple(rows))
     return Picture(figure, caption, facts, table, (PAPER,))

@@ -41,11 +41,11 @@ def deviation(device: Device, quick: bool = False, pitch: float = 0.12, angles: 
     between = print_to_print(prints, samples=samples)
     facts.append(Fact("RMS between prints, mean over the pairs", 1e3 * _mean_of_pairs(between), "µm", 3))
     caption = (
-        "Points drawn evenly on the surface of a print, laid on the target by iterative closest points; red where the "
-        "print is too thick, blue where it is too thin. The mean of the distances tells how early or late the light "
-        "was stopped, the width of the Gaussian what the light cannot draw. The prints are simulated, so these numbers "
-        "hold no resin that flows or shrinks: real prints of the papers have σ of 200–310 µm, and an RMS of 53 µm "
-        "from print to print."
+        "Points sampled evenly on the surface of a print and aligned to the target by iterative closest points; red "
+        "where the print is too thick, blue where it is too thin. The mean distance shows how early or late the light "
+        "was stopped; the width of the Gaussian shows what the light cannot resolve. The prints are simulated, so "
+        "these numbers do not include flow or shrinkage of the resin: real prints of the papers have σ of 200–310 µm, "
+        "and an RMS of 53 µm from print to print."
     )
     return Picture(figure, caption, tuple(facts), papers=(ROLL_TO_ROLL,))
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LABELS = {
-    "sc": "SC", "sc2": "SC2", "dc": "DC, UV anew each pass", "dc kept": "DC, both add up",
+    "sc": "SC", "sc2": "SC2", "dc": "DC, UV recomputed each pass", "dc kept": "DC, both add up",
     "least squares": "DC, least squares",
 }  # fmt: skip
 HUES = dict(zip(LABELS, style.HUES, strict=False))
@@ -60,13 +60,13 @@ def dualcolor(
         Fact("window of two colors, least squares", found["least squares"].window, "D_in,max", 3),
     )
     caption = (
-        f"{n} × {n} voxels, {turn} angles, the diagonal is Ø{DIAMETER:g} mm; Beer–Lambert with μR = {visible:g} for "
-        f"visible and {uv:g} for UV light. Above, effective doses over D_in,max; below, what has at least 0.75 of it: "
-        "right in black, missing in blue, too much in red. SC projects the design, SC2 corrects one sinogram with 75 % "
-        "allowed around the part, DC subtracts UV dose. The text's rule paints the UV light anew in each pass; since "
-        "the visible light adds up and the UV light does not, oversupply comes back. Here it takes UV light that adds "
-        "up as well for a contrast like the paper's; least squares over both sinograms goes further. Doses are linear "
-        "here: no chemistry, no depletion."
+        f"{n} × {n} voxels, {turn} angles, a diagonal of {DIAMETER:g} mm; Beer–Lambert with μR = {visible:g} for "
+        f"visible and {uv:g} for UV light. Above, effective doses divided by D_in,max; below, the voxels with at least "
+        "0.75 of it: correct in black, missing in blue, excess in red. SC projects the design, SC2 corrects one "
+        "sinogram with 75 % allowed around the part, DC subtracts UV dose. The rule in the paper's text recomputes the "
+        "UV light in each pass. Visible light accumulates and UV light does not, so the oversupply returns. Here a "
+        "contrast like the paper's requires that the UV light also accumulates; least squares over both sinograms does "
+        "better. Doses are linear here: no chemistry, no depletion."
     )
     return Picture(figure, caption, facts, Table(header, ("+.3f", ".3f", "+.3f", "+.3f", ".3f", ".3f", ".3f", ".4f",
                    ".4f"), rows), (PAPER,))  # fmt: skip

@@ -76,11 +76,12 @@ def efficiency(
                   (".4f", ".2g", ".4f"), rows)  # fmt: skip
     caption = (
         "W is the induction that UV adds, in units of the induction without it. Under constant light and without "
-        "pairing it is 2β/(α − 2β), dashed. In a turning vial light weakens on its way in, UV more than visible light "
-        "here, so W falls towards the axis; a point near the rim sees the light change most within a turn, and W "
-        "depends on the angle it starts from. Radicals that pair up sooner are lost. The paper's Figs S1–S4 are not in "
-        "its text, so these are its trends, not its numbers. Below: three constants fitted to its only kinetic data. "
-        "They ask for as much B as UV can make: k_C ends at the edge of its range, and errors of up to a second remain."
+        "pairing it is 2β/(α − 2β), dashed. In a turning vial, light weakens on its way in, here UV more than visible "
+        "light, so W falls towards the axis. The light at a point near the rim changes most within a turn, so W "
+        "depends on the starting angle. Inhibitor radicals that pair up sooner are lost, so a shorter life lowers W. "
+        "The paper's Figs S1–S4 are not in its text, so only their trends are compared. Below: three constants fitted "
+        "to its only kinetic data. The fit drives the production of B to its maximum: k_C ends at the limit of its "
+        "range, and errors of up to a second remain."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

@@ -25,11 +25,11 @@ def eikonal(device: Device, quick: bool = False, steps: int = 256, index: float 
     facts = [*_luneburg(axes["a"], device, steps), *_fish_eye(axes["b"], device, 1000 if quick else 2000),
              *_parabolic(axes["c"], device, index, slope), *_slopes(axes["d"], 3 if quick else 5)]  # fmt: skip
     caption = (
-        "Rays are marched by d²R/dt² = ½∇n², dt = ds/n. In a Luneburg lens parallel rays meet on the rim; in "
-        "Maxwell's fish-eye all rays of a point are circles through its image and close; where n² falls with "
-        "the square of x, rays swing with a period of 2π·cosθ/g whatever the amplitude. Errors against 8,192 steps "
-        "fall with the fourth power of the step for Sharma's scheme and Yoshida's, the second for the leapfrog; "
-        "the last two are symplectic and keep their energy over any number of steps."
+        "Rays are marched with d²R/dt² = ½∇n², dt = ds/n. In a Luneburg lens parallel rays meet on the rim; in "
+        "Maxwell's fish-eye all rays from a point are closed circles through its image; if n² falls with the square of "
+        "x, rays oscillate with a period of 2π·cosθ/g at any amplitude. Errors relative to 8,192 steps fall with the "
+        "fourth power of the step for the schemes of Sharma and Yoshida, and with the second for the leapfrog; the "
+        "last two are symplectic and keep their energy over any number of steps."
     )
     return Picture(figure, caption, tuple(facts), papers=(SHARMA, YOSHIDA))
 

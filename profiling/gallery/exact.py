@@ -47,11 +47,11 @@ def exact(
                   (".2g", ".3g", ".3g", ".0f"), tuple(rows))  # fmt: skip
     caption = (
         f"{n} × {n} points, {turn} angles, μR = 1 for light that adds and {subtraction:g} for light that subtracts. "
-        "Points are taken one after another; each gets or loses what it needs at the angles where no earlier point "
-        "shares its bin, so that no dose once right changes again. The buildup is absolute, never rescaled. It is "
-        "exact at the points while every point keeps a free angle, which takes narrow bins; without one the light "
-        "grows out of bounds. Between the points, where a print has resin too, it is not: the finer buildup says "
-        "by how much."
+        "Points are processed one after another. Each is corrected only at angles at which no earlier point shares its "
+        "bin, so a correct dose never changes again. The buildup is absolute, never rescaled. It is exact at the "
+        "points as long as every point has a free angle, which needs narrow bins; without one the light grows without "
+        "limit. Between the points, where there is also resin, the dose is not exact; the finer buildup shows the "
+        "error."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

@@ -64,15 +64,16 @@ def focus(
              "half the depth of focus", "≤"),
         Fact("focus planes needed", bins_needed(beam, radius, thickness, 0.5 * DEPTH_OF_FOCUS), "", 2, 3, "paper"),
         Fact("largest difference between the sum of the binned frames and the frame", apart, "levels", expected=0.0),
-        Fact("share of the light in the bin nearest to it", 100 * float(shades[0].sum() / total.sum()), "%", 3),
+        Fact("share of the light in the bin next to the projector", 100 * float(shades[0].sum() / total.sum()), "%", 3),
         Fact("range of the lens's power over the planes", float(np.ptp(powers)), "dpt", 3),
     )  # fmt: skip
     caption = (
-        "The film on a roller is in focus at one depth only where it is flat to the light. So every picture is cut by "
-        "columns into one for each focus plane of a tunable lens; a column goes to the plane nearest to the middle of "
-        "its film, and planes lie where the worst column is as sharp as it can be. Binned frames add up to the frame "
-        "to the last bit. The lens takes the power of a plane, settles, then its picture is shown; in turning order it "
-        "need not move from one pose to the next. The picture is the light that a gyroid film sends back to one pose."
+        "A film on a roller is curved, so at any one depth only the part that faces the light is in focus. The columns "
+        "of every frame are therefore divided among the focus planes of a tunable lens, one sub-frame for each plane. "
+        "A column goes to the plane nearest to the middle of its film; the planes lie where the worst column is as "
+        "sharp as possible. The sub-frames add up exactly to the frame. The lens moves to the power of a plane and "
+        "settles; then that sub-frame is shown. If the order of planes reverses at each angle, the lens need not move "
+        "between angles. The frame shown is the projection of a gyroid film at one angle."
     )
     return Picture(figure, caption, facts, table, (ROLL_TO_ROLL,))
 

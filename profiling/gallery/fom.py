@@ -58,12 +58,13 @@ def fom(device: Device, quick: bool = False, pixel: float = 0.067, angles: int =
         *ends,
     )
     caption = (
-        f"A disk with half disks on two spokes of 1–7 or behind gaps of 2–8 pixels of {1e3 * pixel:g} µm, printed in "
-        f"the computer: light of the recipe, {turn} angles, a blur of {1e3 * blur:g} µm, and {100 * noise:g} % of "
-        f"noise in the resin's sensitivity (correlated over 0.2 mm) and in each stop. Stop doses are relative to the "
-        "mean dose of the part at gelation. FOM = spoked half disks connected − gapped half disks connected, by "
-        "connected components; the acceptable range is where its mean over four prints exceeds 2. Black is right, blue "
-        "missing, red too much. The paper's stop is scattered light per voxel, 0.15 to 0.35 acceptable: another scale."
+        "Simulated prints of a disk: half disks hang on two spokes of 1–7 pixels or lie behind gaps of 2–8 pixels; a "
+        f"pixel is {1e3 * pixel:g} µm. The patterns are those of the recipe, with {turn} angles and a blur of "
+        f"{1e3 * blur:g} µm. Noise of {100 * noise:g} % is added to the resin's sensitivity (correlated over 0.2 "
+        "mm) and to each stop. Stop doses are relative to the mean dose of the part at gelation. FOM = spoked half "
+        "disks connected − gapped half disks connected, by connected components; the acceptable range is where its "
+        "mean over four prints exceeds 2. Black is correct, blue missing, red excess. The paper stops on scattered "
+        "light per voxel, of which 0.15 to 0.35 is acceptable; that is a different scale."
     )
     table = Table(header, (*[".0f"] * REPLICATES, ".2f", ".2f", ".1f", ".1f"), rows)
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))

@@ -61,21 +61,21 @@ def frames(
     gap = float(np.abs(curve(curve.inverse(wanted)) - np.maximum(wanted, black)).max())
     brightest = float(light.max())
     facts = (
-        Fact("brightest pixel over a full-on one", brightest / packed["8 bits"].scale, "", 3),
+        Fact("brightest pixel divided by a full-on one", brightest / packed["8 bits"].scale, "", 3),
         Fact("window lost by 8 bits", rows[0][1][0] - rows[1][1][0], "", 2),
         Fact("window lost by 1 bit, error diffusion", rows[0][1][0] - rows[2][1][0], "", 2),
         Fact("window lost by 1 bit, chosen by dose", rows[0][1][0] - rows[4][1][0], "", 2),
-        Fact("largest gap between light asked for and that of the nearest level, over full-on", 100 * gap, "%", 2),
-        Fact("light of a mirror that is off, over full-on", 100 * curve.black, "%", 2),
+        Fact("largest difference between required light and nearest level, divided by full-on", 100 * gap, "%", 2),
+        Fact("light of a mirror switched off, divided by full-on", 100 * curve.black, "%", 2),
     )
     caption = (
-        "The light of a plan becomes bytes: a full-on pixel stands for the brightest that is not hot; each "
-        "level is the one whose measured light is nearest, black level too. "
-        "With one bit a pixel carries its error on to the next angle, so that the dose, which sums over angles, keeps "
-        "most of the part, where the nearest bit loses it; chosen by the dose of all pixels together, bits leave a "
-        "window like that of the plan, or a wider one where its run was short. The table judges the dose of the bytes "
-        "alone, decoded as the mirrors show them: their black level is light that no plan asked for. The error is the "
-        "norm of what is wrong with the light over the norm of the light."
+        "Patterns are converted to bytes. A full-on pixel stands for the brightest one that is not an outlier; each "
+        "pixel gets the level whose measured light, black level included, is nearest. With 1 bit, each pixel passes "
+        "its rounding error to the next angle. The dose sums over angles, so most of the part survives; rounding to "
+        "the nearest bit loses it. Bits chosen together by their dose leave a window like that of the plan, or a wider "
+        "one if the plan's run was short. The table judges only the dose of the bytes, decoded as the mirrors show "
+        "them; their black level adds light that is not in the plan. The error is the norm of the difference in light, "
+        "divided by the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)
 

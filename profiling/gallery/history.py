@@ -30,9 +30,9 @@ def history(
         Fact("error of a generation left out", found.error, "s", 3),
         Fact("the same, taking the mean of the others", found.naive_error, "s", 3),
         Fact("the same, taking the generation before", last, "s", 3),
-        Fact("residual of the fit to all, which judges nothing", found.residual, "s", 3),
-        Fact("oxygen a print takes from the resin left", 100 * found.aging.spent, "%", 3),
-        Fact("missing oxygen that a full vial gets back by the next day", 100 * recovery(1.0, found.aging.refill, 1.0),
+        Fact("residual of the fit to all five, which is no test", found.residual, "s", 3),
+        Fact("oxygen that a print takes from the remaining resin", 100 * found.aging.spent, "%", 3),
+        Fact("missing oxygen that a full vial regains by the next day", 100 * recovery(1.0, found.aging.refill, 1.0),
              "%", 3),
         Fact(f"the same by diffusion alone, {hours:g} h and {depth:g} mm deep", 100 * night, "%", 2),
         Fact("longest over shortest print", measured.max() / measured.min(), "", 3),
@@ -43,12 +43,12 @@ def history(
         for k, (t, r, e) in enumerate(zip(measured, found.residuals, found.left_out, strict=True))
     )
     caption = (
-        "Print times of five generations of resin: each print takes oxygen from the resin around the part and leaves "
-        "with some of the resin; stirring and a night under air bring oxygen back, the more the less resin there is "
-        "under the same surface. Three numbers fit five ages well, which proves little, so each age is also predicted "
-        "from the other four. The last one, longer than the one before, is not foreseen. What the fit gives "
-        "back to the vial is far more than diffusion alone would in the resin assumed; the times do not tell by which "
-        "way it came, stirring or else, nor that oxygen is all that ages."
+        "Print times of five generations of resin. Each print uses up oxygen in the resin around the part and removes "
+        "some resin; stirring and a night under air restore oxygen, the more the less resin there is under the same "
+        "surface. Three numbers fit five ages well, which proves little, so each age is also predicted from the other "
+        "four. The last time, longer than the one before, is not predicted. The fit returns far more oxygen to the "
+        "vial than diffusion alone would in the assumed resin. The times do not show how it returned, by stirring or "
+        "otherwise, nor that oxygen is the only cause of aging."
     )
     return Picture(_drawn(found, measured), caption, facts, Table(titles, (".1f", ".1f", ".1f", "+.1f"), rows),
                    (AUTOMATIC_EXPOSURE,))  # fmt: skip

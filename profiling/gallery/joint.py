@@ -62,13 +62,13 @@ def joint(
     rows = tuple((LABELS[name], _row(plan, model, before, firm)) for name, plan in plans.items())
     facts = (
         Fact("window, visible light alone", found["visible"].window, "of D_in,max", 3),
-        Fact("window of the linear model's light", found["linear"].window, "of D_in,max", 3),
-        Fact("what the linear model expects of it", promised.window, "of D_in,max", 3),
-        Fact("window of light found through the kinetics", found["joint"].window, "of D_in,max", 3),
-        Fact("cured out of the part, linear model's light", 100 * found["linear"].overcured, "%", 3),
-        Fact("cured out of the part, through the kinetics", 100 * found["joint"].overcured, "%", 3),
+        Fact("window of the linear model's patterns", found["linear"].window, "of D_in,max", 3),
+        Fact("window that the linear model predicts", promised.window, "of D_in,max", 3),
+        Fact("window of patterns found with the kinetics", found["joint"].window, "of D_in,max", 3),
+        Fact("cured outside the part, linear model's patterns", 100 * found["linear"].overcured, "%", 3),
+        Fact("cured outside the part, with the kinetics", 100 * found["joint"].overcured, "%", 3),
     )
-    header = ("light", "D in, least", "D out, most", "window", "bulk", "uncured [%]", "overcured [%]", "D in before "
+    header = ("patterns", "D in, least", "D out, most", "window", "bulk", "uncured [%]", "overcured [%]", "D in before "
               "the last turn", "seconds")  # fmt: skip
     early = sum(values[-2] >= 1.0 for _, values in rows)
     formats = ("+.3f", "+.3f", "+.3f", "+.3f", ".2f", ".2f", ".3f", ".1f")
@@ -79,15 +79,15 @@ def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
     """early: how many kinds of light pass the end of the induction before the last turn."""
     turns, supply = f"{model.turns} turns of {model.period:g} s", f"{model.resin.supply:g}"
     return (
-        f"{size} × {size} voxels, {poses} angles, {turns}. Shown are effective doses: 1 is the end of the induction; "
-        "what ultraviolet adds to the inhibitors counts as visible dose still to be sent. Light arrives in the order "
-        "of rotation, each color is attenuated by itself (μR = 0.5), C is used up, and B pairs up in between: α = "
-        f"{ALPHA:g} and k₂ = {PAIRING:g}/s are those fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
-        "assumed. The linear model, visible − k·ultraviolet, knows no order and no decay, "
-        "and so counts on ultraviolet that is long forgotten; the kinetics, differentiated exactly through all turns, "
-        "put it where and when it lasts. Nothing here asks that the part stays clear before the last turn: in "
-        f"{early} of {len(LABELS)} its greatest dose is beyond 1 by then. Middle row, all with dose ≥ 1: right in "
-        "black, missing in blue, too much in red."
+        f"{size} × {size} voxels, {poses} angles, {turns}. The figure shows effective doses: 1 is the end of the "
+        "induction; inhibitor that ultraviolet adds counts as visible dose that is still needed. Light arrives in the "
+        "order of rotation, each color is attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α "
+        f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
+        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay, so it relies on ultraviolet "
+        "whose effect is gone. The kinetics, differentiated exactly through all turns, place it where and when its "
+        f"effect lasts. Nothing here keeps the part clear before the last turn: in {early} of {len(LABELS)} cases its "
+        "greatest dose exceeds 1 by then. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, "
+        "excess in red."
     )
 
 

@@ -62,11 +62,11 @@ def lattices(device: Device, quick: bool = False, cell: float = 3.0, cells: floa
                   (".2f", ".0f", ".1f"), tuple(rows))  # fmt: skip
     caption = (
         "Solids as functions of space, negative inside: four triply periodic minimal surfaces at the levels of the "
-        f"roll-to-roll paper (Schwarz P at 0.8, below its pinch-off), three trusses and closed capsules, cells of "
-        f"{cell:g} mm, {cells:g} cells along each edge. Pieces beyond the first are ends that the cube cuts off, but "
-        f"for the capsules. Below, an octet truss of 4 mm cells in a body {2 * SPIRAL.outer:.1f} mm across, far "
-        f"thicker than the {SPIRAL.thickness:g} mm film: the spiral cuts it into {SPIRAL.length:.1f} mm of flat film, "
-        "and winding that film up brings it back."
+        "roll-to-roll paper (Schwarz P at 0.8, below its pinch-off), three trusses and closed capsules, with cells of "
+        f"{cell:g} mm, {cells:g} along each edge. Except for the capsules, pieces beyond the first are ends that the "
+        f"cube cuts off. Below, an octet truss of 4 mm cells in a body {2 * SPIRAL.outer:.1f} mm across, far thicker "
+        f"than the {SPIRAL.thickness:g} mm film: a spiral cuts it into {SPIRAL.length:.1f} mm of flat film, and "
+        "winding that film up restores it."
     )
     return Picture(figure, caption, tuple(facts), table, (ROLL_TO_ROLL,))
 

@@ -59,9 +59,9 @@ def layerwise(
         Fact("features whose back side full light does not cure, columns", float((corrector.missed > 0).sum()), "", 3),
     )
     caption = (
-        "The platform stands for every slice, so the dose jumps from layer to layer. The correction gives the far edge "
-        "of every layer the critical dose, and the void nothing. Since level 0 is not dark, a little of the void in "
-        "front of every feature cures all the same. Right: what single slices add."
+        "The platform stops for every slice, so the dose jumps from layer to layer. The correction gives the far edge "
+        "of every layer the critical dose, and the void nothing. Because level 0 is not dark, a little of the void in "
+        "front of every feature still cures. Right: the contributions of single slices."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

@@ -43,10 +43,10 @@ def limits(
     paper = WebLimits(roller, lens, found.display, found.speed, density=PAPER_DENSITY)
     facts = (
         Fact("sampling along the web at 1 mm/s", found.sampling_limit(1.0), "/mm", expected=66, source="paper, S12"),
-        Fact("pictures", found.frame_rate, "/s", 3, expected=30.6, source="48 mm/min, mid-line"),
-        Fact("slot of a picture", 1e3 * found.slot, "ms", 3, expected=32.7, source="48 mm/min, mid-line"),
+        Fact("frames", found.frame_rate, "/s", 3, expected=30.6, source="48 mm/min, mid-line"),
+        Fact("slot of a frame", 1e3 * found.slot, "ms", 3, expected=32.7, source="48 mm/min, mid-line"),
         Fact("data of 8-bit 1080p", found.data_rate / 1e6, "MB/s", 3, expected=63, source="48 mm/min, mid-line"),
-        Fact("length of a window's leg, 5 % of the light left", found.window, "mm", expected=13.6, source="paper, S11"),
+        Fact("straight length of a window, to 5 % of light", found.window, "mm", expected=13.6, source="paper, S11"),
         Fact("angular coverage", found.coverage, "rad", expected=2.2, source="paper"),
         Fact("viscosity needed at 1.1 kg/m³", paper.viscosity_needed / Pa_s, "Pa·s",
              expected=43.7, source="paper, S13"),
@@ -56,12 +56,12 @@ def limits(
         Fact("greatest speed", limiting.speed * minute, "mm/min", 4),
     )  # fmt: skip
     reach = tuple((s.name, (s.speed * minute, s.speed / found.speed)) for s in found.speeds if s.speed < inf)
-    table = Table(("limit", "speed [mm/min]", "over the design speed"), (".4g", ".3g"), reach)
+    table = Table(("limit", "speed [mm/min]", "divided by the design speed"), (".4g", ".3g"), reach)
     caption = (
-        "What bounds the speed of a web that turns by a fixed angle from pose to pose: the mirrors' rate, the settling "
-        "of the lens, the wire to the lens, and, as a machine does one after the other, their sum. At the design speed "
-        "light can be on for what the lens leaves of each slot. The slower the web, the longer the resin hangs in the "
-        "light, and the thicker it must be. A film in a bath of lower index sees light from a limited range of angles, "
-        "so a wedge of spatial frequencies about its normal is missing."
+        "Four limits on the speed of a web that turns by a fixed angle per frame: the mirrors' rate, the settling of "
+        "the lens, the link to the lens, and their sum, because the machine does one after another. At the design "
+        "speed, light can be on for the part of each slot that the lens leaves. The slower the web, the longer the "
+        "uncured resin hangs in the light, and the more viscous it must be. A film in a bath of lower index gets light "
+        "from a limited range of angles, so a wedge of spatial frequencies about its normal is missing."
     )
     return Picture(figure_of(found), caption, facts, table, (ROLL_TO_ROLL,))

@@ -29,18 +29,18 @@ def live(device: Device, quick: bool = False, generation: int = 3, lamp: float =
         action = decision.action
         dose = printer.dose(state.light) if action == "swap" else dose
     facts = (
-        Fact("overlap unwatched, light ended by the time of fresh resin", _overlap(bench, timed), digits=3),
-        Fact("overlap watched", _overlap(bench, printer), digits=4),
+        Fact("overlap when not watched, with the exposure time of fresh resin", _overlap(bench, timed), digits=3),
+        Fact("overlap when watched", _overlap(bench, printer), digits=4),
         Fact("RMS distance of the surfaces, watched", 1e3 * _off(bench, printer), "µm", 2),
-        Fact("the same of the plan in fresh resin", bench.known["fresh_um"], "µm", 2),
+        Fact("the same for the plan in fresh resin", bench.known["fresh_um"], "µm", 2),
         Fact("turns that were lit", float(printer.turns), "", 2, float(PLANNED), "the plan", "≤"),
-        Fact("inhibitor found, over that of fresh resin", decisions[-1].inhibitor, "", 3, truth.inhibitor, "the truth"),
-        Fact("gain found along z", decisions[-1].parameters["along_z"][0], "", 2, along_z, "the truth"),
+        Fact("inhibitor found, relative to fresh resin", decisions[-1].inhibitor, "", 3, truth.inhibitor, "the truth"),
+        Fact("estimated gain along z", decisions[-1].parameters["along_z"][0], "", 2, along_z, "the truth"),
     )
     caption = (
-        "A camera looks through the vial while it turns. After each turn the field of conversion is computed from its "
-        "images, then what lamp, resin and axis must have been, then the light of the turns to come: the picture is of "
-        "the middle of the replanning. Resin, rays and camera of the print share geometry alone with the plan."
+        "A camera looks through the vial while it turns. After each turn the library reconstructs the conversion from "
+        "its images, estimates lamp, resin and axis, and replans the remaining turns; the figure shows the decision "
+        "after the first replanning. The simulated resin, rays and camera share only the geometry with the plan."
     )
     middle = next(k for k, each in enumerate(decisions) if each.action == "swap") + 1
     shown = min(middle, len(decisions) - 1)

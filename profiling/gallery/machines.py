@@ -51,20 +51,20 @@ def machines(
     errors = _errors(axes["b"], device, angles)
     dark = _darkness(axes["c"], speed)
     facts = (
-        Fact("pictures a second of the web", roll.schedule.rate, "1/s", 4, 30.6, "3 planes at 48 mm/min"),
+        Fact("frames per second of the web", roll.schedule.rate, "1/s", 4, 30.6, "3 planes at 48 mm/min"),
         Fact(
             "light while the lens moved", roll.emulated.recorder.astray, "s", 2, 0.0, "no light before it has settled"
         ),
-        Fact("dose of the vial off by, of its greatest", errors["as planned"], "", 2, 1e-4, bound="≤"),
-        Fact("the same, every picture one slot late", errors["one slot late"], "", 2),
+        Fact("error of the vial's dose, divided by its greatest", errors["as planned"], "", 2, 1e-4, bound="≤"),
+        Fact("the same, with every frame one slot late", errors["one slot late"], "", 2),
         Fact("longest light after a fault", max(dark.values()), "ms", 3, 250.0, "one lease", bound="≤"),
     )
     caption = (
-        "The drivers of a print speak their real bytes to emulated machines, and emulated resin integrates bit planes, "
-        "the lens in the midst of settling, the true position and the lamp. Above, two poses of a web: after each "
-        "picture the lens is told, settles, and only then there is light; the order of planes turns at every pose. "
-        "Below, the dose of a vial against the library's own simulation of the same frames, also with mistakes that "
-        "must be seen; and how long light lasts after something fails, seen from the emulated lamp."
+        "The drivers of a print use their real protocols with emulated machines. Emulated resin integrates the bit "
+        "planes, the lens as it settles, the true position and the lamp. Above, two angles of a web: after each frame "
+        "the lens gets its command and settles, and only then the light goes on; the order of planes reverses at every "
+        "angle. Below, the dose of a vial compared with the library's own simulation of the same frames, also with "
+        "deliberate errors that the comparison must reveal; and how long the emulated lamp stays on after a fault."
     )
     return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL,))
 

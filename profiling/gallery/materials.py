@@ -35,10 +35,10 @@ def materials(
     place = wavelength_nm * nm
     rows = tuple((name, (index.at(place),)) for name, index in indices if index.range[0] <= place <= index.range[1])
     caption = (
-        "Every number comes from a file that names its source; where a source gives an index at one wavelength only, "
-        "there is a dot and no curve, and where it prints a curve only, there is nothing. Outside the data a material "
-        "refuses to answer. Diffusivities are estimates after Wilke and Chang. The roll-to-roll paper takes 1.33 for "
-        "water, its index in yellow light; at the wavelength printed with it is higher."
+        "Every number comes from a file that names its source. If a source gives the index at only one wavelength, the "
+        "figure shows a dot; if it prints only a curve, nothing. Outside its data a material raises an error. "
+        "Diffusivities are estimates after Wilke and Chang. The roll-to-roll paper uses 1.33 for water, its index in "
+        "yellow light; at the wavelength of the print it is higher."
     )
     table = Table((f"at {wavelength_nm:g} nm", "refractive index"), (".5f",), rows)
     return Picture(figure, caption, facts, table, (PAPER, WILKE_CHANG))

@@ -59,11 +59,11 @@ def measured(
         Fact("half modulation in focus", sharp.numbers["mtf50_per_mm"][2], "1/mm", 4),
     )
     caption = (
-        "What `vam calibrate` drives, rehearsed: mirrors, lens, a stage that carries the camera, a photodiode and the "
-        "light speak their real bytes, and emulated optics with noise answer. Top left, sharpness of a grating over "
-        "the lens's power at each place of the camera; top right, one lit column after another past a roller, whose "
-        "shadow has two edges; bottom left, light of each gray level, which time to turn and leaks bend off the "
-        "straight line; bottom right, modulation of a slanted edge, beside that of the blur, mirrors and pixels."
+        "A dry run of `vam calibrate`: the drivers of mirrors, lens, camera stage, photodiode and light use their real "
+        "protocols, and emulated optics with noise respond. Top left, sharpness of a grating against the lens's power "
+        "at each position of the camera; top right, columns lit one after another past a roller, whose shadow has two "
+        "edges; bottom left, the light of each gray level, which the mirrors' switching time and leaks make nonlinear; "
+        "bottom right, modulation of a slanted edge, compared with that of the blur, mirrors and pixels."
     )
     return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL,))
 

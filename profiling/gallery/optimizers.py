@@ -57,12 +57,12 @@ def optimizers(
     )
     caption = (
         "The window one pixel from the surface is the least dose at least a pixel deep in the part minus the greatest "
-        "dose at least a pixel outside it, over the greatest dose, on voxels finer than a pixel, while the vial turns. "
-        "Light cannot make the dose jump at the surface, so that the strict window of voxel means, which counts the "
-        f"voxels that the surface cuts, says little of a print. All methods but the default ask for {OUTSIDE:g} of the "
-        f"part's dose outside at most and {INSIDE:g} inside at least; those with one threshold take the middle, the "
-        "recipe and filtered back projection take none. All may spend the same projector evaluations, warm starts "
-        "included, and return the best light they found. Frames of 8 bits are packed by default."
+        "dose at least a pixel outside it, divided by the greatest dose, on voxels finer than a pixel, while the vial "
+        "turns. The dose cannot jump at the surface, so the strict window of voxel means, which counts the voxels that "
+        f"the surface cuts, says little about a print. All methods but the default require at most {OUTSIDE:g} of the "
+        f"part's dose outside and at least {INSIDE:g} inside. Methods with one threshold take the middle; the recipe "
+        "and filtered back projection take none. Each may use the same number of projector evaluations, warm starts "
+        "included, and returns its best patterns. 8-bit frames are packed with the defaults."
     )
     cited = tuple(dict.fromkeys(paper for name in LABELS for paper in METHODS[name].papers))
     return Picture(figure, caption, facts, table, cited)

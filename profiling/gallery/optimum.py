@@ -46,18 +46,18 @@ def optimum(device: Device, quick: bool = False, part: str = "cross", evaluation
     axis.set(xscale="log", xlabel="projector evaluations", ylabel="strict process window", ylim=(0.0, 1.25 * top))
     axis.legend(loc="lower right", fontsize=8)
     facts = (
-        Fact("widest window of any light, by linear programming", top, "", 4),
-        Fact(f'window of "ramp" after {most} evaluations, over that', plans["ramp"].window / top, "", 4),
-        *(Fact(f"bound after {n} evaluations, over that", value / top, "", 4, 1.0, "weak duality", "≥")
+        Fact("widest window of any patterns, by linear programming", top, "", 4),
+        Fact(f'window of "ramp" after {most} evaluations, divided by it', plans["ramp"].window / top, "", 4),
+        *(Fact(f"bound after {n} evaluations, divided by it", value / top, "", 4, 1.0, "weak duality", "≥")
           for n, value in limits.items()),
     )  # fmt: skip
     table = Table(("method", "window", "share of the optimum"), ("+.4f", ".3f"),
                   tuple((LABELS[name], (plan.window, plan.window / top)) for name, plan in plans.items()))  # fmt: skip
     caption = (
-        "A method tells what it found, not what there was to find. For one slice linear programming tells the widest "
-        "strict window of any light, from the matrix of the projector in float64. Prices of the limits that doses "
-        "press against bound it for parts of any size: what light earns at these prices is at most what it costs, so "
-        "no light whatever has a wider window. Windows are those of lights looked at; methods ask for equal thresholds."
+        "A method reports what it found, not the best possible. For one slice, linear programming on the projector's "
+        "float64 matrix gives the widest strict window of any patterns. Dual variables of the dose limits bound it for "
+        "parts of any size: by weak duality, no patterns have a wider window. The plotted windows are those of the "
+        "evaluated patterns; methods use equal thresholds."
     )
     papers = tuple(dict.fromkeys(paper for plan in plans.values() for paper in plan.papers))
     return Picture(figure, caption, facts, table, papers)

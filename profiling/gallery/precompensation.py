@@ -37,7 +37,7 @@ def precompensation(
     apart = float(np.abs(streamed - found.dose.numpy()).max())
     real = Resin.load("dudma-pegda").diffusivity("oxygen", temperature=293.15, molar_mass=500.0)
     facts = (
-        Fact(f"times nearer to the target at a blur of {blur:g} voxels, root mean square", found.factor, "", 3),
+        Fact(f"factor by which the RMS error falls, with a blur of {blur:g} voxels", found.factor, "", 3),
         Fact(f"the same at {2 * blur:g} voxels", _factor(part, grid, 2 * blur, background, device), "", 3),
         Fact(
             f"the same at {blur:g} voxels, edges sharp to the voxel",
@@ -53,19 +53,19 @@ def precompensation(
         ),
         Fact("voxels on the wrong side of one half, plain", wrong[0], ""),
         Fact("the same, compensated", wrong[1], ""),
-        Fact("smallest dose asked for", float(found.dose.numpy().min()), "", 3, 0.0, "never negative", "≥"),
-        Fact("greatest dose asked for", found.greatest, "", 3),
+        Fact("smallest target dose", float(found.dose.numpy().min()), "", 3, 0.0, "never negative", "≥"),
+        Fact("greatest target dose", found.greatest, "", 3),
         Fact("streamed in blocks against all at once, worst voxel", apart, "", 2, 1e-3 * found.greatest, "bound", "≤"),
         Fact("blur of the automatic exposure resin, 56.8 s", 1e3 * Diffusion(real, 56.8).deviation, "µm", 2),
     )
     caption = (
-        "Oxygen flows into what the light has emptied, so thin walls cure late. The blur is the mean of heat kernels "
-        "over the exposure. The dose asked for is deconvolved with a small weight on its distance from the plain one "
-        f"and never falls below zero: a background of {100 * background:g} % is the room in which it can dip beside "
-        "an edge. The table shows what that room is worth. This part's edges are smooth over more than a voxel, which "
-        "flatters the numbers: sharp edges and wider blurs leave less to gain. All are of the dose asked for, not of a "
-        "print: light that is never negative need not reach it. The last number takes 293 K and 500 g/mol, "
-        "which the paper does not give, for an estimate after Wilke and Chang."
+        "Oxygen diffuses into regions that the light has depleted, so thin walls cure late. The blur is the mean of "
+        "heat kernels over the exposure. The target dose is deconvolved with a small weight on its distance from the "
+        f"plain target, and never falls below zero: a background of {100 * background:g} % lets it dip beside an edge. "
+        "The table shows the value of that background. This part's edges are smooth over more than a voxel, which "
+        "flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target dose, "
+        "not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate that "
+        "assumes 293 K and 500 g/mol, which the paper does not give."
     )
     table = _table(part, grid, diffusion, device)
     return Picture(_drawn(part, plain, found, made_up), caption, facts, table, PAPERS)
@@ -97,7 +97,7 @@ def _table(part: np.ndarray, grid: Grid, diffusion: Diffusion, device: Device) -
     for background in (0.0, 0.2, 0.4, 0.6, 0.8):
         found = precompensate(part, grid, diffusion, background=background, device=device)
         rows.append((f"{100 * background:.0f} %", (found.factor, found.greatest)))
-    return Table(("background", "times nearer", "greatest dose"), (".2f", ".2f"), tuple(rows))
+    return Table(("background", "error falls by a factor of", "greatest dose"), (".2f", ".2f"), tuple(rows))
 
 
 def _drawn(part: np.ndarray, plain: np.ndarray, found: Compensated, made_up: np.ndarray) -> Any:

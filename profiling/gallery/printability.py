@@ -71,9 +71,9 @@ def printability(
         Fact("D_in,min over D_out,max, two colors", dual.in_least / max(dual.out_most, 1e-9), "", 3, firm,
              "T_mec/T_opt, from (b) and (c)", "≥"),
         Fact("D_in,min over D_in,max, two colors", dual.in_least / dual.in_most, "", 3),
-        Fact("greatest legal number of turns, one color", float(most_turns(single, resin)), "", 3),
-        Fact("greatest legal number of turns, two colors", float(min(most_turns(dual, resin), 999)), "", 3),
-        Fact(f"power may be off either way at {turns:.0f} turns, two colors", 100 * window.tolerance, "%", 3),
+        Fact("greatest allowed number of turns, one color", float(most_turns(single, resin)), "", 3),
+        Fact("greatest allowed number of turns, two colors", float(min(most_turns(dual, resin), 999)), "", 3),
+        Fact(f"tolerance of the power to either side at {turns:.0f} turns, two colors", 100 * window.tolerance, "%", 3),
         Fact("the same, worst case of the disturbances", 100 * power_window(worst["two colors"], resin,
              int(turns)).tolerance, "%", 3),
         Fact("exposure", plan.seconds, "s", 4),
@@ -82,14 +82,15 @@ def printability(
     )  # fmt: skip
     table = _table(every, worst, resin, int(turns))
     caption = (
-        f"Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the point outside that "
-        f"gets most (red), over T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn no point of "
-        "the part may pass T_opt, (b) after it all must pass T_mec, (c) and none outside T_opt. Top, a to e, as in the "
-        "paper's Fig. 7: two colors at a legal power; one color with power enough to be firm, and with little enough "
-        "not to overcure; two colors at any turn; one color with more inhibitor and more turns. Below, the legal power "
-        f"over the number of turns; pale: both lamps ± {100 * off:g} % by themselves and an axis ± {axis:g} mm off, "
-        f"every corner of them. The slice has {n} × {n} voxels and {poses} angles, doses are linear, visible − uv. "
-        f"T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for any number of turns."
+        "Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the outside point that "
+        f"gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn no "
+        "point of the part may pass T_opt, (b) after it all must pass T_mec, (c) and none outside may pass T_opt. Top, "
+        "a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough power to be firm, and "
+        "with little enough not to overcure; two colors at any turn; one color with more inhibitor and more turns. "
+        f"Below, the allowed power against the number of turns; pale: the range that also tolerates ± {100 * off:g} % "
+        f"in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has {n} × {n} voxels and {poses} "
+        f"angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for "
+        "any number of turns."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 
@@ -112,7 +113,7 @@ def _table(every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thre
             found = power_window(value, resin, turns)
             rows.append((label, (value.in_least / value.in_most, value.out_most / value.in_most,
                                  100 * found.tolerance, float(min(most_turns(value, resin), 999)))))  # fmt: skip
-    header = ("light", "D in, least / most", "D out, most / D in, most", f"power off by at {turns} turns [%]",
+    header = ("light", "D in, least / most", "D out, most / D in, most", f"tolerance of the power at {turns} turns [%]",
               "most turns")  # fmt: skip
     return Table(header, (".3f", "+.3f", ".1f", ".0f"), tuple(rows))
 

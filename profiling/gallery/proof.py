@@ -59,9 +59,9 @@ def proof(
     )
     caption = (
         "The boat, 11.5 mm high, printed in a vial of 24.8 mm that turns in air, with refraction, loss at both faces "
-        "and absorption. The dose is computed from the packed bytes and the projector's curve alone, on one scale for "
-        "all sections. Everything above the threshold is printed. Sections at three heights, and upright through the "
-        "axis."
+        "and absorption. The dose is computed only from the packed bytes and the projector's curve, with one scale for "
+        "all sections. Everything above the threshold is printed. The sections are at three heights and upright "
+        "through the axis."
     )
     return Picture(figure, caption, facts, papers=plan.papers)
 

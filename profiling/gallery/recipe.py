@@ -45,7 +45,7 @@ def recipe(
     ratios = [float(dose[inside].mean() / dose[target.numpy() >= 1].mean()) for _, dose, _ in kept.values()]
     negative = float(-filtered[filtered < 0].sum() / np.abs(filtered).sum())
     facts = (
-        *(Fact(f"mean dose around the part over that in it, pass {k}", 100 * ratio, "%", 3, 100 * background,
+        *(Fact(f"mean dose around the part divided by that in it, pass {k}", 100 * ratio, "%", 3, 100 * background,
                "background of the paper" if background == 0.6 else "asked for") for k, ratio in enumerate(ratios, 1)),
         Fact("light of either sign that clipping takes away", 100 * negative, "%", 3),
         Fact("pixels that stay dark", 100 * float((kept[1][0] <= 0).mean()), "%", 3),
@@ -53,11 +53,11 @@ def recipe(
     rows = tuple((str(k), (window,)) for k, window in enumerate(windows, 1))
     table = Table(("pass", "strict process window"), ("+.4f",), rows)
     caption = (
-        f"The target stands on a background of {100 * background:g} % of its dose, room for light that would have to "
-        "be negative. Its projection is filtered by a ramp and clipped at zero. Where the dose then misses what was "
-        "asked for, the model is corrected by the ratio, and the next pass starts from there. All sections and "
-        "sinograms are at one height, just above the deck. The table gives the strict window after each pass; the "
-        "correction does not aim at it."
+        f"The target has a background of {100 * background:g} % of its dose, room for light that would have to be "
+        "negative. Its projection is filtered by a ramp and clipped at zero. Where the dose then differs from the "
+        "target, the model is corrected by the ratio, and the next pass starts from there. All sections and sinograms "
+        "are at one height, just above the deck. The table gives the strict window after each pass; the correction "
+        "does not optimize it."
     )
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE, RAMP))
 

@@ -43,20 +43,20 @@ def robust(
         found = prove_corners(A, shone, target, off)
         threshold = 0.5 * (found.darkest.least + found.leakiest.leak)
         facts.append(Fact(f"{name} light, window with one threshold for all corners, proved", found.window, "", 3))
-        facts.append(Fact(f"{name} light, window where nothing is off, proved", found.nominal, "", 3))
+        facts.append(Fact(f"{name} light, window without errors, proved", found.nominal, "", 3))
         _printed(axes, row, A, target, shone, off, (threshold, found, name))
         _ranges(axes[row[2]], found, threshold, name)
         top = max(corner.greatest for corner in found.corners)
         rows += [(f"{name} light: {c.name}", (c.least / top, c.leak / top, c.window)) for c in found.corners]
-    table = Table(("light and corner", "least dose in the part", "greatest outside", "window alone"),
+    table = Table(("light and corner", "least dose in the part", "greatest outside", "window of the corner"),
                   (".3f", ".3f", "+.3f"), tuple(rows))  # fmt: skip
     caption = (
-        "A boat by light that knows of no error, and by light for all corners of tolerances at once: the axis of "
-        f"rotation {axis:g} pixel off to either side, a point spread of {least:g} or {most:g} pixel. Left what prints "
-        "where nothing is off, in the middle at the corner whose part has the least dose; one threshold for all. Right "
-        "the doses of part and voids at every corner: light prints where all bars of the part lie above those of the "
-        "voids. Both lights took the same number of iterations, and count by their 8-bit frames, exposed along rays "
-        "traced for every corner."
+        "A boat printed with patterns planned without errors (nominal light) and with patterns planned for all "
+        f"tolerance corners at once (robust light): an axis of rotation {axis:g} pixel off to either side, a point "
+        f"spread of {least:g} or {most:g} pixel. Left: the print without errors. Middle: the print at the corner with "
+        "the least dose in the part, with the same threshold. Right: the doses of part and voids at every corner; "
+        "patterns print if all bars of the part lie above those of the voids. Both took the same number of iterations "
+        "and are judged from their 8-bit frames, along rays traced for every corner."
     )
     return Picture(figure, caption, tuple(facts), table)
 

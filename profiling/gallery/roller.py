@@ -52,12 +52,12 @@ def roller(
     against = _depths(axes["e"], plain, web, beam)
     lost = _loss(axes["f"], machine)
     caption = (
-        "Light from below meets a film that a roller carries past. It refracts at the outer face, runs straight, and "
-        "ends at the roller, or runs into a leg of the web, where the faces reflect it totally. What it leaves is "
-        "traced once, at one pose, exactly from wall to wall of voxels that are sectors of a ring, and belongs to the "
-        "film laid flat: a bent voxel and its flat self absorb the same energy. Without refraction the trace is the "
-        "paper's closed formula. The nearer to grazing, the less light enters; the columns that make up for it are "
-        "clipped at twofold gain, which costs little of the angles."
+        "Light from below meets a film that a roller carries past. It refracts at the outer face and runs straight to "
+        "the roller, or into a straight length of the web, whose faces reflect it totally. The absorbed light is "
+        "traced once, at one angle, exactly from wall to wall through voxels that are sectors of a ring. It is then "
+        "assigned to the flattened film: a bent voxel and its flat self absorb the same energy. Without refraction the "
+        "trace is the paper's closed formula. Near grazing incidence less light enters. The gain of the columns that "
+        "compensate for this is clipped at 2, which loses few angles."
     )
     return Picture(figure, caption, (*_facts(machine, map, light, beam), *against, *lost), papers=(ROLL_TO_ROLL,))
 
@@ -78,8 +78,8 @@ def _facts(machine: Roller, map: WrapMap, light: Propagation, beam: Beam) -> lis
              source="paper, 1.33 / 1.49, rounded"),
         Fact("depth in which light falls to 5 %", machine.film.penetration, "mm", expected=13.6, source="paper"),
         Fact("quarter of the mid-line's circumference", 0.5 * map.arc, "mm", expected=14.1, source="paper"),
-        Fact("way of the web per pose", 1e3 * machine.advance, "µm", expected=78.5, source="0.5° at 9 mm"),
-        Fact("window: curved film and both legs", map.length, "mm"),
+        Fact("travel of the web per angle", 1e3 * machine.advance, "µm", expected=78.5, source="0.5° at 9 mm"),
+        Fact("window: curved film and both straight lengths", map.length, "mm"),
         Fact("entries of the propagation", float(light.weight.size), "", 6),
         Fact("share of the light that the film absorbs", float(light.weight.sum() / beam.pixels[0])),
         Fact("energy in the voxels against the rays', relative", abs(float(light.weight.sum() / lost) - 1.0), "", 2,

@@ -42,13 +42,14 @@ def shadowgram(
     facts = (
         Fact("deflection by a weak blob against ∫∇n dY / n, largest gap", 100 * gap, "%", 2, 1.0, bound="≤"),
         Fact("light unaccounted for", lost, "", 1, 1e-9, bound="≤"),
-        *(Fact(f"contrast of the picture at a focus of {at:+.3g} mm", value, "", 3) for at, value in contrasts.items()),
+        *(Fact(f"contrast of the image at a focus of {at:+.3g} mm", value, "", 3) for at, value in contrasts.items()),
     )
     caption = (
-        "Cured resin has a slightly higher index and bends parallel light; behind the print rays crowd here and thin "
-        "out there. Every pixel counts the rays that meet it in the plane its lens is focused on. Near the print the "
-        "shadow is faint, further away it grows, and in front of it dark and bright change places. The curve shows the "
-        "deflection by a faint Gaussian blob as marched and as the integral of the index's slope."
+        "Cured resin has a slightly higher index and bends parallel light: behind the print, rays are denser in some "
+        "places and sparser in others. Every pixel counts the rays that meet it in the plane on which its lens is "
+        "focused. Near the print the shadow is faint; farther away it grows; in front of the print dark and bright are "
+        "exchanged. The curve compares the deflection by a faint Gaussian blob from ray marching with the integral of "
+        "the index gradient."
     )
     return Picture(figure, caption, facts)
 

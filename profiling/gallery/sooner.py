@@ -30,16 +30,16 @@ def sooner(
     axes["a"].axhline(0, color=style.INK, lw=0.8)
     first, last = points[0], points[-1]
     facts = (
-        Fact("window of the widest light", first.window, "", 3), Fact("its exposure", first.seconds, "s", 3),
+        Fact("widest window", first.window, "", 3), Fact("its exposure", first.seconds, "s", 3),
         Fact("window of the shortest exposure that prints", last.window, "", 3),
         Fact("the shortest exposure that prints", last.seconds, "s", 3),
     )  # fmt: skip
-    table = Table(("light", "exposure [s]", "window", "dose outside over inside"), (".2f", "+.3f", ".3f"),
+    table = Table(("patterns", "exposure [s]", "window", "dose outside over inside"), (".2f", "+.3f", ".3f"),
                   tuple((str(k + 1), (p.seconds, p.window, p.outside)) for k, p in enumerate(points)))  # fmt: skip
     caption = (
-        "An exposure lasts until the dose midway between part and voids is the critical one; its brightest pixel is "
-        "full-on. Each point is what the default finds within a limit of time, from the light of the point before "
-        "on; it ends where no light prints any more. Of two as wide take the shorter. Doses are those before packing. "
-        "`vam solve --pareto` draws the same of a job."
+        "An exposure lasts until the dose midway between part and voids is the critical dose, with the brightest pixel "
+        "full-on. Each point is the result of the default method within a time limit, started from the patterns of the "
+        "previous point; the curve ends where no patterns print. If two windows are equally wide, use the shorter "
+        "exposure. Doses are those before packing. `vam solve --pareto` draws this chart for a job."
     )
     return Picture(figure, caption, facts, table, plan.papers)

@@ -49,10 +49,10 @@ def targets(
              expected=0.1, bound="≤"),
     )  # fmt: skip
     caption = (
-        "Test parts that the package generates by formulas: a boat with every feature that is hard to print, the disk "
-        "that calibrates exposure, and the other prints of the automatic exposure paper: crossing channels of 300 µm, "
-        "a ¼-20 screw and nut, gears with gaps of 0, 50 and 100 µm, a gyroid sphere, a cubic lattice, and a pentamode "
-        f"whose cones touch over 0.13 mm. The table compares volumes of voxels, {voxels:g} along the longest edge, "
-        "with those that the triangles enclose."
+        "Test parts that the package generates from formulas: a boat with every feature that is hard to print, the "
+        "disk that calibrates exposure, and the other prints of the automatic exposure paper: crossing channels of 300 "
+        "µm, a ¼-20 screw and nut, gears with gaps of 0, 50 and 100 µm, a gyroid sphere, a cubic lattice, and a "
+        f"pentamode whose cones touch over 0.13 mm. The table compares volumes of voxels, {voxels:g} along the longest "
+        "edge, with those of the meshes."
     )
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))

@@ -56,18 +56,18 @@ def transport(
     rim = _ripple(np.array(seen["at the rim"])[:, 1], angles)
     facts = (
         Fact("share of substance that 100 steps of diffusion lose", _mass(resin), "", 2, 1e-5, "specification", "≤"),
-        Fact("light of a pose against Beer-Lambert, largest difference", _beer(job), "", 2, 0.01, "specification", "≤"),
+        Fact("light of an angle, largest difference from Beer–Lambert", _beer(job), "", 2, 0.01, "specification", "≤"),
         Fact("ripple of [B] at the rim within a turn, over its mean", 100 * rim, "%", 3),
-        Fact("light free of inhibitors in the part", seen["in the part"][-1][2], "mJ/mm²", 3),
-        Fact("light free of inhibitors beside it", seen["beside it"][-1][2], "mJ/mm²", 3),
+        Fact("light in the part after its inhibitors are used up", seen["in the part"][-1][2], "mJ/mm²", 3),
+        Fact("the same beside the part", seen["beside it"][-1][2], "mJ/mm²", 3),
         Fact("diffusion length of oxygen in the whole print", 1e3 * (6 * 3.27e-7 * turn_s * turns) ** 0.5, "µm", 3),
     )
     caption = (
-        "A cylinder is printed by visible light while ultraviolet light makes inhibitor of C around it. Each frame is "
-        "attenuated through the C that is left at its pose, so the rim, which turns through bright and dark, rises and "
-        "falls every turn. Light makes polymer only where A and B are used up; where C runs out, ultraviolet light "
-        "itself starts to cure. At these diffusivities and voxels diffusion is hardly seen. Rates are chosen to show "
-        "the course of a print; the paper's own are in its scripts only."
+        "Visible light prints a cylinder while ultraviolet light converts C into inhibitor around it. The C left at "
+        "each angle attenuates its frame, so concentrations at the rim, which passes through bright and dark, rise and "
+        "fall every turn. Light makes polymer only where A and B are used up; where C runs out, ultraviolet light "
+        "itself starts to cure. At these diffusivities and voxel sizes diffusion is hardly visible. Rates are chosen "
+        "to show the course of a print; the paper's own are only in its scripts."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

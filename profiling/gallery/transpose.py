@@ -43,9 +43,9 @@ def transpose(device: Device, quick: bool = False, voxels: int = 8, angles: int 
         facts.append(Fact(f"entries that are not zero, {kind}", 100 * float((forward != 0).mean()), "%", 3))
         facts.append(Fact(f"gap between ⟨Ax, y⟩ and ⟨x, Aᵀy⟩ over the norms of Ax and y, {kind}", A.dot_test(), "", 2))
     caption = (
-        "Each row is a ray, each column a voxel. The projector is asked for one voxel after another, the back "
-        "projector for one ray after another; written out, the second is the transpose of the first to the rounding of "
-        "a single number. Optimizers rely on it: their gradients are exact only then."
+        "Each row is a ray, each column a voxel. The projection is computed for one voxel after another, the back "
+        "projection for one ray after another; written as matrices, the second is the transpose of the first, to the "
+        "rounding of a single number. Optimizers rely on it: their gradients are exact only then."
     )
     return Picture(figure, caption, tuple(facts))
 

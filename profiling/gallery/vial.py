@@ -44,18 +44,19 @@ def vial(
     dose = _flat_beam(axes["d"], glass, device, 40 if quick else 200)
     lateral = float(np.diff(glass.chords(np.array([-0.5, 0.5]) * pixel).p)[0])
     facts = (
-        Fact("printable radius, by scanning for points lit at every pose", lit, "mm",
+        Fact("printable radius, by scanning for points lit at every angle", lit, "mm",
              expected=PAPER_RADIUS, source="paper: 24.8 mm vial, n = 1.49962, no bath"),
         Fact("lateral voxel of a pixel in the resin", 1e3 * lateral, "µm", 3,
              expected=1e3 * PAPER_LATERAL, source="67 µm / 1.49962, rounded"),
         *loss, *crowd, *dose,
     )  # fmt: skip
     caption = (
-        "Parallel light meets a vial of resin that turns in air. It bends towards the axis, so that the outer part of "
-        "the resin stays dark at some poses: only inside the printable radius is every point lit by exactly one ray "
-        "at every pose. Two faces reflect more the further out a ray passes. Rays converge, so light grows denser "
-        "downstream. A flat beam leaves more dose at the rim than on the axis; the back projection, which gathers the "
-        "ray through each voxel, agrees there with a scatter of every ray's energy, which also covers the rim beyond."
+        "Parallel light meets a vial of resin that turns in air. It bends towards the axis, so the outer resin stays "
+        "dark at some angles: only inside the printable radius does exactly one ray light every point at every angle. "
+        "The farther a ray passes from the axis, the more the two faces reflect. Rays converge, so light grows denser "
+        "downstream. A uniform beam leaves more dose at the rim than on the axis. The back projection, which gathers "
+        "the ray through each voxel, agrees inside that radius with a scatter of every ray's energy, which also covers "
+        "the rim."
     )
     return Picture(figure, caption, facts, papers=(AUTOMATIC_EXPOSURE, VIAL))
 

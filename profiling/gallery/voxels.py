@@ -47,10 +47,10 @@ def voxels(device: Device, quick: bool = False, pitch: float = 0.067) -> Picture
         Fact("largest change of a voxel after moving the mesh by 10 mm", _moved(device, 0.25), "", 2),
     )  # fmt: skip
     caption = (
-        "Each voxel holds the fraction that the part fills, so that details keep their size below a voxel: spokes of "
-        "one pixel survive at any angle, and widths summed across them are right though edges cut through voxels. "
-        "Volumes of the boat stay true on coarse grids, where voxels that are either full or empty are off by "
-        "more and by chance."
+        "Each voxel holds the fraction that the part fills, so details smaller than a voxel keep their size: spokes of "
+        "one pixel survive at any angle, and widths summed across them are correct although edges cut through voxels. "
+        "Volumes of the boat are accurate on coarse grids, where voxels that are either full or empty give larger, "
+        "random errors."
     )
     table = Table(("voxels along the height of the boat", "fractions [%]", "full or empty [%]"), ("+.5f", "+.3f"), rows)
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))

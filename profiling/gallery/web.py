@@ -44,10 +44,11 @@ def web(
     drawn = _strip(axes["d"], dose / dose.max(), grid, "Dose of that light", cmap=style.DOSE, vmin=0)
     style.bar(drawn, axes["d"], "over its largest", location="bottom", shrink=0.3, aspect=40)
     caption = (
-        "A pose of light is traced once. At the next pose the web has moved one column and meets the same light, so "
-        "the projection at every pose is one gather over a window that shifts, and the dose its exact transpose. "
-        "Commonly the window of every pose is copied into a matrix first; here that never exists. A window that lies "
-        "only partly on the web sees nothing beyond its ends. Steps that end between two columns interpolate."
+        "The light of one angle is traced once. At the next angle the web has moved by one column and meets the same "
+        "light, so the projection at every angle is one gather over a shifting window, and the dose its exact "
+        "transpose. Commonly the window of every angle is first copied into a matrix; here no such matrix exists. A "
+        "window that lies only partly on the web ignores what is beyond its ends. Steps that end between two columns "
+        "interpolate."
     )
     return Picture(figure, caption, _facts(A, film.numpy(), shown), papers=(ROLL_TO_ROLL,))
 
@@ -93,9 +94,9 @@ def _pose(axis: Axes, A: WebProjection) -> None:
 def _facts(A: WebProjection, film: np.ndarray, light: np.ndarray) -> tuple[Fact, ...]:
     (poses, rays, slices), (_, layers, window) = A.range.shape, A.light.shape
     return (
-        Fact("poses that see the web", poses),
+        Fact("angles that light the web", poses),
         Fact("columns of the window", window),
-        Fact("weights of one pose", A.light.weight.size, "", 6),
+        Fact("weights of one angle", A.light.weight.size, "", 6),
         Fact("rays", rays),
         Fact("largest difference from the product with the unfolded matrix, over the largest light",
              _gap(A, film, light), "", 2, AGREED, bound="≤"),

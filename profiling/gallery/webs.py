@@ -74,10 +74,11 @@ def webs(
         Fact("light of a full-on pixel, the same for all frames", scale, "", 3),
     )  # fmt: skip
     caption = (
-        "A web whose cells never repeat, solved in segments of one window of light that see one more on either side, "
-        "and in one piece. Steps are fixed by the light of one pose and poses beyond a segment are taken to do their "
-        "share of what is asked, so that a segment decides its own frames as the whole web would: the doses differ "
-        "by less than a thousandth, and memory is that of one segment whatever the length."
+        "A web whose cells never repeat, solved in one piece and in segments. A segment is one window of light long "
+        "and includes one more window on either side. Step lengths follow from the light of one angle, and angles "
+        "outside a segment are assumed to contribute their share of the dose. A segment therefore gets the same frames "
+        "as the whole web would: the doses differ by less than a thousandth, and memory is that of one segment at any "
+        "length."
     )
     return Picture(figure, caption, facts, papers=(ROLL_TO_ROLL, BAND))
 

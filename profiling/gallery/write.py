@@ -42,7 +42,7 @@ def markdown(picture: Picture, name: str, device: str = "", values: dict[str, An
     if picture.table:
         parts.append(_table(picture.table))
     if picture.papers:
-        parts.append("Relies on:\n\n" + "\n".join(f"- {paper}" for paper in picture.papers))
+        parts.append("References:\n\n" + "\n".join(f"- {paper}" for paper in picture.papers))
     chosen = ", ".join(
         f"{key} = {value}" if isinstance(value, str) else f"{key} = {value:g}"
         for key, value in (parameters(name) | (values or {})).items()
@@ -57,8 +57,8 @@ def markdown(picture: Picture, name: str, device: str = "", values: dict[str, An
 def contents() -> str:
     """The index."""
     opening = (
-        "Every picture is made from parameters by `python -m profiling.gallery NAME` in a clone, and every number on "
-        "its page was measured in the same run. `python -m profiling.gallery all` makes these pages again."
+        "`python -m profiling.gallery NAME` makes a picture from parameters in a clone, and every number on its page "
+        "was measured in the same run. `python -m profiling.gallery all` regenerates these pages."
     )
     entries = [f"## [{title}]({FOLDER}/{name}.md)\n\n[![{title}]({FOLDER}/{name}.png)]({FOLDER}/{name}.md)"
                for name, title in CATALOG.items()]  # fmt: skip

@@ -14,8 +14,8 @@ from vamgpu.cli import main
 from vamgpu.cli.doctor import Finding, _ask, examine
 
 SMALL = {
-    "target.pitch": "500 um",
-    "beam.pitch": "700 um",
+    "target.pitch": "1 mm",
+    "beam.pitch": "1.4 mm",
     "turntable.angles": "24",
     "solve.iterations": "3",
     "frames.flip_r": "false",
@@ -65,7 +65,7 @@ def test_demo_prove_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_a_job_that_prints_says_so_and_checks_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    trimesh.creation.icosphere(4, 1.0).export(tmp_path / "ball.stl")
+    trimesh.creation.icosphere(3, 1.0).export(tmp_path / "ball.stl")
     (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
     assert main(["solve", str(tmp_path / "ball.toml")]) == 0
     assert "Not proved; according to the solver's own dose it prints: 1 body as in the part" in " ".join(
@@ -85,6 +85,7 @@ def test_solve_writes_beside_the_file_and_overwrites_only_when_told(
 
     (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
     command = ["solve", str(tmp_path / "part.toml"), *SETTINGS]
+    command += ["--set", "target.shape=gear_base", "--set", "target.height=6 mm"]
     assert main(command) == 0
     manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["inputs"]["job"]["frames"]["flip_r"] is False
@@ -237,7 +238,8 @@ def test_bench_tells_the_stages_of_a_job(tmp_path: Path, capsys: pytest.CaptureF
     from vamgpu.jobs.demo import JOB
 
     (tmp_path / "job.toml").write_text(JOB, encoding="utf-8")
-    small = ["target.pitch=900 um", "beam.pitch=1200 um", "turntable.angles=20", "solve.iterations=2"]
+    small = ["target.shape=gear_base", "target.height=6 mm", "target.pitch=1 mm", "beam.pitch=1 mm"]
+    small += ["turntable.angles=20", "solve.iterations=2"]
     assert main(["bench", "--job", str(tmp_path / "job.toml"), *(f"--set={each}" for each in small)]) == 0
     said = capsys.readouterr().out
     told = {line.split("│")[1].strip(): line.split("│")[2:] for line in said.splitlines() if line.count("│") > 3}

@@ -86,7 +86,7 @@ def test_rings_blur_light_as_voxels_do(vessel: Any) -> None:
     assert -0.02 * wanted.max() < (found - wanted).min() and (found - wanted).max() < 0.1 * wanted.max()
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3])
+@pytest.mark.parametrize("rows", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fine", [1, 2], ids=["pixels as voxels", "sharp pixels of half a voxel"])
 def test_a_step_makes_no_light_brighter_than_it_was(rows: int, fine: int) -> None:
     """By power steps, which took 150 to find what 40 did not see of pixels narrower than voxels."""

@@ -44,7 +44,7 @@ FOLDED = ("forward_joseph", "back_joseph", "forward_footprint", "back_footprint"
             kernel,
             size,
             id=f"{kernel.name}-{size}",
-            marks=pytest.mark.slow if size == 68 and kernel.name not in FOLDED else (),
+            marks=pytest.mark.slow if size == 7 or (size == 68 and kernel.name not in FOLDED) else (),
         )
         for kernel in kernels()
         for size in (7, 25, 68)

@@ -18,14 +18,14 @@ def vial(bath: float) -> Vial:
     return Vial(radius=12.4, wall=1.0, resin_index=RESIN, wall_index=1.473, bath_index=bath, absorption=0.05)
 
 
-FINE = Grid((160, 160, 4), 16.6 / 160)
+FINE = Grid((112, 112, 4), 16.6 / 112)
 
 
 @cache
 def as_wide(ratio: float, device: str) -> tuple[Any, np.ndarray, np.ndarray]:
     """(scene, volume, its light on a device), in air, where light bends most, with no point spread."""
-    beam = Beam((256, 4), ratio * FINE.pitch, spread=0.0)  # across the whole vial
-    scene = FINE, beam, Turntable(5), vial(1.0)
+    beam = Beam((180, 4), ratio * FINE.pitch, spread=0.0)  # across the whole vial
+    scene = FINE, beam, Turntable(2), vial(1.0)
     volume = np.random.default_rng(0).random(FINE.shape).astype(np.float32)
     return scene, volume, np.asarray(Projection(*scene, device)(volume))
 

@@ -35,10 +35,12 @@ def test_kernels_agree_with_one_device(kernel: Kernel) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", kernels(), ids=lambda kernel: kernel.name)
-def test_kernels_agree_on_devices(fast_device: Device, kernel: Kernel) -> None:
-    """A device that is three members of one."""
-    shared = SlabDevice("three", [fast_device] * 3)
-    alone, three = (examples.bind(device, kernel, 68) for device in (fast_device, shared))
+@pytest.mark.parametrize("kind", ["opencl", "warp:cpu"])
+def test_kernels_agree_on_devices(kind: str, kernel: Kernel) -> None:
+    """A device that is three members of one, of each library."""
+    one = vam.open_device(next(name for name in vam.devices() if name.startswith(kind)))
+    shared = SlabDevice("three", [one] * 3)
+    alone, three = (examples.bind(device, kernel, 68) for device in (one, shared))
     alone.launch()
     three.launch()
     whole = any(a.dtype.kind in "iu" for a in three.arguments.values() if isinstance(a, DeviceArray))
@@ -68,10 +70,12 @@ def test_light_and_dose_are_those_of_one_device(vessel: Any) -> None:
 @pytest.mark.parametrize("method", ["ramp", "osmo", "lbfgs", "bclp", "ramp at all corners"])
 def test_methods_find_the_same_light(method: str) -> None:
     plans, (name, *corners) = [], method.split(" ", 1)
-    tolerances = vam.Tolerances(axis=0.1, spread=(0.15, 0.3)) if corners else None
+    tolerances = vam.Tolerances(spread=(0.15, 0.3)) if corners else None
     for device in ("numpy", THREE):
         target, A = lit(device)
-        plans.append(vam.optimize(A, target, name, iterations=3, tolerances=tolerances, progress=False))
+        plans.append(
+            vam.optimize(A, target, name, iterations=2 if corners else 3, tolerances=tolerances, progress=False)
+        )
     one, other = plans
     np.testing.assert_allclose(other.sinogram.numpy(), one.sinogram.numpy(), rtol=1e-6, atol=1e-7)
     assert other.window == pytest.approx(one.window, abs=1e-8)
@@ -229,6 +233,5 @@ def test_scenarios_stay_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
         SlabDevice, "_run_whole", lambda self, kernel, bound: met.append(kernel.name) or run(self, kernel, bound)
     )
     target, A = lit(THREE)
-    tolerances = vam.Tolerances(axis=0.1, spread=(0.15, 0.3))
-    vam.optimize(A, target, iterations=2, tolerances=tolerances, progress=False)
+    vam.optimize(A, target, iterations=1, tolerances=vam.Tolerances(spread=(0.15, 0.3)), progress=False)
     assert not {"put_slices", "resample", "copy_slices"} & set(met)

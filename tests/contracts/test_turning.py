@@ -58,11 +58,14 @@ def test_voxels_see_the_mean_of_the_way(opencl_device: Device, motion: vam.Turnt
     assert still > (5 if many else 15) * np.abs(found - wanted)[inside].max()
 
 
-@pytest.mark.parametrize("motion", SMALL.values(), ids=SMALL)
-@pytest.mark.parametrize("vessel", [None, VIAL], ids=["air", "vial"])
+@pytest.mark.parametrize(("motion", "vessel"), [
+    *(pytest.param(motion, VIAL, id=f"vial-{name}") for name, motion in SMALL.items()),
+    *(pytest.param(motion, None, id=f"air-{name}", marks=[pytest.mark.slow] * (name != "few"))
+      for name, motion in SMALL.items()),
+])  # fmt: skip
 def test_the_transpose_is_exact(device: Device, motion: vam.Turntable, vessel: Any) -> None:
     A = vam.Projection(vam.Grid((9, 8, 2), 1.7), vam.Beam((16, 3), 1.5), motion, vessel, device)
-    assert transpose_gap(A) <= 3e-6
+    assert transpose_gap(A, most=60) <= 3e-6
     if device.name != "numpy":
         light = np.random.default_rng(0).random(A.range.shape)
         reference = vam.Projection(A.grid, A.beam, motion, vessel, "numpy").T(light)
@@ -93,8 +96,8 @@ def test_rays_see_the_mean_of_the_way(opencl_device: Device, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["oblique", "traced", "marched"])
 def test_the_transpose_of_rays_is_exact(device: Device, kind: str) -> None:
-    A = rays(kind, device, vam.Turntable(5, np.arange(1, 6)), vam.Grid((6, 6, 2), 2.0))
-    assert transpose_gap(A) <= 3e-6
+    A = rays(kind, device, vam.Turntable(3, np.arange(1, 4)), vam.Grid((6, 6, 2), 2.0))
+    assert transpose_gap(A, most=24) <= 3e-6
 
 
 def test_no_voxel_is_missed(fast_device: Device) -> None:
@@ -166,7 +169,7 @@ def web(share: float, start: float = 4.0) -> Any:
 @pytest.mark.parametrize("start", [4.0, 4.3], ids=["at a column", "between columns"])
 def test_a_film_moves_while_it_is_lit(start: float) -> None:
     light = np.random.default_rng(0).random((1, 8, 3)).astype(np.float32)
-    places = start + 1.5 * 0.8 * ((np.arange(64) + 0.5) / 64 - 0.5)
+    places = start + 1.5 * 0.8 * ((np.arange(32) + 0.5) / 32 - 0.5)
     wanted = np.mean([np.asarray(web(0.0, place).T(light), np.float64) for place in places], axis=0)
     A = web(0.8, start)
     found = np.asarray(A.T(light))

@@ -58,6 +58,7 @@ class Repeating:
         return self._slices[first : first + stop - start]
 
 
+@pytest.mark.slow
 def test_thousands_of_slices_of_the_papers_size_are_corrected_in_the_memory_of_a_few() -> None:
     """3000 × 800 × 1280: each pixel as alone, and on the device a thirtieth of the stack, however many slices."""
     device, stack = open_device(), Repeating()

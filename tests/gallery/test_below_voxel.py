@@ -98,7 +98,9 @@ def test_the_bracket_is_one_closed_body_with_a_bore_and_letters() -> None:
     assert euler == 0  # one bore; the A's hole is a dent of the plate's top
 
 
-@pytest.mark.parametrize("name", below_voxel.SHAPES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "gyroid_sphere")) for n in below_voxel.SHAPES]
+)
 def test_every_part_is_centered_and_closes(name: str) -> None:
     solid = part(name)
     assert solid.open_edges == 0 and solid.radius < vamgpu.Vial(**below_voxel.VIAL).lit_radius

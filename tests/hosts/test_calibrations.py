@@ -143,8 +143,9 @@ def test_light_is_sought_with_the_point_spread_of_its_rig(
     from vamgpu.jobs.demo import JOB
 
     part, small = tmp_path / "part.toml", {
+        "target.shape": "gear_base",
         "target.pitch": "200 um", "beam.pitch": "100 um", "turntable.angles": "12", "solve.iterations": "1",
-        "solve.device": "cpu", "target.height": "2 mm", "vial.radius": "3 mm", "vial.wall": "0.3 mm",
+        "solve.device": "cpu", "target.height": "1 mm", "vial.radius": "3 mm", "vial.wall": "0.3 mm",
     }  # fmt: skip
     part.write_text("".join(line for line in JOB.splitlines(keepends=True) if not line.startswith("spread")))
     words = ["solve", str(part), "--rig", str(rig.source), "--overwrite"]

@@ -22,7 +22,8 @@ from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import carry_out, may_go_on, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.rigs.rehearsal import Rehearsal
-from vamgpu.jobs.run import prove
+from vamgpu.jobs.read import read_job
+from vamgpu.jobs.run import prove, solve
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.proof import Proof
@@ -91,8 +92,7 @@ def solved(folder: Path, **other: Any) -> Path:
     values = USUAL | other
     trimesh.creation.cylinder(values["radius"], 6.0).export(folder / "part.stl")
     file.write_text(PART.format(**values))
-    assert main(["solve", str(file)]) == 0
-    return file.with_suffix(".vam")
+    return solve(read_job(file), file.with_suffix(".vam")).path
 
 
 @pytest.fixture(scope="module")
@@ -173,10 +173,10 @@ def printed(job: Path, rig: str, run: Path, *words: str) -> int:
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in RARE)) for name in JOBS])
 def test_the_dose_is_the_one_that_was_proved(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, part: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (other, rig, words), record = JOBS[name], Recorder(monkeypatch)
-    values, job = USUAL | other, solved(tmp_path, **other)
+    values, job = USUAL | other, solved(tmp_path, **other) if other else part
     monkeypatch.setattr("vamgpu.cli.print._report", lambda *_: None)
     capsys.readouterr()
     assert printed(job, rig, tmp_path / "run", *words) == 0

@@ -169,12 +169,12 @@ def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
 ) -> None:
     monkeypatch.setattr(live_print, "FOLLOW", f"live_workers:{function}")
     monkeypatch.setattr(live_print, "WAIT", 0.004 if function == "silent" else 20.0)
-    live(nut, turns=TURNS, folder=run, truth=OFF)
+    live(nut, turns=3, folder=run, truth=OFF)
     told = read_run(run)
     kinds = {event["event"] for event in told.events}
     assert {"raises": "live lost", "nan": "live refused", "silent": "live silent"}[function] in kinds
     shown = told.shown[told.shown["frame"] >= 0]
-    assert len(shown) == TURNS * 40 and not shown["version"].any()
+    assert len(shown) == 3 * 40 and not shown["version"].any()
 
 
 def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:

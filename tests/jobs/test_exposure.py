@@ -13,8 +13,8 @@ from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.read import Job
 
 SETTINGS = {
-    "target.shape": "gear_base", "target.height": "4 mm", "target.pitch": "400 um", "beam.pitch": "600 um",
-    "turntable.angles": "30", "solve.evaluations": "80",
+    "target.shape": "gear_base", "target.height": "4 mm", "target.pitch": "600 um", "beam.pitch": "800 um",
+    "turntable.angles": "24", "solve.evaluations": "30",
 }  # fmt: skip
 
 

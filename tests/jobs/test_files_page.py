@@ -16,6 +16,7 @@ SMALL = ["target.pitch=1.6 mm", "beam.pitch=1.6 mm", "turntable.angles=12", "sol
 """The page's boat, small: words count here, not the print."""
 
 
+@pytest.mark.slow
 def test_the_page_s_commands_and_programs_run_one_after_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

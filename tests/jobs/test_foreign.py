@@ -321,13 +321,12 @@ def shown(tmp_path: Path, **options: Any) -> tuple[Any, Any]:
     job = tmp_path / "boat.toml"
     job.write_text(JOB, encoding="utf-8")
     target = vam.Target.from_mesh(shapes.build("boat"), height=6.0, pitch=1.0)
-    A = vam.Projection(target.grid, vam.Beam((14, 10), 1.0), vam.Turntable(16), None, "numpy")
+    A = vam.Projection(target.grid, vam.Beam((14, 10), 1.0), vam.Turntable(16))
     frames = vam.pack(vam.optimize(A, target, iterations=3), **options)
     return frames, frames.irradiance().numpy() / frames.scale
 
 
-@pytest.mark.parametrize("name", ["png", "film.mp4"])
-@pytest.mark.parametrize("bits", [8, 1])
+@pytest.mark.parametrize(("name", "bits"), [("png", 8), ("film.mp4", 1)])
 def test_what_was_exported_comes_back(name: str, bits: int, tmp_path: Path) -> None:
     frames, light = shown(tmp_path, bits=bits, gray=GrayCurve.gamma(2.0), flip_r=True, shift=(1.0, 0.0))
     export(frames, tmp_path / name)

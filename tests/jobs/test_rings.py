@@ -16,8 +16,8 @@ from vamgpu.operators.ring_projection import prefers_rings
 
 JOB = """
 [target]
-shape = "boat"
-height = "3.7 mm"
+shape = "nut"
+height = "2 mm"
 pitch = "500 um"
 
 [vial]

@@ -42,7 +42,7 @@ def test_a_job_is_solved_written_and_proven(name: str, tmp_path: Path) -> None:
 
 
 def test_a_proof_is_the_same_from_another_device(tmp_path: Path) -> None:
-    coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=8", "solve.iterations=2"]
+    coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=5", "solve.iterations=2"]
     solve(Job.parse(JOB, [*coarse, "solve.device=cpu"]), tmp_path / "boat.vam")
     here, there = prove(tmp_path / "boat.vam", "numpy").proof, prove(tmp_path / "boat.vam").proof
     assert np.abs(here.dose.numpy() - there.dose.numpy()).max() <= 1e-5 * here.scores.peak
@@ -173,7 +173,10 @@ def test_bits_of_a_job_are_chosen_by_their_dose(tmp_path: Path) -> None:
     """Of one color; of two nobody knows the dose of both, and errors are carried on."""
     colors = 'colors.absorption="0.1 1/mm"'
     for name, settings, dither in (("one", (), "fit"), ("two", (colors,), "error-diffusion")):
-        solve(Job.parse(JOB, [*SMALL, "frames.bits=1", *settings]), tmp_path / f"{name}.vam")
+        solve(
+            Job.parse(JOB, [*SMALL, "target.pitch=900 um", "beam.pitch=1200 um", "frames.bits=1", *settings]),
+            tmp_path / f"{name}.vam",
+        )
         frames = load_frames(tmp_path / f"{name}.vam", "numpy")
         assert (frames.bits, frames.settings.dither) == (1, dither)
 
@@ -185,6 +188,7 @@ def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
 
 def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> None:
     coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=cpu"]
+    coarse += ["target.shape=nut", "target.height=6 mm"]
     solve(Job.parse(JOB, [*coarse, "solve.method=lbfgs", "solve.iterations=20"]), tmp_path / "boat.vam")
     assert prove(tmp_path / "boat.vam", "cpu").proof.bound is None
     proven = prove(tmp_path / "boat.vam", "cpu", evaluations=120)
@@ -207,8 +211,8 @@ def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> N
 
 
 def test_a_proof_at_corners_tells_how_wide_a_window_is_at_all_of_them(tmp_path: Path) -> None:
-    coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=cpu"]
-    off = ["tolerances.axis=225 um", "solve.iterations=20"]
+    coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=12", "solve.device=cpu"]
+    off = ["tolerances.axis=300 um", "solve.iterations=20"]
     solve(Job.parse(JOB, [*coarse, *off]), tmp_path / "boat.vam")
     proven = prove(tmp_path / "boat.vam", "cpu", evaluations=70, tolerances=True, slices=(2, 4)).proof
     assert proven.bound is not None and proven.bound.prices.shape[2] == 2 * 3

@@ -255,7 +255,7 @@ def test_spoiled_manifests_load_or_are_refused(kind: str, tmp_path: Path) -> Non
     sound = file.read_text(encoding="utf-8")
     places = [path for path in leaves(json.loads(sound)) if path and path[0] in ("inputs", "details", "arrays")]
     chance, refused = Random(0), 0
-    for _ in range(60):
+    for _ in range(30):
         data = part = json.loads(sound)
         *most, last = chance.choice(places)
         for key in most:
@@ -267,4 +267,4 @@ def test_spoiled_manifests_load_or_are_refused(kind: str, tmp_path: Path) -> Non
         except VamError as error:
             refused += 1
             assert len(str(error)) > 20
-    assert refused > 20
+    assert refused > 10

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from vamgpu.geometry import Beam, Grid
 from vamgpu.optics.traced_rays import traced_rays
 
-FINER = 4
+FINER = 3
 """Rays a pixel, along columns and along rows."""
 
 

@@ -3,53 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from small_print import PLANNED, overlap, printer, setup
 
 from vamgpu.cli.live import replay
 from vamgpu.errors import BadInput, StorageError
-from vamgpu.live import Decision, SensorNoise, Turbidity
+from vamgpu.live import Decision
 from vamgpu.live.film import film
-from vamgpu.live.printer import GENERATIONS, CuringResin, Truth, VirtualPrinter
+from vamgpu.live.printer import GENERATIONS, CuringResin, Truth
 from vamgpu.live.record import LiveRecord, LiveSetup, budget
 from vamgpu.methods.lbfgs import LBFGS
-from vamgpu.methods.run import optimize
-from vamgpu.metrics import score
-from vamgpu.optics.vial import Vial
 from vamgpu.printing.scatter import ScatterStop
 from vamgpu.storage.films import read_film
 
-PLANNED = 10
 AGED = Truth(inhibitor=0.7, lamp=0.95, absorption=0.1, along_z=0.03)
-
-
-@cache
-def setup(method: Any = "lbfgs", iterations: int = 20) -> tuple[LiveSetup, np.ndarray, np.ndarray]:
-    vial, red = (Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=a) for a in (0.1, 0.0))
-    made = LiveSetup(
-        (24, 24, 12), 0.2, (48, 12), 0.2, 40, vial, red, 800.0, SensorNoise(0.8, 0.01, 10), CuringResin(),
-        Turbidity((0.0, 1.0), (0.0, 0.25)), 1.3, PLANNED, 2 * PLANNED, evaluations=6.0,
-    )  # fmt: skip
-    plan = made.projection(vial)
-    x, y, z = np.meshgrid(*plan.grid.axes(), indexing="ij")
-    r = np.hypot(x, y)
-    part = ((r < 1.8) & (r > 0.7) & (np.abs(z) < 0.85)).astype(np.float32)
-    light = (np.asarray(optimize(plan, part, method, iterations).sinogram) / PLANNED).astype(np.float32)
-    return made, part, light
-
-
-def printer(truth: Truth) -> VirtualPrinter:
-    made, _, _ = setup()
-    return VirtualPrinter(made.projection(made.vial), made.camera(), made.resin, made.turbidity, truth)
-
-
-def overlap(printed: np.ndarray) -> float:
-    made, part, _ = setup()
-    device = made.projection(made.vial).device
-    return float(score(device.upload(printed.astype(np.float32)), device.upload(part), threshold=made.resin.gel).iou)
 
 
 def test_a_turn_of_the_kinetics_is_that_of_small_steps() -> None:

@@ -26,9 +26,9 @@ TURNS, SHOWN, NOISE = 6, 3, 0.02
 @cache
 def setup() -> tuple[Projection, np.ndarray, np.ndarray, Replanner]:
     """Operator, part, light of one turn, and a replanner."""
-    grid = Grid((48, 48, 24), 0.1)
+    grid = Grid((40, 40, 20), 0.1)
     vial = Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=0.1)
-    A = Projection(grid, Beam((96, 24), 0.1), Turntable(120), vial, device=vamgpu.open_device())
+    A = Projection(grid, Beam((80, 20), 0.1), Turntable(90), vial, device=vamgpu.open_device())
     x, y, z = np.meshgrid(*grid.axes(), indexing="ij")
     r = np.hypot(x, y)
     part = ((r < 1.6) & (r > 0.7) & (np.abs(z) < 0.85) & ~((np.abs(x) < 0.25) & (y > 0))).astype(np.float32)
@@ -41,7 +41,9 @@ def overlap(dose: np.ndarray) -> float:
     return float(score(A.device.upload(dose), A.device.upload(part), threshold=0.865).iou)
 
 
-@pytest.mark.parametrize(("everything", "rings"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(("everything", "rings"), [
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in ((False, False), (True, False))), (True, True),
+])  # fmt: skip
 def test_a_print_that_drifts_is_saved(everything: bool, rings: bool) -> None:
     A, _, light, replanner = setup()
     estimator = Estimator(A, GeneralizedLogistic(steepness=8.0, middle=0.7), rings=rings)
@@ -99,6 +101,7 @@ def test_a_print_that_has_its_dose_is_stopped() -> None:
     assert plan.expected.iou > 0.99 > plan.kept.iou
 
 
+@pytest.mark.slow
 def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
     """The surface that rays prove of 5.4 turns' light by a machine whose gain falls along z."""
     A, part, light, replanner = setup()

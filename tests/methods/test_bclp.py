@@ -114,6 +114,7 @@ def test_apart_from_its_power_a_norm_has_the_same_minimum() -> None:
     assert method.apart(excess).coupling == "" and BCLP.paper_002().apart(excess) == BCLP.paper_002()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "iterations"), [(BCLP.roll_to_roll(), 120), (BCLP.paper_002(), 60)])
 def test_a_stream_reaches_the_authors_overlap(method: BCLP, iterations: int, tmp_path: Path) -> None:
     """Their dose of a sheet gyroid has an IoU of 0.9986, of another cell on finer voxels; ours in five segments."""

@@ -54,7 +54,7 @@ def circle() -> np.ndarray:
     return (np.hypot(x, y) <= 0.5 * (SIZE - 1) * (1.0 + 1e-6)).ravel()
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", ["cross", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ring", "bars"))])
 def test_it_comes_near_the_optimum_and_never_beyond(fast_device: Device, entries: Any, name: str) -> None:
     inside, near = part(name), circle()
     plan = optimize(operator(fast_device), inside[:, :, None].astype(np.float32), PDHG(), evaluations=1000)
@@ -72,7 +72,7 @@ def test_every_device_takes_the_same_way(device: Device) -> None:
     assert windows[0] == pytest.approx(windows[1], abs=2e-4)
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", ["ring", *(pytest.param(name, marks=pytest.mark.slow) for name in PARTS[1:])])
 def test_the_bound_is_just_above_the_optimum(fast_device: Device, entries: Any, name: str) -> None:
     inside, near = part(name), circle()
     A, target = operator(fast_device), inside[:, :, None].astype(np.float32)
@@ -99,7 +99,7 @@ def test_a_bound_in_a_vial_is_just_above_what_light_has(fast_device: Device, nam
     radius = 0.5 * SIZE * PITCH / 0.79 * 1.5
     vial = Vial(radius, radius / 12.4, resin_index=1.5, wall_index=1.473, bath_index=1.0, absorption=0.6 / radius)
     A = Projection(Grid((SIZE, SIZE, 1), PITCH), Beam((32, 1), PITCH), Turntable(30), vial, fast_device)
-    plan = optimize(A, part(name)[:, :, None].astype(np.float32), PDHG(), evaluations=1500)
+    plan = optimize(A, part(name)[:, :, None].astype(np.float32), PDHG(), evaluations=1000)
     assert plan.bound is not None and plan.window <= plan.bound.value <= 1.025 * plan.window
     assert (np.asarray(A(plan.bound.prices.numpy())) >= -1e-6).all()
 
@@ -185,6 +185,7 @@ def test_what_a_bound_cannot_take_is_named(given: dict[str, Any], said: str) -> 
         bound(operator("numpy"), part("ring")[:, :, None].astype(np.float32), **given)
 
 
+@pytest.mark.slow
 def test_a_bound_at_all_corners_is_just_above_what_light_has(fast_device: Device) -> None:
     off = Tolerances(axis=0.25 * PITCH, spread=(0.5 * PITCH, PITCH))
     A, target = operator(fast_device), part("cross")[:, :, None].astype(np.float32)
@@ -194,6 +195,7 @@ def test_a_bound_at_all_corners_is_just_above_what_light_has(fast_device: Device
     assert optimize(A, target, iterations=20, tolerances=off).window < plan.bound.value
 
 
+@pytest.mark.slow
 def test_the_example_of_the_documents_runs(capsys: pytest.CaptureFixture[str]) -> None:
     page = Path(__file__).resolve().parents[2] / "docs" / "best-light.md"
     for code in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S):

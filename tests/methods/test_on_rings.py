@@ -16,7 +16,7 @@ from vamgpu.targets import shapes
 VIAL = vam.Vial(radius=4.2, wall=0.4, resin_index=1.49962, wall_index=1.473, absorption=0.05)
 
 
-def boat(device: Device | str, pitch: float, height: float = 3.7) -> tuple[vam.Target, vam.Projection]:
+def boat(device: Device | str | None, pitch: float, height: float = 3.7) -> tuple[vam.Target, vam.Projection]:
     target = vam.Target.from_mesh(shapes.build("boat"), height=height, pitch=pitch, device=device)
     beam = vam.Beam((round(1.5 * target.grid.shape[0]), target.grid.shape[2] + 4), 1.4 * pitch)
     return target, vam.Projection(target.grid, beam, vam.Turntable(180), VIAL, device)
@@ -39,7 +39,7 @@ def test_light_found_on_rings_proves_as_well(fast_device: Device, is_quick: bool
 
 @pytest.mark.parametrize("method", ["default", "osmo", "lbfgs", "bclp", "penalty"])
 def test_every_method_takes_rings(method: str) -> None:
-    target, A = boat("numpy", 0.5)
+    target, A = boat(None, 0.5)
     plan = vam.optimize(vam.RingProjection.of(A), target, method, evaluations=6)
     assert plan.window > -1.0 and float(plan.sinogram.numpy().max()) > 0.0
 
@@ -47,7 +47,7 @@ def test_every_method_takes_rings(method: str) -> None:
 @pytest.mark.parametrize("tolerances", [None, vam.Tolerances(axis=0.05)])
 def test_what_a_plan_claims_is_by_rays(tolerances: Any) -> None:
     """Also on rings so wide that they err."""
-    target, A = boat("numpy", 0.5)
+    target, A = boat(None, 0.5)
     plan = vam.optimize(vam.RingProjection.of(A, 1.5), target, evaluations=8, tolerances=tolerances)
     assert abs(plan.window - plan.history[-1].window) > 1e-3
     if tolerances is None:
@@ -60,14 +60,14 @@ def test_what_a_plan_claims_is_by_rays(tolerances: Any) -> None:
 
 
 def test_a_projection_on_rings_is_asked_for_the_dose_of_voxels() -> None:
-    target, A = boat("numpy", 0.5)
+    target, A = boat(None, 0.5)
     rings = vam.RingProjection.of(A).rings
-    plan = vam.optimize(vam.SpectralProjection(rings, A.beam, VIAL, "numpy"), target, iterations=2)
+    plan = vam.optimize(vam.SpectralProjection(rings, A.beam, VIAL, A.device), target, iterations=2)
     assert isinstance(plan.operator, vam.RingProjection)
     assert (plan.operator.rings, plan.operator.grid) == (rings, target.grid)
     other = vam.PolarGrid(rings.rings, rings.slices + 2, rings.pitch, rings.angles, rings.height)
     with pytest.raises(BadInput, match="same angles and slices"):
-        vam.optimize(vam.SpectralProjection(other, A.beam, VIAL, "numpy"), target)
+        vam.optimize(vam.SpectralProjection(other, A.beam, VIAL, A.device), target)
 
 
 def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_plans_are_kept_resumed_and_proven(tmp_path: Path) -> None:
 
 
 def test_tolerances_are_met_on_rings() -> None:
-    target, A = boat("numpy", 0.5)
+    target, A = boat(None, 0.5)
     off = vam.Tolerances(absorption=0.1, axis=0.1)
     plan = vam.optimize(vam.RingProjection.of(A), target, iterations=2, tolerances=off)
     assert plan.corners is not None and len(plan.corners.corners) > 2

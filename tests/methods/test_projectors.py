@@ -60,7 +60,9 @@ def part(shape: tuple[int, ...]) -> np.ndarray:
     return solid
 
 
-@pytest.mark.parametrize("method", ["default", "fbp", "osmo", "bclp"])
+@pytest.mark.parametrize(
+    "method", ["default", "osmo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("fbp", "bclp"))]
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_projector_prints(kind: str, method: str) -> None:
     assert share(KINDS[kind](), method) > 0.85 * plain(method)

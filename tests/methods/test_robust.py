@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt
-from scipy.stats import norm
+from scipy.special import ndtr
 from widest import entries_of, widest
 
 import vamgpu as vam
@@ -71,7 +71,7 @@ def judged(light: np.ndarray, name: str, axis: float, spread: float) -> tuple[fl
     for pose, row in zip(projection().motion.poses, light[:, :, 0], strict=True):
         for turn in (np.arange(4) - 1.5) / 4 * 2.0 * np.pi / angles:
             away = (y * np.cos(pose + turn) - x * np.sin(pose + turn) + axis)[..., None] - r
-            seen = norm.cdf((away + 0.5 * PITCH) / spread) - norm.cdf((away - 0.5 * PITCH) / spread)
+            seen = ndtr((away + 0.5 * PITCH) / spread) - ndtr((away - 0.5 * PITCH) / spread)
             dose += seen @ row.astype(np.float64)
     depth, near = depth[1::3, 1::3], np.hypot(x, y) <= 0.5 * SIZE * PITCH
     return dose[near & (depth >= 0.5)].min(), dose[near & (depth <= -0.5)].max(), dose[near].max()
@@ -79,14 +79,14 @@ def judged(light: np.ndarray, name: str, axis: float, spread: float) -> tuple[fl
 
 def test_light_holds_at_corners_and_at_points_inside_the_box() -> None:
     """Half a pixel from the surface while the vial turns; light that knows no corner does not."""
-    A = vam.Projection(projection().grid, projection().beam, vam.Turntable(30), device="numpy")
+    A = vam.Projection(projection().grid, projection().beam, vam.Turntable(30))
     off = Tolerances(axis=0.6 * PITCH, spread=(0.5 * PITCH, PITCH))
     target, axis, (low, high) = part("bars")[:, :, None].astype(np.float32), off.axis, off.spread or (0.0, 0.0)
     rng, windows = np.random.default_rng(5), []
-    inside = [(rng.uniform(-axis, axis), rng.uniform(low, high)) for _ in range(10)]
+    inside = [(rng.uniform(-axis, axis), rng.uniform(low, high)) for _ in range(5)]
     corners = [(sign * axis, spread) for sign in (-1, 1) for spread in (low, high)]
     for tolerances in (off, None):
-        light = vam.optimize(A, target, iterations=40, tolerances=tolerances).sinogram.numpy()
+        light = vam.optimize(A, target, iterations=30, tolerances=tolerances).sinogram.numpy()
         doses = np.array([judged(light, "bars", *at) for at in (*corners, *inside)])
         windows.append((doses[:, 0].min() - doses[:, 1].max()) / doses[:, 2].max())
     assert windows[0] > max(0.02, windows[1] + 0.01), windows

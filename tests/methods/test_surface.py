@@ -48,7 +48,7 @@ def box_depth(grid: vam.Grid, half: tuple[float, ...]) -> np.ndarray:
 
 
 def projection(
-    device: Any = "numpy", vessel: Any = VIAL, motion: vam.Turntable | None = None, grid: vam.Grid = GRID,
+    device: Any = None, vessel: Any = VIAL, motion: vam.Turntable | None = None, grid: vam.Grid = GRID,
     pixels: tuple[int, int] = (30, 14), pitch: float = PITCH,
 ) -> vam.Projection:  # fmt: skip
     return vam.Projection(grid, vam.Beam(pixels, pitch), motion or vam.Turntable(24), vessel, device)
@@ -62,7 +62,7 @@ def quietly(*given: Any, **more: Any) -> Plan:
 
 
 @cache
-def solved(iterations: int = 12, name: str = "numpy") -> Plan:
+def solved(iterations: int = 12, name: str | None = None) -> Plan:
     return quietly(projection(vam.open_device(name)), ball(), iterations=iterations)
 
 
@@ -288,10 +288,10 @@ def test_an_exposure_limit_holds_on_the_targets_voxels(processor: str) -> None:
 
 # ---- runs ------------------------------------------------------------------------------------------------------------
 def test_a_resumed_run_is_one_run(tmp_path: Any) -> None:
-    A, once = projection(), solved(7)
+    A, once = projection(None), solved(7)
     first = quietly(A, ball(), iterations=3)
     before = first.sinogram.numpy().copy()
-    kept = vam.load(first.save(tmp_path / "first.vam"), "numpy")
+    kept = vam.load(first.save(tmp_path / "first.vam"), A.device)
     assert isinstance(kept, Plan) and kept.method == first.method and np.array_equal(kept.sinogram.numpy(), before)
     for begun in (first, kept):
         again = quietly(begun.operator, ball(), iterations=7, resume=begun)
@@ -308,7 +308,7 @@ def test_evaluations_are_those_that_are_made(fast_device: Any) -> None:
 
 
 def test_light_to_start_from() -> None:
-    A = projection()
+    A = projection(None)
     with pytest.raises(NoLight, match="start from is dark in all pixels whose rays meet the part"):
         fine: Any = as_fine_as_light(A)
         idle = 1.0 - lit_pixels(fine, across(ball(), GRID, fine, 1.0)).numpy()
@@ -330,7 +330,7 @@ def test_light_by_rings_ends_where_that_by_rays_does(processor: str) -> None:
 
 
 def test_devices_agree(fast_device: Any) -> None:
-    wanted = quietly(projection(), ball(), iterations=5)
+    wanted = quietly(projection("numpy"), ball(), iterations=5)
     got = quietly(projection(fast_device), ball(), iterations=5)
     scale = wanted.sinogram.numpy().max()
     np.testing.assert_allclose(got.sinogram.numpy() / scale, wanted.sinogram.numpy() / scale, atol=2e-3)
@@ -341,12 +341,12 @@ def test_a_sheet_of_one_pixel_has_a_window_in_its_history() -> None:
     """No voxel of it lies a pixel deep."""
     sheet = np.zeros(GRID.shape, np.float32)
     sheet[6:14, 6:14, 5:6] = 1.0
-    plan = quietly(projection(vessel=None), sheet, iterations=10)
+    plan = quietly(projection(None, None), sheet, iterations=10)
     assert plan.history[-1].window > 0.0 and plan.window > -0.2
 
 
 def test_light_is_kept_where_memory_does_not_do_to_judge_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    real, wanted, A = run.OptimizerState.window, solved(7), projection()
+    real, wanted, A = run.OptimizerState.window, solved(7), projection(None)
 
     def window(self: Any, dose: Any) -> tuple[float, float]:
         if dose.shape == GRID.shape:
@@ -440,7 +440,7 @@ OTHERS: dict[str, Any] = {
                                                      wall_index=1.5)),
     "defocused": lambda: vam.Defocused(projection(), vam.Defocus(0.25, 5.0)),
     "joseph": lambda: vam.Projection(GRID, vam.Beam((20, 12), PITCH, spread=0.0), vam.Turntable(24, lit_share=0.0),
-                                     device="numpy", footprint="joseph"),
+                                     footprint="joseph"),
 }  # fmt: skip
 
 
@@ -460,9 +460,9 @@ def test_bodies_with_limits_of_their_own_keep_the_targets_voxels() -> None:
     part = vam.Body(lambda x, y, z: np.sqrt(x**2 + y**2 + z**2) - 0.5, name="ball")
     kept = vam.Body(lambda x, y, z: np.sqrt((x - 0.75) ** 2 + y**2 + z**2) - 0.15, "keep out", dose=0.4)
     target = vam.Scene((part, kept)).target(pitch=PITCH, shape=GRID.shape, device="numpy")
-    plan = quietly(projection(vessel=None), target, iterations=15)
+    plan = quietly(projection(None, None), target, iterations=15)
     dose, body = plan.dose().numpy(), target.limits.body  # type: ignore[union-attr]
-    free = quietly(projection(vessel=None), target.numpy(), iterations=15).dose().numpy()
+    free = quietly(projection(None, None), target.numpy(), iterations=15).dose().numpy()
     least = [each[body == 0].mean() for each in (dose, free)]
     assert dose[body == 1].max() / least[0] < 0.9 * free[body == 1].max() / least[1]
 
@@ -470,7 +470,7 @@ def test_bodies_with_limits_of_their_own_keep_the_targets_voxels() -> None:
 def test_tolerances_are_met_on_voxels_as_fine_as_light_or_by_those_of_the_target(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    A, off = projection(), vam.Tolerances(absorption=0.05)
+    A, off = projection(None), vam.Tolerances(absorption=0.05)
     plan = quietly(A, ball(), iterations=2, tolerances=off)
     assert plan.method == SurfaceRamp() and plan.corners is not None
     assert plan.window == pytest.approx(off.doses(A, plan, ball()).window, abs=1e-5)
@@ -487,4 +487,4 @@ def test_tolerances_are_met_on_voxels_as_fine_as_light_or_by_those_of_the_target
 def test_it_is_the_default_by_every_name() -> None:
     assert METHODS["default"] is METHODS["ramp"] is SurfaceRamp
     with pytest.raises(BadInput, match="resume with the same method"):
-        quietly(projection(), ball(), "lbfgs", resume=solved(7))
+        quietly(projection(None), ball(), "lbfgs", resume=solved(7))

@@ -32,7 +32,7 @@ def judged(light: np.ndarray) -> float:
     return float(score(exact.T(exact.device.upload(light.astype(np.float32))), exact.device.upload(ring())).window)
 
 
-@pytest.mark.parametrize("black", [0.0, 0.05])
+@pytest.mark.parametrize("black", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 def test_light_comes_to_have_two_levels_that_print(fast_device: Device, black: float) -> None:
     A = projection(fast_device)
     plan = vam.optimize(A, ring(), evaluations=40, progress=False)

@@ -24,6 +24,7 @@ def test_contrast_falls_with_the_index_ratio(seed: int) -> None:
     assert (np.diff(error) > 0).all() and error[0] < 0.4 * target.mean()  # no light at all misses by the mean
 
 
+@pytest.mark.slow
 def test_contrast_falls_as_in_the_roll_to_roll_paper_on_its_kind_of_target() -> None:
     """8.9 % from m = 1.00 to 0.67 on one target of random structure that is not published; here the mean over four.
 

@@ -154,7 +154,7 @@ def plate() -> tuple[Solid, np.ndarray, np.ndarray]:
 def test_a_ring_that_voxels_break_has_its_hole() -> None:
     import trimesh
 
-    mesh = trimesh.creation.torus(1.5, 0.055)
+    mesh = trimesh.creation.torus(1.5, 0.055, major_sections=32, minor_sections=12)
     ring, pitch = Solid(mesh.vertices, np.asarray(mesh.faces, np.int32), "ring"), 0.1
     grid = Grid((34, 34, 4), pitch)
     fraction = voxelize(ring, grid, "numpy").fraction.numpy()

@@ -225,11 +225,12 @@ def test_light_spreads_with_the_distance_from_its_focus_plane() -> None:
     assert ray.size == 8 and set(plane) == set(planes) and across == pytest.approx(column, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_plane_for_every_depth_is_focus_that_follows_the_film() -> None:
     from vamgpu.printing.focus import FocusMasks
 
     machine = roller(Film(3.0, 1.49, 1.33, 0.2), divergence=0.02, rays=4)
-    beam, web = Beam((60, 2), 0.25), grid(machine)
+    beam, web = Beam((60, 2), 0.25), grid(machine, 15)
     light = [machine.propagation(web, beam).dense()]
     masks = FocusMasks.around(beam, machine.radius, 3.0, 30)
     assert masks.defocus.max() < 1e-9

@@ -59,7 +59,10 @@ CASES = {
     "square vat": (VAT, (N, SLICES), PITCH, 5e-3, 1e-4),
     "round vat": (ROUND, (N, SLICES), PITCH, 5e-3, 1e-4),
 }
-every_case = pytest.mark.parametrize("case", CASES)
+RARE = ("straight, wider and lower", "coarser columns and rows", "refracted, finer")
+every_case = pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] * (case in RARE)) for case in CASES]
+)
 
 
 def operator(case: str, device: Device | str, angles: int) -> vam.Projection:

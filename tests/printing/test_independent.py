@@ -200,7 +200,7 @@ def test_the_grid_does_not_matter() -> None:
     assert np.abs(coarse - back)[lit].max() <= 5e-3 * back.max()
 
 
-@pytest.mark.parametrize(("angles", "places"), [(24, 40), (90, 20)])
+@pytest.mark.parametrize(("angles", "places"), [(24, 40), pytest.param(90, 20, marks=pytest.mark.slow)])
 def test_a_frame_is_lit_while_the_container_turns(angles: int, places: int) -> None:
     """Against the mean over containers at rest at many places of each arc; even doses would hide a mistake."""
     grid, beam = vam.Grid((40, 39, 1), 0.2), vam.Beam((60, 1), 0.2)
@@ -399,7 +399,7 @@ def test_a_proof_says_who_judged_and_what_was_claimed() -> None:
 def test_what_prints_above_a_part_as_high_as_its_grid_is_seen(rows: int) -> None:
     grid, motion = vam.Grid((16, 16, 16), 0.1), vam.Turntable(24)
     beam = vam.Beam((20, 20), 0.1, spread=0.02)
-    A = vam.Projection(grid, beam, motion, None, "numpy")
+    A = vam.Projection(grid, beam, motion)
     target = np.zeros(grid.shape)
     target[5:11, 5:11, :] = 1.0
     light = np.zeros(A.range.shape)

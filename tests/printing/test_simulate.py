@@ -90,7 +90,7 @@ def test_the_predicted_exposure_brings_the_threshold_to_the_critical_dose(device
 
 
 def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
-    A = Projection(GRID, BEAM, TURN, VIAL, "numpy")
+    A = Projection(GRID, BEAM, TURN, VIAL)
     frames, target = shown(A), ball(GRID.shape)
     proof = simulate(A, frames, target, irradiance=65 * mW_cm2, critical_dose=100 * mJ_cm3)
     assert proof.exposure is not None
@@ -159,7 +159,7 @@ def test_one_bit_of_the_frames_changes_the_dose_at_its_height(device: Device, bi
 
 def test_straight_light_needs_to_be_told_how_much_is_absorbed() -> None:
     beam = Beam((20, 10), 0.2)
-    A = Projection(GRID, beam, TURN, device="numpy")
+    A = Projection(GRID, beam, TURN)
     frames, target = shown(A), ball(GRID.shape)
     assert simulate(A, frames, target).seconds is None
     with pytest.raises(BadInput, match="give absorption="):

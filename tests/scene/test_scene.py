@@ -160,7 +160,7 @@ def test_limits_say_what_each_role_asks() -> None:
 
 
 # ---- what is optimized -------------------------------------------------------------------------------------------
-def solved(target: vam.Target, method: Any = "lbfgs", iterations: int = 15, device: Any = "numpy") -> vam.Plan:
+def solved(target: vam.Target, method: Any = "lbfgs", iterations: int = 15, device: Any = None) -> vam.Plan:
     A = vam.Projection(GRID, BEAM, TURN, None, device)
     return vam.optimize(A, target, method, iterations=iterations)
 
@@ -276,7 +276,7 @@ def test_what_a_print_bears_is_judged_by_the_same_limits(tmp_path: Path) -> None
 def test_a_part_that_overlaps_its_insert_reaches_a_window() -> None:
     scene = vam.Scene([PART, vam.Body(rod(0.4), "insert")])
     target = scene.target(pitch=PITCH, shape=SHAPE, device="numpy")
-    A: Any = scene.operator(target, BEAM, TURN, device="numpy")
+    A: Any = scene.operator(target, BEAM, TURN)
     plan = vam.optimize(A, target, "lbfgs", iterations=15)
     proof = vam.simulate(A, vam.pack(plan), target)
     assert proof.scores.window > 0.05
@@ -292,8 +292,8 @@ def test_a_clear_insert_like_the_resin_changes_nothing_in_a_vial() -> None:
     scene = vam.Scene([PART, vam.Body(rod(0.4, 0.5), "insert", index=1.48, absorption=0.15)])
     target = scene.target(pitch=PITCH, shape=SHAPE, device="numpy")
     wide = {"pixels": (60, 4), "pitch": PITCH}
-    through = scene.operator(target, vam.Beam(**wide), TURN, VIAL, device="numpy")
-    plain = vam.Projection(GRID, vam.Beam(**wide, spread=0.0), TURN, VIAL, "numpy")
+    through = scene.operator(target, vam.Beam(**wide), TURN, VIAL)
+    plain = vam.Projection(GRID, vam.Beam(**wide, spread=0.0), TURN, VIAL)
     light = np.ones(plain.range.shape, np.float32)
     got, wanted = (A.T(A.device.upload(light)).numpy()[voxels(1.8)] for A in (through, plain))
     assert (got / wanted).mean() == pytest.approx(1.0, abs=1e-3) and (got / wanted).std() < 0.01
@@ -411,6 +411,7 @@ def test_methods_of_one_limit_refuse_bodies() -> None:
 TASKS = Path(__file__).resolve().parents[2] / "docs" / "tasks.md"
 
 
+@pytest.mark.slow
 def test_the_page_on_tasks_runs_as_it_is_written(capsys: pytest.CaptureFixture[str]) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", TASKS.read_text("utf-8"), re.S)
     exec(compile(code, str(TASKS), "exec"), {})

@@ -48,7 +48,7 @@ def error(method: str, role: str, dose: float, weight: float) -> float:
     return float(np.mean(np.abs(off) if role == "gray" else np.maximum(off, 0.0)))
 
 
-@pytest.mark.parametrize(("role", "dose"), [("keep out", 0.1), ("gray", 0.5)])
+@pytest.mark.parametrize(("role", "dose"), [("keep out", 0.1), pytest.param("gray", 0.5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", sorted(set(HOW) - UNWEIGHTED))
 def test_a_heavier_body_comes_nearer_to_what_is_asked_of_it(method: str, role: str, dose: float) -> None:
     light, heavy = (error(method, role, dose, weight) for weight in (1.0, 16.0))

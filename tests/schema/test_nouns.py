@@ -37,11 +37,11 @@ VAT = vam.Vat(width=12.0, radius=5.0, absorption=0.1)
 
 
 def projection(vessel: Any, motion: vam.Turntable = MOTION) -> vam.Projection:
-    return vam.Projection(GRID, BEAM, motion, vessel, "numpy")
+    return vam.Projection(GRID, BEAM, motion, vessel)
 
 
 def oblique(light: Any, wobble: vam.Wobble | None = None) -> vam.Oblique:
-    return vam.Oblique(GRID, BEAM, MOTION, light, wobble, "numpy")
+    return vam.Oblique(GRID, BEAM, MOTION, light, wobble)
 
 
 def spread() -> Composed:
@@ -53,7 +53,7 @@ OPERATORS = {
     "air": lambda: projection(None),
     "vial": lambda: projection(VIAL),
     "vat": lambda: projection(vam.Vat(width=12.0, absorption=0.05)),
-    "joseph": lambda: vam.Projection(GRID, vam.Beam((24, 8), 0.2), MOTION, None, "numpy", footprint="joseph"),
+    "joseph": lambda: vam.Projection(GRID, vam.Beam((24, 8), 0.2), MOTION, footprint="joseph"),
     "measured angles": lambda: projection(VIAL, vam.Turntable([0.0, 1.0, 2.5], dwell=[1.0, 2.0, 3.0])),
     "misaligned": lambda: projection(vam.Misaligned(VIAL, offset=0.3, tilt=-2 * deg)),
     "fan": lambda: projection(vam.Fan(VIAL, throw=300.0)),

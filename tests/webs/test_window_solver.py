@@ -56,7 +56,7 @@ def test_a_web_in_segments_is_as_wide_as_the_web_in_one_piece(fast_device: Devic
     found = {
         core: proven(stream(target, method="best", core=core, iterations=300, device=fast_device),
                      tmp_path / f"{core}.vam")
-        for core in (1.0, 2.0, 30.0)
+        for core in (1.0, 30.0)
     }  # fmt: skip
     in_one_piece = found[30.0]
     for window in found.values():
@@ -64,6 +64,7 @@ def test_a_web_in_segments_is_as_wide_as_the_web_in_one_piece(fast_device: Devic
         assert window > 0.65 * limit.value, (found, limit.value)
 
 
+@pytest.mark.slow
 def test_one_threshold_serves_all_segments(fast_device: Device, tmp_path: Path) -> None:
     """Where each would choose its own they would be 0.16 apart."""
     target = dense_and_sparse(LONG)

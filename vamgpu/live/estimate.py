@@ -45,6 +45,8 @@ SLICES = 32
 """Most slices with voxels that parameters are estimated from: slices do not light each other."""
 
 
+TINY = 1e-30
+"""Less than any variance of conversion."""
 FAINT = 0.02
 """Share of the greatest dose below which two operators are not compared."""
 OTHER = 1.5
@@ -65,6 +67,7 @@ class Estimate:
         std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Number of voxels used for the parameters.
+        unexplained: Mean square residual of the conversion of these voxels, over its variance.
     """
 
     values: np.ndarray
@@ -74,6 +77,7 @@ class Estimate:
     std: DeviceArray
     chi_square: float
     voxels: int
+    unexplained: float
 
     @cached_property
     def dose(self) -> np.ndarray:
@@ -298,13 +302,14 @@ class Estimator:
         chi = float(residuals @ residuals)
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
+        unexplained = float(np.square(residuals * sigma).mean() / max(float(told.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
         dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
         if before is not None:
             combine(1.0, field, 1.0, here(device, before.delivered), field)
         std = self._by_voxel(field, seen, spread)
-        return Estimate(values, covariance, field, dose, std, chi, used.size)
+        return Estimate(values, covariance, field, dose, std, chi, used.size, unexplained)
 
     def _fitted(self, fit: _Fit, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The most probable parameters, and the derivatives and residuals of the voxels used, by Gauss-Newton."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from math import exp, inf, sqrt
+from math import exp, floor, inf, sqrt
 from time import perf_counter
 from typing import Any
 
@@ -22,10 +21,12 @@ from vamgpu.live.printer import CuringResin
 from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smoothing import Smoothing
-from vamgpu.live.tomography import OpticalDepths, Reconstruction, Tomograph
+from vamgpu.live.tomography import TINY, OpticalDepths, Reconstruction, Tomograph
+from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
+from vamgpu.operators.reductions import total
 
 SIGNIFICANT = 0.1
 """Conversion that counts as seen."""
@@ -43,6 +44,8 @@ or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Light and inhibitor, relative to the plan, tried before the rest is estimated."""
+ONSET = 0.02
+"""Share of the planned print's darkening below which nothing counts as cured."""
 KEPT = 4
 """Lights whose copies on the device are kept."""
 
@@ -61,6 +64,9 @@ class Decision:
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
         iou: Overlap expected at the end, dimensionless.
         reason: Reason in words.
+        doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
+            as its print makes them, with at most the dose of the plan, and no overlap is expected.
+        misfit: Misfit of the images, see `Reconstruction.misfit`; 0 without images.
         stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes another time.
         dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
             (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.
@@ -76,6 +82,8 @@ class Decision:
     parameters: dict[str, tuple[float, float]] = field(default_factory=dict)
     iou: float = 0.0
     reason: str = ""
+    doubt: str = ""
+    misfit: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
     dose: DeviceArray | None = None
     conversion: DeviceArray | None = None
@@ -83,11 +91,11 @@ class Decision:
     @property
     def entry(self) -> dict[str, Any]:
         """Entry of the run's record: every number, and the digest of the light."""
-        digest = hashlib.sha256(np.ascontiguousarray(self.light, np.float32).tobytes()).hexdigest()
         return {
             "turn": self.turn, "action": self.action, "version": self.version, "turns": self.turns,
             "inhibitor": self.inhibitor, "parameters": {name: list(v) for name, v in self.parameters.items()},
-            "iou": self.iou, "reason": self.reason, "light": digest,
+            "iou": self.iou, "reason": self.reason,
+            "light": digest(np.asarray(self.light, np.float32)), "doubt": self.doubt, "misfit": self.misfit,
         }  # fmt: skip
 
 
@@ -120,6 +128,9 @@ class LiveState:
         committed: Light of earlier turns that can no longer be changed, one [angle, r, z] each; the next images belong
             to the first of them.
         values: The last estimate of the parameters, (7,); None before the first.
+        clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
+        images: Digest of the last images.
+        doubt: Why images no longer decide; empty where they do.
     """
 
     turn: int
@@ -131,11 +142,16 @@ class LiveState:
     seen: Reconstruction | None = None
     committed: tuple[np.ndarray, ...] = ()
     values: np.ndarray | None = None
+    clear: np.ndarray | None = None
+    images: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
     """A turn that is over: its number, turns left, the state before it, and light shown, pending and committed now."""
+
+    # clear: level of images before anything cured; cured: share of the planned print's darkening that is seen now
 
     turn: int
     left: int
@@ -143,6 +159,9 @@ class _Turn:
     shown: DeviceArray
     pending: DeviceArray
     committed: tuple[np.ndarray, ...]
+    clear: np.ndarray
+    cured: float
+    images: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +184,7 @@ class LiveLoop:
         prior: Prior of the parameters.
         ahead: Turns that begin before a decision can reach the projector.
         every: Number of turns from one decision to the next.
+        trust: Limits within which images decide.
     """
 
     tomograph: Tomograph
@@ -179,13 +199,13 @@ class LiveLoop:
     prior: Prior = field(default_factory=lambda: Prior.of(None, USUAL))
     ahead: int = 0
     every: int = 1
+    trust: Trust = field(default_factory=Trust)
 
     def start(self) -> LiveState:
         """The state before the first turn. It also makes tables, so that no turn waits for them."""
-        _ = self.tomograph.operator, self.estimator.quick, self._planned_dose
+        _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
         self.replanner.prepare(self.estimator.operator)
-        light = self.light.view()
-        light.setflags(write=False)
+        light = self._planned
         dark = scaled(self._field(light), 0.0)
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
@@ -201,31 +221,44 @@ class LiveLoop:
         Returns:
             The state after it, and the decision.
         """
-        at, seen, laps = self._after(state), state.seen, _Laps()
+        at, seen, laps = self._after(state, frames), state.seen, _Laps()
+        repeated = at.images and at.images == state.images
+        doubt = state.doubt or ("the camera repeats its images" if repeated else "")
         try:
-            if at.turn % self.every:
+            if doubt:
+                decision = self._by_plan(at, doubt)
+            elif at.turn % self.every:
                 decision = self._kept(at, f"decided after every {self.every} turns")
             else:
                 told = self.tomograph.measure(frames)
                 seen = self.tomograph.see(told, seen, iterations=self.iterations)
                 laps.over("see")
-                decision = self._replanned(at, told, seen, laps)
+                doubt = self.trust.of_images(seen)
+                decision = self._by_plan(at, doubt) if doubt else self._replanned(at, told, seen, laps)
+                decision = replace(decision, misfit=seen.misfit)
         except VamError as error:
-            decision = self._kept(at, f"refused: {error}")
+            decision = self._kept(replace(at, left=min(at.left, self._allowed(at))), f"refused: {error}")
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, _values(decision, state.values))  # fmt: skip
+                          at.committed, _values(decision, state.values), at.clear, at.images,
+                          decision.doubt)  # fmt: skip
         return after, decision
 
-    def _after(self, state: LiveState) -> _Turn:
+    def _after(self, state: LiveState, frames: np.ndarray) -> _Turn:
         fade = exp(-1.0 / self.resin.dark)
         showing, *committed = *state.committed, state.light
         made = self.resin.dark * (1.0 - fade)
         had, light = self._field(state.pending), self._field(showing)
         pending = combine(fade, had, made, light, had.device.empty(had.shape))
         shown = added(self._field(state.shown), light)
-        return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed))
+        level, clear, share = mean_level(frames), state.clear, 0.0
+        if clear is not None:
+            share = share_of(darkening(clear - level), self._dark)
+        if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
+            clear = level
+        return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
+                     digest(frames))  # fmt: skip
 
     def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; of arrays that nobody can write to, the last few are kept there."""
@@ -278,6 +311,36 @@ class LiveLoop:
         stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
         return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
 
+    def _by_plan(self, at: _Turn, doubt: str) -> Decision:
+        """The planned light, until images are as dark as its print makes them; its dose at most."""
+        before, turns = at.before, self._allowed(at)
+        if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
+            turns = 0
+        swapped = before.light is not self._planned and not np.array_equal(before.light, self.light)
+        action = "stop" if not turns else "swap" if swapped else "keep"
+        light = self._planned if swapped else before.light
+        return Decision(at.turn, action, before.version + swapped, light, turns, reason=f"by the plan: {doubt}",
+                        doubt=doubt)  # fmt: skip
+
+    def _allowed(self, at: _Turn) -> int:
+        """Turns of planned light that the dose of the plan has room for."""
+        spent = total(added(at.shown, *map(self._field, at.committed))) / total(self._field(self._planned))
+        return max(floor(self.planned - spent + 0.5), 0)
+
+    @cached_property
+    def _planned(self) -> np.ndarray:
+        light = self.light.view()
+        light.setflags(write=False)
+        return light
+
+    @cached_property
+    def _dark(self) -> np.ndarray:
+        """Darkening of the images when planned light is to end, as what is in flight still reacts."""
+        share = max(1.0 - (self.resin.dark + self.ahead) / self.planned, 0.0)
+        cured = self.estimator.conversion(share * self._planned_dose.numpy())
+        passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
+        return darkening(-np.log(np.maximum(passed, TINY)).mean(axis=0))
+
     def _replanned(self, at: _Turn, told: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
@@ -288,6 +351,8 @@ class LiveLoop:
         acted = added(at.shown, at.pending, factor=-1.0)
         found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
         laps.over("estimate")
+        if doubt := self.trust.of_estimate(found):
+            return self._by_plan(at, doubt)
         calibrated = self.estimator.nearly(found.values, acted, found.lit)
         more = calibrated.T(added(at.pending, *map(self._field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)

@@ -30,16 +30,18 @@ def page(
     found = [each for each in told if each["parameters"]]
     swaps = sum(each["action"] == "swap" for each in told)
     last = told[-1]
-    good = bool(found) and last["iou"] > 0.99
+    doubted = next((each for each in told if each.get("doubt")), None)
+    good = bool(found) and last["iou"] > 0.99 and not doubted
     headline = [] if overlaps is None else [
         Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
         Figure(f"{overlaps[0]:.4f}", "overlap, not live", "of the same resin, lit as planned"),
     ]  # fmt: skip
+    expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
         Figure(str(len(told)), "decisions", "one after each turn with images"),
         Figure(str(swaps), "swaps", "replacements of the remaining light"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
-        Figure(f"{last['iou']:.4f}", "overlap expected", "with the part, from the last estimate"),
+        Figure(expected, "overlap expected", "with the part, from the last estimate"),
     ]
     cards = [
         Card("Decisions",
@@ -63,6 +65,10 @@ def page(
         cards.insert(1, Card("Final conversion", Images([picture], "panels", 1), note="The part is outlined."))
     verdict = (f"The camera measured {len(told)} turns; the remaining light was replaced {swaps} times." if found
                else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
+    if doubted:
+        verdict = (
+            f"From turn {doubted['turn']}, images did not decide; the planned light continued: {doubted['doubt']}."
+        )
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 
 

@@ -61,6 +61,7 @@ class Reconstruction:
         iterations: Projector evaluations that were made; a replay uses the same number.
         misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
             camera and noise are as described.
+        contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
         seconds: Wall time [s].
     """
 
@@ -68,6 +69,7 @@ class Reconstruction:
     cured: DeviceArray
     iterations: int
     misfit: float
+    contrast: float
     seconds: float
 
     @cached_property
@@ -179,9 +181,9 @@ class Tomograph:
             if deadline < inf:
                 self._device.synchronize()
             done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
-        cured, misfit = self._device.empty(start.shape), steps.misfit
+        cured, misfit, contrast = self._device.empty(start.shape), steps.misfit, steps.contrast
         self._device.launch(interpolate, x=steps.field, **self._conversions, out=cured)
-        return Reconstruction(steps.field, cured, done, misfit, perf_counter() - begun)
+        return Reconstruction(steps.field, cured, done, misfit, contrast, perf_counter() - begun)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
         """Standard deviation of the extinction that the noise of a turn's images leaves.
@@ -301,6 +303,12 @@ class _Descent:
     def misfit(self) -> float:
         """Mean square of the residuals of the last step, in standard deviations."""
         return dot(self._residual, self._weighted) / self._pixels
+
+    @property
+    def contrast(self) -> float:
+        """Mean square of the depths, in standard deviations; `misfit` comes first, as this takes its fields."""
+        self._A.device.launch(multiply, x=self._depth, y=self._weight, out=self._weighted)
+        return dot(self._depth, self._weighted) / self._pixels
 
     def advance(self) -> None:
         """One pair of projections."""

@@ -103,21 +103,22 @@ def simulate(
     light = _light(A, frames)
     own, limits = A.T(light), getattr(target, "limits", None)
     check_dose(light, Parts(own, fraction))
-    claimed = _scores(own, fraction, limits, threshold)
+    held, claimed = _scored(own, fraction, limits, threshold)
     if coarse and (finer := _as_fine_as_light(A, target)) is not None:
         volume = A.grid.voxel_volume
         A, target = finer
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # for the exposure of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
-        claimed = _scores(own, fraction, limits, threshold)
+        held, claimed = _scored(own, fraction, limits, threshold)
     rays = isinstance(A, Projection) and not coarse
     judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
     traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
     pixel = traced.column if traced else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
-    held = judged_parts(dose, fraction, limits)
-    scores = claimed if dose is own else score(held.dose, held.target, threshold=threshold)
+    scores = claimed
+    if dose is not own:
+        held, scores = _scored(dose, fraction, limits, threshold)
     plain = scores if limits is None else score(dose, held.target, threshold=scores.threshold * limits.void)
     sent = light_sent(shone)
     given = {"irradiance": irradiance, "critical_dose": critical_dose, "absorption": absorption}
@@ -132,10 +133,12 @@ def simulate(
     )  # fmt: skip
 
 
-def _scores(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None) -> Scores:
-    """The scores of the judged voxels of a dose."""
+def _scored(
+    dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None
+) -> tuple[Parts, Scores]:
+    """The judged parts of a dose, and its scores."""
     held = judged_parts(dose, fraction, limits)
-    return score(held.dose, held.target, threshold=threshold)
+    return held, score(held.dose, held.target, threshold=threshold)
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:

@@ -87,7 +87,7 @@ COMMANDS = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(st.integers(9, 40), COMMANDS), min_size=1, max_size=40))
 def test_any_conversation_is_the_same(new_board: NewBoard, talk: list[tuple[int, tuple[Any, ...]]]) -> None:
     board, machine = new_board(), EmulatedController()

@@ -1,0 +1,147 @@
+"""Images that do not agree with the light that was shown do not decide the light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_print import PLANNED, overlap, printer, setup
+
+from vamgpu.live import Decision
+from vamgpu.live.printer import Truth
+from vamgpu.live.record import LiveRecord
+from vamgpu.live.report import page
+from vamgpu.live.trust import Trust, darkening, mean_level, share_of
+
+OLD = Truth(inhibitor=0.7)
+Images = Callable[[np.ndarray], np.ndarray]
+
+
+def watched(seen: Images) -> tuple[list[Decision], float]:
+    """The decisions of a print in used resin, by images that ``seen`` makes of the true ones, and its overlap."""
+    made, part, light = setup()
+    loop, live = made.loop(part, light), printer(OLD)
+    state, decisions = loop.start(), list[Decision]()
+    while not decisions or (decisions[-1].action != "stop" and live.turns < 2 * PLANNED):
+        live.turn(live.dose(np.asarray(state.light)))
+        state, decision = loop.decide(state, seen(live.through()))
+        decisions.append(decision)
+    return decisions, overlap(live.printed())
+
+
+def unwatched() -> float:
+    _, _, light = setup()
+    live = printer(OLD)
+    dose = live.dose(light)
+    for _ in range(PLANNED):
+        live.turn(dose)
+    return overlap(live.printed())
+
+
+@pytest.mark.parametrize(
+    ("seen", "why"),
+    [
+        pytest.param(lambda images: np.rint(1.19 * images), "open field", id="another open field"),
+        pytest.param(lambda images: np.roll(images, 5, axis=2), "place of the camera", id="beside the axis"),
+    ],
+)
+def test_a_print_goes_on_by_its_plan_where_images_are_wrong(seen: Images, why: str) -> None:
+    decisions, found = watched(seen)
+    last, (_, _, light) = decisions[-1], setup()
+    assert why in last.doubt and last.doubt in last.reason and last.entry["doubt"] == last.doubt
+    assert len(decisions) <= PLANNED and last.iou == 0.0 and not last.parameters
+    assert all(np.array_equal(each.light, light) for each in decisions if each.doubt)
+    assert found > 0.97 > unwatched()
+
+
+def test_images_as_described_decide_to_the_end() -> None:
+    decisions, found = watched(lambda images: images)
+    assert not any(each.doubt for each in decisions) and any(each.action == "swap" for each in decisions)
+    assert found > 0.98 and all(each.misfit < Trust().misfit for each in decisions)
+
+
+def test_a_camera_that_repeats_its_images_decides_no_more() -> None:
+    kept: list[np.ndarray] = []
+
+    def frozen(images: np.ndarray) -> np.ndarray:
+        kept.append(images)
+        return kept[min(len(kept), 3) - 1]
+
+    decisions, _ = watched(frozen)
+    assert [each.turn for each in decisions if "repeats" in each.doubt][0] == 4
+    assert len(decisions) == PLANNED, "the plan's dose is the most that is given"
+
+
+def test_conversion_that_the_light_does_not_explain_is_doubted() -> None:
+    found: Any = SimpleNamespace(unexplained=0.5)
+    assert "50 %" in Trust().of_estimate(found) and not Trust(conversion=0.6).of_estimate(found)
+    made, part, light = setup()
+    loop, live = made.loop(part, light), printer(OLD)
+    loop = replace(loop, trust=Trust(conversion=1e-6))
+    state = loop.start()
+    for _ in range(PLANNED):
+        live.turn(live.dose(np.asarray(state.light)))
+        state, decision = loop.decide(state, live.through())
+        if decision.doubt:
+            break
+    assert "does not explain" in decision.doubt and np.array_equal(decision.light, light)
+
+
+def test_an_estimate_tells_what_it_leaves_unexplained() -> None:
+    made, part, light = setup()
+    loop, live = made.loop(part, light), printer(Truth())
+    for _ in range(PLANNED):
+        live.turn(live.dose(light))
+    told = loop.tomograph.measure(live.through())
+    seen = loop.tomograph.see(told, iterations=30)
+    A = loop.estimator.operator
+    shown = A.device.field((PLANNED * light).astype(np.float32))
+    right = loop.estimator.estimate(shown, seen.conversion, 0.1, loop.prior)
+    wrong = loop.estimator.estimate(shown, np.roll(seen.conversion, 2, axis=0), 0.1, loop.prior)
+    assert right.unexplained < 0.1 < Trust().conversion < wrong.unexplained
+
+
+def test_a_share_of_darkening_knows_neither_gain_nor_orientation() -> None:
+    random = np.random.default_rng(3)
+    wanted = np.pad(random.random((12, 20)), 6) ** 2
+    clear = np.exp(5.0 + 0.1 * random.random((4, 24, 32)))
+    images = clear * np.exp(-0.6 * wanted)
+
+    def share(clear: np.ndarray, images: np.ndarray) -> float:
+        return share_of(darkening(mean_level(clear) - mean_level(images)), darkening(wanted))
+
+    assert share(clear, images) == pytest.approx(0.6, rel=1e-6)
+    assert share(clear, 1.2 * images) == pytest.approx(0.6, rel=1e-6)
+    assert share(clear[:, ::-1], images[:, ::-1]) == pytest.approx(0.6, rel=1e-6)
+    assert share(clear[:, :, ::-1], images[:, :, ::-1]) == pytest.approx(0.6, rel=1e-6)
+    bubble = images.copy()
+    bubble[:, 8:11, 8:12] *= 0.3
+    assert share(clear, bubble) == pytest.approx(0.6, rel=0.1)
+
+
+def test_lost_frames_do_not_count_in_a_level() -> None:
+    images = np.full((3, 2, 2), 100.0)
+    images[1] = np.nan
+    assert np.allclose(mean_level(images), np.log(100.0))
+    assert np.isnan(mean_level(np.full_like(images, np.nan))).all()
+    assert np.isnan(share_of(darkening(mean_level(images * np.nan)), np.ones(4)))
+
+
+def test_the_report_says_that_images_were_doubted(tmp_path: Path) -> None:
+    made, part, light = setup()
+    record = LiveRecord(tmp_path / "part.run" / "live")
+    loop, live = record.begin(made, part, light), printer(OLD)
+    live.turn(live.dose(light))
+    images = np.rint(1.19 * live.through())
+    _, decision = loop.decide(loop.start(), images)
+    record.add(images, decision)
+    text = page(record).html()
+    assert "images did not decide" in text and "open field" in text
+    assert [each["doubt"] for each in record.decided()] == [decision.doubt]
+    ((_, differs),) = record.replay()
+    assert not differs
