@@ -51,7 +51,7 @@ def dim_light(path: Sinogram, reached: Reached, dark: SinogramOut) -> None:
 
 @kernel(over="depth", cpu=CPU, gpu=GPU)
 def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: SinogramInOut) -> None:
-    """depth −= −reached·ln(1 − dark) − linear, by which images of a field seem deeper than its rays add up to."""
+    """depth −= −reached·ln(1 − dark) − linear, the excess of images of a field over the sum along its rays."""
     lit = reached[:, None] > 0.0
     depth -= np.where(lit, -reached[:, None] * np.log(np.maximum(1.0 - dark, FAINT)) - linear, 0.0)
 
