@@ -16,7 +16,7 @@ from vamgpu.geometry import positive
 
 @dataclass(frozen=True)
 class PointSpread:
-    """Blur of the optics alone, as `Beam` takes it: ``Beam(pixels, pitch, spread=PointSpread.load("mtf", pitch))``.
+    """Blur of only the optics, for `Beam`: ``Beam(pixels, pitch, spread=PointSpread.load("mtf", pitch))``.
 
     Args:
         width: standard deviation of the blur [mm].

@@ -254,11 +254,11 @@ class _Follow:
 
 
 def warn_of(machine: Machine) -> None:
-    """Warn where level 0 alone cures what it reaches: nothing can be uncured then."""
+    """Warn if level 0 cures all resin that it reaches: then nothing can stay uncured."""
     dose = float(machine.doses[0] / machine.decay)
     if dose >= 1.0:
         warnings.warn(
-            f"level 0 alone leaves {dose:.3g} critical doses behind: everything it reaches cures, nothing can stay "
+            f"even level 0 leaves {dose:.3g} critical doses behind: everything it reaches cures, nothing can stay "
             f"uncured. Print at least {dose:.3g} times faster, or darken level 0",
             SliceWarning,
             stacklevel=3,

@@ -49,7 +49,7 @@ class ColorReplanner:
 
     Doses of two colors do not add up: what was delivered is the state of the species in every voxel, from which the
     kinetics of the rest begin. Voxels that are surely over their limit (void that is solid, part above the most that is
-    asked) cannot be mended and get no weight.
+    asked) cannot be corrected and get no weight.
 
     Args:
         target: A `Target`, or fractions [x, y, z].

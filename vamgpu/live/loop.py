@@ -212,7 +212,7 @@ class LiveLoop:
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
         """Decide after one more turn of the first committed light, or of the state's light if none is committed.
 
-        Images or estimates that are refused cost the update of this turn only.
+        Images or estimates that are rejected only cost the update of this turn.
 
         Args:
             state: Before the turn.
@@ -261,7 +261,7 @@ class LiveLoop:
                      digest(frames))  # fmt: skip
 
     def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
-        """An array on the device of the plan; of arrays that nobody can write to, the last few are kept there."""
+        """An array on the device of the plan; the last few read-only arrays are kept there."""
         device, kept = self.estimator.operator.device, self._kept_fields
         if isinstance(values, DeviceArray) or values.flags.writeable:
             return here(device, values)

@@ -294,7 +294,7 @@ class LiveRecord:
         """Go through the print once more.
 
         Yields:
-            Of each turn the decision as recorded, the frames, [angle, row, column], and the decision made anew.
+            The recorded decision of each turn, its frames, [angle, row, column], and the repeated decision.
 
         Raises:
             BadInput: The setup cannot be read.

@@ -122,7 +122,7 @@ class Replanner:
     """Optimizes the light of the turns that remain; all of them show the same.
 
     The delivered dose enters the loss as an offset. Voxels that are surely over their limit (void that is already
-    printed, part above ``most``) cannot be mended and get no weight. How much of the light is given, and whether any
+    printed, part above ``most``) cannot be corrected and get no weight. How much of the light is given, and whether any
     is, is decided by where the surface of the print will lie.
 
     Args:

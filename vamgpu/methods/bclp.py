@@ -80,7 +80,7 @@ class BCLP(ByDescent):
 
         A learning rate has the unit of its light, which is not told: here the first step changes the light by a
         hundredth of itself and later ones are as long as its rate makes them, but for those that would raise the loss.
-        q = 1 couples a whole web, by one number: `optimize` finds it anew at each step of a `WebProjection`, `Stream`
+        q = 1 couples a whole web, by one number: `optimize` updates it at each step of a `WebProjection`, `Stream`
         once, from its first segment.
         """
         return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)

@@ -36,7 +36,7 @@ def chosen(method: str | Method | Loss) -> Method:
 
 
 def check_bodies(method: Method, limits: Limits) -> None:
-    """Refuse weights of bodies for a method whose light does not depend on them."""
+    """Reject weights of bodies for a method that ignores them."""
     if limits.weighted and not getattr(method, "takes_weights", True):
         able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, "takes_weights", True))
         raise BadInput(

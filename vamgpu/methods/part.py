@@ -92,7 +92,7 @@ def limited(operator: Any, limits: Limits) -> Any:
 
 
 def lit_pixels(operator: Any, fractions: DeviceArray) -> DeviceArray:
-    """Tell which pixels send rays through a part: 1, and 0 for those whose light is idle."""
+    """1 for pixels that send rays through a part, and 0 for those whose light is idle."""
     met = operator(_stepped(fractions, HALF * (extent(fractions)[1] or 1.0), reach_of(operator.grid)))
     return _stepped(met, max(MET * extent(met)[1], 1e-30))
 

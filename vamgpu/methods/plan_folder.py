@@ -150,7 +150,7 @@ def _at_rest(table: Any) -> Any:
 
 
 def _weigh(description: Any) -> None:
-    """Refuse grids and beams of more voxels and pixels than memory holds, before operators make tables of them."""
+    """Reject grids and beams of more voxels and pixels than memory holds, before operators make tables."""
     for key, value in description.items() if isinstance(description, Mapping) else ():
         if key in ("shape", "pixels") and isinstance(value, list) and all(isinstance(n, (int, float)) for n in value):
             afford(np.dtype(np.float64).itemsize * prod(map(abs, value)), f"a manifest's geometry of {key} {value}")
@@ -220,12 +220,12 @@ FACTS = ("name", "radius", "volume", "height")
 
 
 def pixel_pitch(plan: Any) -> float | None:
-    """Distance of a plan's pixels [mm]; None if nobody knows it."""
+    """Distance of a plan's pixels [mm]; None if unknown."""
     return getattr(getattr(getattr(plan, "operator", None), "beam", None), "pitch", None)
 
 
 def target_of(plan: Any) -> Target | None:
-    """The target of a plan; one of fractions alone is told from them. None if nobody knows it, or of a web."""
+    """The target of a plan, also from fractions only. None if unknown, or for a web."""
     target, grid = getattr(plan, "target", None), getattr(plan.operator, "grid", None)
     if target is None or isinstance(target, Target) or not isinstance(grid, Grid):
         return target if isinstance(target, Target) else None
@@ -256,7 +256,7 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Tar
 
 
 def limits_entries(target: Target) -> dict[str, Entry]:
-    """What single voxels are asked for, as a job folder keeps it; nothing for a part alone."""
+    """Limits of single voxels for a job folder; nothing for a single part."""
     if target.limits is None:
         return {}
     fields = {name: getattr(target.limits, name) for name in LIMITS}
@@ -400,7 +400,7 @@ IMPORTED: dict[str, Any] = {
     "seconds": 0.0,
     "window": -1.0,
 }
-"""What is known of light that nobody here solved for."""
+"""Known facts about patterns from other software."""
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ class RecordedMethod:
 
     def steps(self, state: Any) -> Steps:
         """Reject to go on."""
-        raise BadInput(f"the plan is by {self.text}, of which its folder keeps the name alone; give a method, and the "
+        raise BadInput(f"the plan is by {self.text}, of which its folder keeps only the name; give a method, and the "
                        "plan's light as its start")  # fmt: skip
 
 

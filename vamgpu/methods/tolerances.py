@@ -88,7 +88,7 @@ class CornerDose:
 
     @property
     def window(self) -> float:
-        """Strict process window at this corner alone, with a threshold of its own; −1 where it is dark."""
+        """Strict process window at only this corner, with its own threshold; −1 if it is dark."""
         return (self.least - max(self.leak, 0.0)) / self.greatest if self.greatest > 0.0 else -1.0
 
 
@@ -196,7 +196,7 @@ class Tolerances:
                 adds, and the vial by its eccentricity.
             fill: Share of a pixel's area that is lit.
             reach: Of the part before and behind the axis [mm]: spreads measured farther away do not count.
-            followed: Whether frames follow the measured runout, as `vam print` moves them; its error alone is left.
+            followed: Whether frames follow the measured runout, as in `vam print`; then only its error remains.
             sure: Standard errors that a tolerance spans [1].
             more: Further tolerances, by name.
 

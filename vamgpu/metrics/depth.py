@@ -1,4 +1,4 @@
-"""Signed depth of voxels' centers below the surface of a part, from the fractions of the voxels alone.
+"""Signed depth of voxels' centers below the surface of a part, only from the fractions of the voxels.
 
 A voxel that is partly filled says where the surface cuts it: at the plane, square to the local gradient, that fills as
 much of a cube (as volume-of-fluid codes do: D. L. Youngs, Numerical Methods for Fluid Dynamics (1982) 273). Every

@@ -191,7 +191,7 @@ class RingProjection(LinearOperator):
         self.transposed_with(y, out, ())
 
     def takes_with(self, cells: PolarGrid) -> bool:
-        """Whether light that is transformed once serves cells of the same slices, too.
+        """Whether light that is transformed once also serves cells of the same slices.
 
         Args:
             cells: The cells.

@@ -1,4 +1,4 @@
-"""Projection through fields that the resin carries: every ray traced anew at every pose."""
+"""Projection through fields that the resin carries: every ray is traced at every angle."""
 
 from __future__ import annotations
 

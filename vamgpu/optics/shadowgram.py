@@ -73,7 +73,7 @@ def shadowgram(
 
     Args:
         field: Index in the print's own frame; resin_index at the cylinder's border.
-        camera: Across a field of x and y alone, only its middle row of pixels is meaningful: give it one.
+        camera: The camera; for a field of only x and y, give it one row of pixels.
         resin_index: Refractive index around the cylinder.
         pose: Angle θ of the print [rad].
         rays: Rays per pixel and axis.

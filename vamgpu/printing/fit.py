@@ -284,7 +284,7 @@ class _Flips:
         return (lit * self.step).astype(np.float32)
 
     def swept(self, order: np.ndarray) -> _Flips:
-        """Ask every pixel once, groups of angles in an order."""
+        """Consider every pixel once, by groups of angles in an order."""
         fit, launch = self.fit, self.device.launch
         prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share

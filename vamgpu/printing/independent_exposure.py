@@ -181,7 +181,7 @@ class IndependentExposure:
         return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer, greatest) if far else outer
 
     def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
-        """The dose on the part's own voxels alone, slab by slab."""
+        """The dose only on the part's own voxels, slab by slab."""
         # light [angle, r, z]; dose [x, y, z]
         disc, pitch = self._near, self.grid.pitch
         for part in self._slabs(disc, self.grid.shape[2]):

@@ -335,7 +335,7 @@ def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
     operator = hasattr(plan, "range") and hasattr(plan, "T")
     if light is None:
         if operator or hasattr(plan, "__array__"):
-            raise BadInput(f"got a {type(plan).__name__} alone; expected a plan of optimize(), or light [angle, r, z] "
+            raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or light [angle, r, z] "
                            "beside the operator: vam.pack(A, light)")  # fmt: skip
         if target is not None:
             raise BadInput("got a target with a plan, which has its own; expected it beside an operator and light")

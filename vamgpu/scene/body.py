@@ -103,7 +103,7 @@ class Body:
             object.__setattr__(self, "pitch", mask.grid.pitch)
             return mask
         if self.pitch is not None:
-            raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it for masks alone")
+            raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it only for masks")
         if (solid := solid_of(source, self.name or self.role)) is not None:
             return solid
         if not isinstance(source, Implicit):
@@ -130,7 +130,7 @@ class Body:
         for key, roles in alone.items():
             value = getattr(self, key)
             if value is not None and self.role not in roles:
-                raise BadInput(f"got {key}={value} for {who}, which is {self.role!r}; expected it for {roles} alone")
+                raise BadInput(f"got {key}={value} for {who}, which is {self.role!r}; expected it only for {roles}")
         if self.index is not None and not 1.0 <= positive(f"index of {who}", self.index) < 10.0:
             raise BadInput(f"index of {who} is {self.index:g}; expected a refractive index of at least 1")
         if self.absorption is not None:

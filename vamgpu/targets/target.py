@@ -176,7 +176,7 @@ class Target:
 
     @property
     def mended(self) -> tuple[str, ...]:
-        """Changes of a mesh by its repair, a sentence each; empty for a sound mesh and for arrays."""
+        """Changes of a mesh by its repair, one sentence each; empty for a sound mesh and for arrays."""
         return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
@@ -301,7 +301,7 @@ def _solid(source: Any, name: str | None) -> Solid:
 
 
 def _check_size(solid: Solid, height: float | None, factor: float | None, pitch: float) -> None:
-    """Ask for the unit of a part that no machine prints, or of voxels that are wider than it. Raises `BadInput`."""
+    """Reject a part or voxels of an improbable size, whose unit is probably wrong. Raises `BadInput`."""
     size = float(np.ptp(solid.bounds, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         if pitch > size:

@@ -148,7 +148,7 @@ class _Package:
         return path if given is None else normpath(str(given)).lstrip("/")
 
     def _is_known(self, model: _Element) -> bool:
-        """Refuse extensions that a model needs and nobody here knows."""
+        """Reject extensions that a model needs and that are not supported."""
         for prefix in (model.get("requiredextensions") or "").split():
             space = str(model.nsmap.get(prefix, prefix))
             if not space.endswith(KNOWN):

@@ -71,7 +71,7 @@ class SegmentLayout:
         return int((segment * self.core - self.overlap - self.lead) * self.step)
 
     def owned(self, segment: int, columns: int | None) -> tuple[int, int]:
-        """First frame a segment owns, and the one after its last; ``columns``: of the web, None if it goes on."""
+        """First frame a segment owns, and the one after its last; ``columns``: of the web, None without an end."""
         first = segment * self.core
         last = first + self.core
         return first, last if columns is None else min(last, self.frames(columns))

@@ -210,7 +210,7 @@ class Stream:
     def unsupported_alone(self) -> str:
         """Why segments cannot be solved separately, or nothing."""
         if isinstance(self.solver, WindowSolver):
-            return (f"{self.method!r} maximizes the window, and a segment goes on from the one before; expected a loss "
+            return (f"{self.method!r} maximizes the window, and each segment continues the one before; expected a loss "
                     "that is a sum over voxels, such as the method bclp")  # fmt: skip
         if self.total is None or isinstance(self.tiles, Iterator):
             return "the web has no length, or its tiles come once only"
@@ -265,7 +265,7 @@ class Stream:
         if not np.array_equal(_bytes(again), before):
             raise TileError(
                 f"columns {low} to {low + len(before) - 1} of the tiles differ from those the web was begun with; "
-                "resume it with the same tiles from the very beginning, or begin anew"
+                "resume it with the same tiles from the start, or start a new one"
             )
 
     def _solve(

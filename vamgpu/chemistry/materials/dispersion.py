@@ -85,7 +85,7 @@ class Dispersion(Spectrum):
         return self
 
     def at(self, wavelength: float) -> float:
-        """Tell the refractive index at a wavelength.
+        """Refractive index at a wavelength.
 
         Args:
             wavelength: In vacuum [mm], as ``405 * units.nm``.

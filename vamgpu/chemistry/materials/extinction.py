@@ -41,7 +41,7 @@ class Extinction(Spectrum):
         return self
 
     def at(self, wavelength: float) -> float:
-        """Tell the absorption at a wavelength.
+        """Absorption at a wavelength.
 
         Args:
             wavelength: In vacuum [mm].

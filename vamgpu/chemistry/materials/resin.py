@@ -66,7 +66,7 @@ class Resin(Absorbing):
     note: str = ""
 
     def refraction(self, wavelength: float) -> float:
-        """Tell the refractive index at a wavelength.
+        """Refractive index at a wavelength.
 
         Args:
             wavelength: In vacuum [mm].

@@ -27,7 +27,7 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
 
 LINEAR = 4
-"""Iterations of the linear model for each that visible light alone gets: they cost next to nothing."""
+"""Iterations of the linear model for each one with only visible light; they cost little."""
 
 
 @dataclass(frozen=True)
@@ -196,10 +196,10 @@ def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
 def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
     """Copies of the memories of a plan. Raises `BadInput` if it is of another run."""
     if start is not None:
-        raise BadInput("both start and resume were given; expected one: start begins anew, resume goes on")
+        raise BadInput("got both start and resume; expected one: start begins a new run, resume continues one")
     if plan.model is not model or plan.weights != weights or not plan.state:
         raise BadInput(f"the plan to resume is by {plan.model!r} for {plan.weights!r}; expected one of this very "
-                       f"model, for {weights!r}: give start= to begin anew from its light")  # fmt: skip
+                       f"model, for {weights!r}: give start= for a new run from its light")  # fmt: skip
     return copied(plan.state)
 
 
