@@ -424,7 +424,7 @@ def test_an_operator_without_rays_of_its_own_proves_nothing_and_says_so() -> Non
         and "according to the solver's own dose" in str(proof.verdict)
         and not proof.all_correct
     )
-    with pytest.raises(BadInput, match="no rays to trace"):
+    with pytest.raises(BadInput, match="no independent ray tracer"):
         proof.fine()
 
 
@@ -463,7 +463,7 @@ def test_voxels_of_the_part_that_nobody_judges_are_told_and_counted() -> None:
     A = vam.Projection(vam.Grid((16, 22, 3), 0.2), vam.Beam((32, 3), 0.2), vam.Turntable(24), SMALL)
     target = np.zeros(A.grid.shape)
     target[6:10], target[6, 0, 0] = 1.0, 0.49
-    with pytest.warns(OpticsWarning, match="neither asked for nor judged") as warned:
+    with pytest.warns(OpticsWarning, match="neither optimized nor judged") as warned:
         proof = vam.simulate(A, Shown(np.asarray(A(target))), target)
     assert warned[0].filename == __file__
     lost = int((target[~A.grid.cylinder()] >= 0.5).sum())
