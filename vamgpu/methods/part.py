@@ -232,4 +232,4 @@ def _check_reach(operator: Any, fractions: DeviceArray) -> None:
     )
     if share < LOST:
         raise NoLight(f"light does not reach the part: {told}")
-    warnings.warn(f"light hardly reaches the part: {told}", OpticsWarning, stacklevel=6)
+    warnings.warn(f"light hardly reaches the part: {told}", OpticsWarning, stacklevel=5)

@@ -140,7 +140,7 @@ def optimize(
     posed: Any = _posed_on_voxels(operator, target)
     problem = _Problem.of(posed, target, how, tolerances)
     for note in problem.notes:
-        warnings.warn(note, SamplingWarning, stacklevel=3)
+        warnings.warn(note, SamplingWarning, stacklevel=2)
     memory = memory_of(posed, target, how, resume, tolerances)
     state = problem.state(memory, how)
     if brightest is not None:
@@ -309,7 +309,7 @@ class _Run:
         finally:
             steps.close()
         if self.history and self._trajectory().risen:
-            warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=4)
+            warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=3)
 
     def _trajectory(self) -> LossTrajectory:
         return LossTrajectory([step.loss for step in self.history])
@@ -407,7 +407,7 @@ class _Run:
                 f"the light does not print at every corner of its tolerances: {told.statement()}; use smaller ones, "
                 "or more iterations",
                 ToleranceWarning,
-                stacklevel=5,
+                stacklevel=4,
             )
         return told
 
