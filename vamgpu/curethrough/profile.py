@@ -40,7 +40,7 @@ class Parallel:
     """A dose between the critical dose and the nearer constraint curve.
 
     Args:
-        share: Position between them, 0 to 1.
+        share: Position between them, a share, 0 to 1.
         absorption_height: h_a [mm].
         least: Φ of level 0, a dose in critical doses.
         most: Φ of level 255, a dose in critical doses.

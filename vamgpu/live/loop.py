@@ -66,7 +66,7 @@ class Decision:
         reason: Reason in words.
         doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
             as its print makes them, with at most the dose of the plan, and no overlap is expected.
-        misfit: Misfit of the images, see `Reconstruction.misfit`; 0 without images.
+        misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
         stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes another time.
         dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
             (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.

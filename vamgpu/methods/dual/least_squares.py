@@ -38,8 +38,8 @@ class LeastSquares(Rule):
         iterations: Total number of iterations.
         below: Dose below zero that a voxel outside the part may have without a penalty (an inhibited void need not be
             exactly zero).
-        cost: Penalty per unit of light of both colors, which prevents that the same light is sent twice with opposite
-            effects.
+        cost: Weight of the light of both colors in the loss, per unit, so that the same light is not sent twice with
+            opposite effects.
         cap: Frequency [cycles per column] beyond which the ramp is level.
 
     Raises:
