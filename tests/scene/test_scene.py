@@ -259,7 +259,7 @@ def test_a_proof_judges_gray_doses() -> None:
     careless, careful = proven(target_of(PART), gray), proven(gray, iterations=30)
     wrong = [{body.role: body.wrong / body.voxels for body in proof.bodies}["gray"] for proof in (careless, careful)]
     assert wrong[0] > 0.95 and wrong[1] < 0.3
-    assert "'soft' gets another dose" in str(careless.verdict) and not careless.all_correct
+    assert "'soft' gets the wrong dose" in str(careless.verdict) and not careless.all_correct
 
 
 def test_what_a_print_bears_is_judged_by_the_same_limits(tmp_path: Path) -> None:
