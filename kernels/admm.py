@@ -26,9 +26,9 @@ def find_levels(
     held: Array, scaled_dual: Array, target: Array, least: Real, leak: Real, reach: Real, rim: Real, below: Parts,
     shorts: Parts, above: Parts, over: Parts,
 ) -> None:  # fmt: skip
-    """How many voxels of the part are below a least dose, and how much they lack together; so above a leak outside.
+    """Number of part voxels below the least dose and their total deficit; void voxels above the leak and their excess.
 
-    Doses of the part count as 1 at most.
+    Doses in the part are clipped to 1.
     """
     counted, dose = _counted(target, reach, rim), 2.0 * held + scaled_dual
     lacks = np.where(target >= 0.5, least - np.minimum(dose, 1.0), 0.0)
@@ -43,9 +43,9 @@ def clip_dose(
     held: Array, target: Array, least: Real, leak: Real, relax: Real, reach: Real, rim: Real, scaled_dual: ArrayInOut,
     pull: ArrayOut,
 ) -> None:  # fmt: skip
-    """pull = the dose within its limits, gone beyond by ``relax``, less where it was looked for.
+    """pull = the dose clipped to its limits, over-relaxed by ``relax``, minus the reflected dose.
 
-    Limits are least to 1 inside, leak at most outside; scaled_dual is renewed.
+    Limits are least to 1 inside, at most leak outside; scaled_dual is updated.
     """
     dose = 2.0 * held + scaled_dual
     within = np.where(target >= 0.5, np.maximum(np.minimum(dose, 1.0), least), np.minimum(dose, leak))
@@ -58,9 +58,9 @@ def clip_dose(
 def clip_light(
     light: Array, white: Array, push: Real, base: Real, relax: Real, scaled_dual: ArrayInOut, pull: ArrayInOut
 ) -> None:
-    """pull += base·(the light from 0 to white, gone beyond by ``relax``, less where it was looked for).
+    """pull += base·(the light clipped to 0…white, over-relaxed by ``relax``, minus the reflected light).
 
-    Light is driven to both ends by push times the way from their middle; scaled_dual is renewed.
+    Light is driven to both ends by push times its distance from their middle; scaled_dual is updated.
     """
     bright = 2.0 * light + scaled_dual
     driven = bright + push * (bright - 0.5 * white)

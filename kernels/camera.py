@@ -30,9 +30,9 @@ def measure_depth(
     images: Images, open: Open, reached: Reached, floor: Real, gain: Real, brightest: Real, depth: SinogramOut,
     weight: SinogramOut,
 ) -> None:  # fmt: skip
-    """depth = reached·ln(open / image), weight = 1 / its variance; 0 and 0 where a pixel says nothing.
+    """depth = reached·ln(open / image), weight = 1 / its variance; both are 0 for invalid pixels.
 
-    floor: variance of the noise in the dark.  gain: and per gray level.  brightest: from there on levels are saturated.
+    floor: variance of the dark noise.  gain: variance per gray level.  brightest: least saturated level.
     """
     levels, field = images.swapaxes(1, 2), np.resize(open, (len(images), *open.shape[1:])).swapaxes(1, 2)
     variance, lit = floor + gain * np.maximum(levels, 0.0), reached[:, None] > 0.0
@@ -51,7 +51,7 @@ def dim_light(path: Sinogram, reached: Reached, dark: SinogramOut) -> None:
 
 @kernel(over="depth", cpu=CPU, gpu=GPU)
 def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: SinogramInOut) -> None:
-    """depth −= −reached·ln(1 − dark) − linear, by which images of a field seem deeper than its rays add up to."""
+    """depth −= −reached·ln(1 − dark) − linear, the excess of images of a field over the sum along its rays."""
     lit = reached[:, None] > 0.0
     depth -= np.where(lit, -reached[:, None] * np.log(np.maximum(1.0 - dark, FAINT)) - linear, 0.0)
 

@@ -36,7 +36,7 @@ def march_formula(
 ) -> None:  # fmt: skip
     """March rays through n² = P(s)/Q(s) until they leave the region, at most ``steps`` steps.
 
-    The last step is shortened to end on the border. path[ray, k] is the place after k·every steps, the end's after it.
+    The last step is shortened to end on the border. path[ray, k] is the position after k·every steps, the last the end.
     times: t at the border, or −1 for a ray that is still inside after the last step.
     """
     march(lambda place: formula_at(formula, place), starts, region, step, steps, scheme, every, ends, path, times)

@@ -19,9 +19,9 @@ def price_flips(
 ) -> None:
     """Growth of the squared error of a voxel's dose by ``step`` more or less light, squared, over the step.
 
-    side: above 0 in the part, whose dose is to be from ``least`` to ``most``; below 0 in a void, which is to get
-    ``leak`` at the most; 0 where any dose will do. A pixel's sum of these along its light, weighted by how much a voxel
-    gets of it, is what flipping it changes, as if every voxel that it lights got the step.
+    side: above 0 in the part, whose dose must be from ``least`` to ``most``; below 0 in a void, which must get at most
+    ``leak``; 0 where any dose is allowed. The sum of these along a pixel's light, weighted by its dose in each voxel,
+    is the change of the error if the pixel is flipped, as if every voxel that it lights got the step.
     """
 
     def off(given: np.ndarray) -> np.ndarray:
@@ -34,9 +34,9 @@ def price_flips(
 
 @kernel(over="change", cpu=CPU, gpu=GPU)
 def flip_pixels(brighter: Array, darker: Array, step: Array, light: ArrayInOut, change: ArrayOut) -> None:
-    """Flip each pixel that gains by it: lit ones (light > 0) with darker < 0, others with brighter < 0.
+    """Flip each pixel if that lowers the error: lit ones (light > 0) with darker < 0, others with brighter < 0.
 
-    step: light of a pixel that is on, more than off; 0 for pixels that stay. change: what is added to light.
+    step: difference of a pixel's light on and off; 0 for pixels that stay. change: difference of light.
     """
     lit = light > 0
     change[...] = np.where(lit, np.where(darker < 0, -step, 0.0), np.where(brighter < 0, step, 0.0))
@@ -48,10 +48,10 @@ def step_pixels(
     brighter: Array, darker: Array, worth: Real, seed: Integer, first: Integer, step: Real, most: Real,
     light: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Step some of the pixels that gain by it, those that gain more sooner: light ± step, within 0 and most.
+    """Step some of the pixels whose step lowers the error: light ± step, within 0 and most.
 
-    worth: gain, which is the lesser of both prices below 0, from which on all pixels are stepped; others are with the
-    share of it that they gain. seed: which ones. first: number of the first slice.
+    worth: gain (the lesser of both prices below 0) above which all pixels are stepped; others are stepped with a
+    probability of their gain over it. seed: of the random choice. first: number of the first slice.
     """
     gain = -np.minimum(brighter, darker)
     i, j, k = np.ogrid[tuple(slice(n) for n in light.shape)]

@@ -16,7 +16,7 @@ Shares = Annotated[np.ndarray, Table("float32", ("r",))]
 
 @kernel(over="masked")
 def mask_bytes(images: Bytes, mask: Row, masked: BytesOut) -> None:
-    """masked = images AND mask, bit by bit and the same for every row: at 1 bit a byte holds eight columns."""
+    """masked = images AND mask, bitwise and the same for every row: at 1 bit a byte holds eight columns."""
     masked[...] = images & mask
 
 

@@ -21,7 +21,7 @@ def primal_step(light: Array, columns: Array, step: Real, ahead: ArrayInOut, aft
     """after = max(0, light − step·descent / columns), dark where columns are 0; ahead, the descent, becomes
     2·after − light.
 
-    columns: what a pixel adds to all limits together.  Σ moved = Σ columns·(after − light)².
+    columns: sum of a pixel's entries in all limits.  Σ moved = Σ columns·(after − light)².
     """
     lit = columns > 0
     after[...] = np.where(lit, np.maximum(0.0, light - step * ahead / np.where(lit, columns, 1.0)), 0.0)
@@ -61,11 +61,11 @@ def dual_step(
 
 @kernel(over="pull", cpu=CPU, gpu=GPU)
 def dual_dose(lower: Array, upper: Array, target: Array, pull: ArrayOut) -> None:
-    """pull = what a unit of dose costs: ``lower`` outside, upper − lower inside."""
+    """pull = cost of a unit of dose: ``lower`` outside, upper − lower inside."""
     pull[...] = np.where(target >= 0.5, upper - lower, lower)
 
 
 @kernel(over="now", cpu=CPU, gpu=GPU)
 def reflect(step: Array, anchor: Array, share: Real, now: ArrayInOut) -> None:
-    """now = share·(2·step − now) + (1 − share)·anchor: beyond the step, held back by an anchor."""
+    """now = share·(2·step − now) + (1 − share)·anchor: reflection, pulled towards an anchor."""
     now[...] = share * (2.0 * step - now) + (1.0 - share) * anchor

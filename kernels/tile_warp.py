@@ -185,7 +185,7 @@ def samples_before(windows: int, turn: int):
 def gathered(
     t0: wp.mat44, t1: wp.mat44, t2: wp.mat44, t3: wp.mat44, field: Flat, at: Tile, count: int,
 ):  # fmt: skip
-    """Sums of four slabs with the kept samples added, each fetched while the one before it is added."""
+    """Add the stored samples to the sums of four slabs; each sample is fetched while the one before is added."""
     slab0 = start(field, at.slabs[0], at.lane)
     slab1 = start(field, at.slabs[1], at.lane)
     slab2 = start(field, at.slabs[2], at.lane)
@@ -197,7 +197,7 @@ def gathered(
         a1 = fetch(slab1, index)
         a2 = fetch(slab2, index)
         a3 = fetch(slab3, index)
-        if count % 2 == 1:  # one more, of no share
+        if count % 2 == 1:  # pad to an even count with a sample of weight zero
             share(slots + count, -2, wp.vec4(0.0))
             number(slots + count, True, index)
         for k in range(0, count, 2):

@@ -37,9 +37,9 @@ def transport(
     """Advance A, B, C by ``steps`` of Δt under constant light; each spreads, then reacts where ``reacting``.
 
     Faces of the box are x low, x high, y low, y high, z low, z high; no flux passes between resin and wall. Radicals
-    that no inhibitor takes add to ``dose`` (light × time), and the times it crosses ``optical`` and ``mechanical``
-    are written once. An item with a block of columns takes several steps while the block is in its cache and keeps
-    what lies between in ``scratch``; other devices take one step a launch.
+    that are not inhibited add to ``dose`` (light × time); the times of its first crossing of ``optical`` and
+    ``mechanical`` are recorded. An item with a block of columns takes several steps while the block is in its cache
+    and keeps intermediate values in ``scratch``; other devices take one step per launch.
     """
     species = [np.array(s, dtype=float) for s in (a, b, c)]
     inside = np.asarray(open, bool)[..., None]

@@ -30,8 +30,8 @@ def apply_penalty(
     """Add the derivative of weight·light^power to the gradient, then, with ``hold``, keep light within 0 and ``most``.
 
     Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where a step against it would make dark light (≤ 0)
-    negative, or the brightest light (≥ most) brighter: a filter or a metric applied to what is left keeps it a
-    direction of descent. power ≥ 1.
+    negative, or the brightest light (≥ most) brighter: a filter or a metric applied to the rest keeps it a direction
+    of descent. power ≥ 1.
     Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
     """
     lit = np.maximum(light, 0.0)

@@ -10,13 +10,13 @@ from io import BytesIO
 import numpy as np
 
 LARGEST = 2**25
-"""Values of an array that is copied from its device for a picture; larger ones are shown by their numbers alone."""
+"""Most values of an array that is copied from its device for a picture; for larger ones only numbers are shown."""
 SIDE = 220
 """Pixels along the longer side of a picture."""
 
 
 def card(title: str, numbers: Mapping[str, object], pictures: Mapping[str, np.ndarray | None] | None = None) -> str:
-    """The HTML of one object that needs nothing beside it; everything given is escaped."""
+    """Self-contained HTML of one object; all text is escaped."""
     # numbers: name → value, with its unit in brackets where it has one.  pictures: caption → plane [horizontal,
     # vertical], from dark at its least value to bright at its greatest; None for one that is too large to be drawn.
     drawn = "".join(_figure(caption, plane) for caption, plane in (pictures or {}).items())

@@ -1,10 +1,10 @@
-"""Every error this library raises on purpose; each message says what was got, what was expected and what to do."""
+"""Every error that this library raises; each message says what was got, what was expected and what to do."""
 
 from __future__ import annotations
 
 
 class VamError(Exception):
-    """Root of all errors raised on purpose by vamgpu."""
+    """Root of all errors of vamgpu."""
 
 
 class BadInput(VamError, ValueError):
@@ -12,7 +12,7 @@ class BadInput(VamError, ValueError):
 
 
 class ShapeMismatch(BadInput):
-    """An array does not live in the space an operator or kernel works on."""
+    """An array has another shape than an operator or kernel needs."""
 
 
 class MeshError(BadInput):
@@ -32,7 +32,7 @@ class TargetTooLarge(BadInput):
 
 
 class NoLight(BadInput):
-    """There is no light where some is needed: it does not reach the part, or there was none to begin with."""
+    """There is no light where some is needed: it does not reach the part, or the patterns are dark."""
 
 
 class TileError(BadInput):
@@ -40,7 +40,7 @@ class TileError(BadInput):
 
 
 class SkippedColumns(BadInput):
-    """A web moves so far from pose to pose that some of its columns are never lit."""
+    """A web moves so far from angle to angle that some of its columns are never lit."""
 
 
 class RayError(BadInput):
@@ -64,10 +64,10 @@ class UnstableStep(BadInput):
 
 
 class ToleranceError(BadInput):
-    """A tolerance contradicts another one or the print that it is of, or no light can bear it.
+    """A tolerance contradicts another one or the print, or no patterns can meet it.
 
     Attributes:
-        binds: Which one: "axis", "spread", "absorption", "dose", "index" or "wobble".
+        binds: The tolerance: "axis", "spread", "absorption", "dose", "index" or "wobble".
     """
 
     binds: str
@@ -82,7 +82,7 @@ class SliceError(BadInput):
 
 
 class DeviceError(VamError, RuntimeError):
-    """A device is missing, broken, or was asked for something it cannot do."""
+    """A device is missing or broken, or cannot do what is required."""
 
 
 class OutOfMemory(DeviceError):
@@ -98,7 +98,7 @@ class KernelError(DeviceError):
 
 
 class WorkerLost(DeviceError):
-    """The process of a cluster that computed is gone, and with it all that it kept."""
+    """A computing process of a cluster is gone, with all its data."""
 
 
 class DeviceNotFound(DeviceError):
@@ -106,11 +106,11 @@ class DeviceNotFound(DeviceError):
 
 
 class DeviceLost(DeviceError):
-    """A machine that answered before does no longer: unplugged, without power, or hung."""
+    """A machine no longer answers: unplugged, without power, or hung."""
 
 
 class OriginLost(DeviceLost):
-    """A machine forgot the print that it was in the midst of; nobody can go on with it."""
+    """A machine lost the state of a running print, which cannot be continued."""
 
 
 class DeviceBusy(DeviceError):
@@ -118,11 +118,11 @@ class DeviceBusy(DeviceError):
 
 
 class WrongDevice(DeviceError):
-    """A machine answers, but is not the one the configuration names, or its firmware cannot do what is asked."""
+    """A machine answers, but is not the configured one, or its firmware lacks a required function."""
 
 
 class DeviceRefused(DeviceError):
-    """A machine understood a command and refused it; ``code`` is what it gave as the reason."""
+    """A machine understood a command and rejected it; ``code`` is its reason."""
 
     def __init__(self, message: str, code: str = "") -> None:
         super().__init__(message)
@@ -156,7 +156,7 @@ class StorageError(VamError, OSError):
 
 
 class Cancelled(VamError):
-    """A run was stopped by its caller; ``plan`` holds what it had reached (None before the first light)."""
+    """A run was stopped by its caller; ``plan`` holds its result so far (None before the first patterns)."""
 
     def __init__(self, message: str, plan: object | None = None) -> None:
         super().__init__(message)
@@ -164,14 +164,14 @@ class Cancelled(VamError):
 
 
 class MeshWarning(UserWarning):
-    """A mesh had faults that were mended; the message says which."""
+    """A mesh had faults that were repaired; the message says which."""
 
 
 class Diverged(VamError, ArithmeticError):
     """A method's loss became infinite or not a number.
 
     Attributes:
-        plan: A `Plan` of the best light found before, or None where there was none.
+        plan: A `Plan` of the best patterns before that, or None.
         iteration: The iteration from which the loss only rose, counted from 1.
     """
 
@@ -190,15 +190,15 @@ class OpticsWarning(UserWarning):
 
 
 class DoseWarning(UserWarning):
-    """A print gives another dose than the one that was proved; the message says which, and what that changes."""
+    """A print gives a dose other than the proved one; the message says which, and the effect."""
 
 
 class SamplingWarning(OpticsWarning):
-    """Voxels or angles are too coarse for the pixels of a projector; the message says what would do."""
+    """Voxels or angles are too coarse for the pixels of a projector; the message says what is enough."""
 
 
 class PackWarning(UserWarning):
-    """Frames are made in another way than asked for, because what was asked for would show the light worse."""
+    """Frames differ from the requested settings, because these would show the patterns worse."""
 
 
 class MemoryNotice(UserWarning):
@@ -206,12 +206,12 @@ class MemoryNotice(UserWarning):
 
 
 class ClusterWarning(UserWarning):
-    """A run lost a worker and goes on without what that one had done since a plan was kept."""
+    """A run lost a worker and continues without its work since the last stored plan."""
 
 
 class SliceWarning(UserWarning):
-    """A stack of slices, or what is asked of it, is usable but likely not what was meant."""
+    """A stack of slices or its settings are usable but probably not intended."""
 
 
 class ToleranceWarning(UserWarning):
-    """Light was found that does not print at every corner of its tolerances."""
+    """The patterns do not print at every corner of their tolerances."""

@@ -1,4 +1,4 @@
-"""The nouns a print is described with: grids, beams, motions and the protocol a vessel answers to.
+"""The objects that describe a print: grids, beams, motions and the protocol of vessels.
 
 Axes are ``[x, y, z]`` for volumes and ``[angle, r, z]`` for sinograms; the axis of rotation is x = y = 0 and every
 grid and beam is centered on it. With θ the pose, ``r = y·cosθ − x·sinθ`` and light travels towards −(cosθ, sinθ).
@@ -20,9 +20,9 @@ from vamgpu.schema import check, write
 from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Width
 
 HALF_A_PIXEL = 0.5
-"""Standard deviation [pixels] of the point spread of a projector in focus, where nobody measured it."""
+"""Default standard deviation [pixels] of the point spread of a projector in focus."""
 WIDEST = 30
-"""Standard deviation [pixels] from which on a point spread is a mistake of units, not a lens."""
+"""Standard deviation [pixels] above which a point spread is a mistake of units, not a lens."""
 FULL_TURN = 2.0 * np.pi
 DIAL = 96
 """Pixels along the side of the picture of a turntable."""
@@ -99,7 +99,7 @@ class Grid:
         return nx, ny, nz
 
     def cylinder(self) -> np.ndarray:
-        """Which columns of voxels have their center inside the inscribed cylinder.
+        """Columns of voxels whose center is inside the inscribed cylinder.
 
         Returns:
             Booleans (nx, ny).
@@ -112,7 +112,7 @@ class Grid:
 class Beam:
     """A collimated beam of light pixels, centered on the axis of rotation.
 
-    A pixel lights a square box, blurred by a Gaussian point spread. Both keep its power.
+    A pixel lights a square box, blurred by a Gaussian point spread. Neither changes its power.
 
     Args:
         pixels: Columns along r, rows along z. A single row stands for a print that is the same at every height: its
@@ -120,7 +120,7 @@ class Beam:
         pitch: Pixel edge [mm], measured in air.
         fill: Share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
         spread: Standard deviation of the point spread [mm], measured in air in place of the vial; refraction narrows
-            columns and their blur alike. A number, or what `vam calibrate mtf` measured, read by
+            columns and their blur alike. A number, or a result of `vam calibrate mtf`, read by
             `vamgpu.calibration.pointspread.PointSpread`. None is a projector in focus: half a pixel. 0 is a perfect
             lens.
 
@@ -171,7 +171,7 @@ class Beam:
 
 
 def one_ray_a_pixel(operator: str, beam: Beam) -> None:
-    """Raise `BadInput` if ``beam`` says what its pixels look like, which ``operator`` would ignore."""
+    """Raise `BadInput` if ``beam`` has a fill factor or a spread, which ``operator`` would ignore."""
     if beam.fill != 1.0 or beam.spread:
         raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray a pixel and "
                        "knows no point spread; leave fill and spread out")  # fmt: skip
@@ -182,19 +182,19 @@ class Turntable:
     """A resin container that turns about z. A turn shows every angle once, in order.
 
     ``Turntable(360)`` has 360 even angles over a full turn from θ = 0, `arc` spreads them over a part of a turn, and
-    ``Turntable([0.0, 0.017, …])`` has them where they were measured. The attributes ``theta`` [rad] and ``dwell`` are
-    None where angles are even over a full turn from 0, and lit equally long.
+    ``Turntable([0.0, 0.017, …])`` has measured angles. The attributes ``theta`` [rad] and ``dwell`` are None if angles
+    are even over a full turn from 0, and lit equally long.
 
-    A frame lasts. The container turns steadily while it is lit, from half an arc before its angle to half an arc after
-    it; ``lit_share`` is the arc over the step to the next angle. A container that stands still while a frame is lit has
-    a lit share of 0.
+    The container turns steadily while a frame is lit, from half an arc before its angle to half an arc after it;
+    ``lit_share`` is the arc over the step to the next angle. It is 0 if the container stands still while a frame is
+    lit.
 
     Args:
-        angles: How many angles, or each angle θ [rad], in the order they are shown, within one turn.
-        dwell: How long each angle is lit, relative to the mean; (angles,), above 0, scaled to a mean of 1. None:
-            equally long. Light stays an irradiance: operators weight each angle by its time.
+        angles: Number of angles, or each angle θ [rad], in the order in which they are shown, within one turn.
+        dwell: Time for which each angle is lit, relative to the mean; (angles,), above 0, scaled to a mean of 1. None:
+            equally long. Light remains an irradiance: operators weight each angle by its time.
         lit_share: Share of each step during which its frame is lit while the container turns, 0 to 1. None: 1 for even
-            angles, and 0 for angles that are listed, of which each is a place and not a step.
+            angles, and 0 for listed angles, which are positions and not steps.
 
     Raises:
         BadInput: A number is not finite, angles exceed a turn, or times and angles differ in number.
@@ -240,7 +240,7 @@ class Turntable:
         """Even angles over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
 
         Args:
-            angles: How many angles.
+            angles: Number of angles.
             span: The part of a turn [rad], at most 2π.
             start: First angle [rad].
             dwell: Times relative to their mean, (angles,), as for `Turntable`.
@@ -259,22 +259,22 @@ class Turntable:
         return cls(start + part / FULL_TURN * _even(count), dwell, lit_share)
 
     def part(self, first: int, stop: int) -> Turntable:
-        """A stretch of the turn, each angle lit as long as in the whole turn.
+        """A part of the turn, each angle lit as long as in the whole turn.
 
         Args:
             first: Number of its first angle.
             stop: Number after its last one.
 
         Returns:
-            The stretch.
+            The part.
         """
         return self.chosen(range(first, stop))
 
     def chosen(self, numbers: Sequence[int]) -> Turntable:
-        """Some of the angles, each lit as long, and over the same arc, as in the whole turn.
+        """Some of the angles, each lit as long and over the same arc as in the whole turn.
 
         Args:
-            numbers: Of the angles, in the order in which they are shown.
+            numbers: Numbers of the angles, in the order in which they are shown.
 
         Returns:
             The turntable at these angles.
@@ -298,7 +298,7 @@ class Turntable:
 
     @property
     def steps(self) -> np.ndarray:
-        """Turn [rad] from each angle to the next, as a mean of both its neighbors; shape (angles,)."""
+        """Rotation [rad] per angle, the mean of the steps to both neighbors; shape (angles,)."""
         if self.angles == 1:
             return np.full(1, FULL_TURN)
         if self.theta is None:
@@ -315,7 +315,7 @@ class Turntable:
 
     @property
     def arcs(self) -> np.ndarray:
-        """Turn [rad] of the container while each frame is lit, half of it before the angle; shape (angles,)."""
+        """Rotation [rad] of the container while each frame is lit, half of it before the angle; shape (angles,)."""
         return self.lit_share * self.steps if self._arcs is None else np.array(self._arcs)
 
     @property
@@ -396,7 +396,7 @@ def _finite(name: str, values: Any) -> np.ndarray:
 
 
 def _relative(dwell: Any, count: int) -> tuple[float, ...] | None:
-    """Times over their mean; None where all are the same."""
+    """Times over their mean; None if all are the same."""
     times = _finite("Turntable dwell", dwell)
     if times.size != count or times.min() <= 0.0:
         raise BadInput(f"Turntable dwell has {times.size} times, the least {times.min():g}; expected {count}, "
@@ -429,7 +429,7 @@ class Chords:
 
 @runtime_checkable
 class Vessel(Protocol):
-    """The container of the resin as a projector sees it, at one pose.
+    """The container of the resin for a projector, at one angle.
 
     Laboratory coordinates at pose θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
     """
@@ -441,7 +441,7 @@ class Vessel(Protocol):
 
     @property
     def lit_radius(self) -> float:
-        """Radius [mm] about the axis inside which every point is lit by exactly one ray at every pose."""
+        """Radius [mm] about the axis inside which exactly one ray lights every point at every angle."""
         ...
 
     def chords(self, u: np.ndarray) -> Chords:
@@ -467,7 +467,7 @@ class Vessel(Protocol):
 
         Returns:
             Offset u [mm] of the ray that lights each point, (...,), and its weight there, (...,): transmittance × ray
-            density × (absorption·exp(−absorption·path) [1/mm] if the vessel absorbs, else 1); 0 where no ray comes.
+            density × (absorption·exp(−absorption·path) [1/mm] if the vessel absorbs, else 1); 0 if no ray lights it.
 
         Raises:
             BadInput: A coordinate is not finite.
@@ -476,6 +476,6 @@ class Vessel(Protocol):
 
 
 def columns_of(vessel: Vessel, across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Offset of the ray through each point, without its weight where a vessel has ``columns`` for that."""
+    """Offset of the ray through each point, without its weight if the vessel has ``columns``."""
     columns: Any = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
     return columns(across, along)

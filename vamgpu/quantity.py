@@ -68,7 +68,7 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 
 
 def meant(value: float, least: float, most: float) -> str | None:
-    """The unit of length that a number in mm, out of these bounds, was likely meant in; None where none fits."""
+    """The unit of length that a number in mm, out of these bounds, was likely meant in; None if none fits."""
     return next((unit for unit in ("um", "nm", "m", "cm") if least <= value * NAMES[unit] <= most), None)
 
 
@@ -103,7 +103,7 @@ SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
 
 
 def bytes_of(text: str) -> int | None:
-    """Read a size of memory such as ``24 GB`` in bytes; None where the text is no size above zero."""
+    """Read a size of memory such as ``24 GB`` in bytes; None if the text is no size above zero."""
     found = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]{1,15})?)\s*([A-Za-z]*)", text.strip())
     unit = SIZES.get(found[2].upper()) if found else None
     return int(float(found[1]) * unit) or None if found and unit else None

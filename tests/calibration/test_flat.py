@@ -44,7 +44,7 @@ def test_what_cannot_be_told_is_refused() -> None:
     for wrong in (read[..., :1], read[0], dark):
         with pytest.raises(ShapeMismatch):
             fit_flat(wrong, dark, MIRRORS)
-    with pytest.raises(BadInput, match="take more blocks"):
+    with pytest.raises(BadInput, match="use more blocks"):
         fit_flat(read[:4, :4], dark, MIRRORS)
     with pytest.raises(BadInput, match="light the meter"):
         fit_flat(1e-3 * read, dark, MIRRORS)

@@ -68,7 +68,7 @@ def test_a_job_that_prints_says_so_and_checks_with_0(tmp_path: Path, capsys: pyt
     trimesh.creation.icosphere(3, 1.0).export(tmp_path / "ball.stl")
     (tmp_path / "ball.toml").write_text(BALL, encoding="utf-8")
     assert main(["solve", str(tmp_path / "ball.toml")]) == 0
-    assert "Not proved; by the solver's own dose it prints: 1 body as in the part" in " ".join(
+    assert "Not proved; according to the solver's own dose it prints: 1 body as in the part" in " ".join(
         capsys.readouterr().out.split()
     )
     assert main(["prove", str(tmp_path / "ball.vam"), "--check"]) == 0
@@ -110,8 +110,8 @@ def test_memory_is_told_the_device_and_leaves_out_what_is_larger(
         larger.setattr("vamgpu.printing.report.BYTES_A_VOXEL", 10**9)
         assert main(solve) == 0
     said = capsys.readouterr().out
-    assert "no verdict" in said and "by the solver's own dose" not in said
-    assert main([*solve, "--overwrite"]) == 0 and "by the solver's own dose" in capsys.readouterr().out
+    assert "no verdict" in said and "according to the solver's own dose" not in said
+    assert main([*solve, "--overwrite"]) == 0 and "according to the solver's own dose" in capsys.readouterr().out
     manifest = json.loads((tmp_path / "part.vam" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["inputs"]["job"]["solve"]["device"].endswith("@500000000B")
     prove = ["prove", str(tmp_path / "part.vam"), "--memory", "1.5GB"]

@@ -60,7 +60,7 @@ def test_model_writes_doses_and_a_report(job: Path, capsys: pytest.CaptureFixtur
     assert main(["curethrough", "model", str(job), "--doses", str(doses)]) == 0
     said = capsys.readouterr().out
     assert "excess height, uncorrected" in said and "corrected, corrected" not in said
-    assert "print wrong" in (job.parent / "part-model.html").read_text()
+    assert "print incorrectly" in (job.parent / "part-model.html").read_text()
     from vamgpu.curethrough.dose import column_doses
 
     machine = CurethroughJob.parse(EXAMPLE).machine
@@ -106,7 +106,7 @@ def test_where_nothing_can_stay_uncured(job: Path, capsys: pytest.CaptureFixture
     assert "720 mJ/cm³" in (said := capsys.readouterr().err) and "576" in said and "print faster than" in said
     assert not (job.parent / "slices-corrected").exists()
     assert main(["curethrough", "model", str(job), *dark]) == 0
-    assert "level 0 alone leaves 1.25 critical doses" in capsys.readouterr().err
+    assert "even level 0 leaves 1.25 critical doses" in capsys.readouterr().err
     assert main(["curethrough", "correct", str(job), "--set", "printer.light=10 mW/cm2"]) == 1
     assert "print slower than" in capsys.readouterr().err
 

@@ -234,6 +234,6 @@ def test_projector_refuses_what_no_algorithm_computes() -> None:
     beam = vam.Beam((22, 6), 0.05)
     with pytest.raises(BadInput, match="algorithm is 'fast'; expected one of auto, rays, rings"):
         vam.projector(GRID, beam, TURN, algorithm="fast")  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match=r"(?s)rings do not take.*even over a full turn"):
+    with pytest.raises(BadInput, match=r"(?s)rings do not support.*even over a full turn"):
         vam.projector(GRID, beam, vam.Turntable([0.0, 0.1, 0.3]), device="numpy", algorithm="rings")
     assert not prefers_rings(vam.Projection(GRID, beam, vam.Turntable([0.0, 0.1, 0.3]), device="numpy"))

@@ -90,7 +90,7 @@ def test_features_out_of_reach_are_counted_and_told() -> None:
     assert "6 voids are too short" in page_of(found, "x", {}).html()
     bare = correct_stack(Correction(PRINTER, tail=0), stack[:40], device="numpy")
     assert bare.missed is not None and int(bare.missed.sum()) == 6
-    assert "6 features lack room behind" in page_of(bare, "x", {}).html()
+    assert "6 features have too little room behind" in page_of(bare, "x", {}).html()
 
 
 def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: Device) -> None:
@@ -112,9 +112,9 @@ def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: 
 
 def test_an_empty_stack_of_darkness_is_scored() -> None:
     found = correct_stack(Correction(PRINTER), np.zeros((40, 3, 4), np.uint8), device="numpy")
-    assert repr(found) == "Outcome(40 × 3 × 4 slices, y, x: The slices print right as they are.)"
+    assert repr(found) == "Outcome(40 × 3 × 4 slices, y, x: The slices print correctly without a correction.)"
     assert found.ratio is None and len(found.before.features) == 0
-    assert "print right as they are" in page_of(found, "x", {}).html()
+    assert "print correctly without a correction" in page_of(found, "x", {}).html()
     assert sample(np.zeros((4, 3, 5), np.uint8)).width == 5
 
 

@@ -193,7 +193,7 @@ def test_the_dose_is_the_one_that_was_proved(
     assert dose is not None and dose.share == pytest.approx(given / wanted, rel=2e-3)
     turns = len(read_run(tmp_path / "run").shown) // angles
     assert dose.turns == turns and not dose.asked and dose.keeps
-    assert f"{turns} turn{'s' * (turns > 1)} in {dose.seconds:.2f} s" in told and "×1.000 of what was proved" in told
+    assert f"{turns} turn{'s' * (turns > 1)} in {dose.seconds:.2f} s" in told and "×1.000 of the proved one" in told
     assert ("dimmed" in told) == (dose.lit < 1.0)
 
 

@@ -133,7 +133,7 @@ def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
 def test_the_command(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", "demo", "--rig", "emulated", "--out", str(tmp_path / "demo.run")]) == 0
     told = capsys.readouterr().out
-    assert "\ncomplete: " in told and "×1.000 of what was proved" in told
+    assert "\ncomplete: " in told and "×1.000 of the proved one" in told
     assert (tmp_path / "demo.run" / "report.html").stat().st_size > 10_000
     (tmp_path / "lab.toml").write_text(LAB)
     assert main(["print", str(job), "--rig", str(tmp_path / "lab.toml"), "--turns", "1", "--out", "x"]) == 1

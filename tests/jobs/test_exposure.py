@@ -34,7 +34,7 @@ def test_a_limit_and_shorter_exposures_reach_the_report(tmp_path: Path, capsys: 
     capsys.readouterr()
     assert main(["prove", str(tmp_path / "soon.vam")]) == 0
     page = (tmp_path / "soon.html").read_text(encoding="utf-8")
-    assert "until the threshold is solid" in page and "Window against time" not in page
+    assert "until resin at the threshold is solid" in page and "Window against time" not in page
 
 
 def test_a_limit_needs_a_lamp_and_one_color() -> None:

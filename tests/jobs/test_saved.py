@@ -84,7 +84,7 @@ def test_a_loss_of_one_s_own_is_saved_without_its_method(tmp_path: Path) -> None
     plan.save(tmp_path / "a.vam")
     back: Any = vam.load(tmp_path / "a.vam", "cpu")
     assert same(back.sinogram, plan.sinogram) and "Descent" in back.method.text
-    with pytest.raises(BadInput, match="its folder keeps the name alone"):
+    with pytest.raises(BadInput, match="its folder keeps only the name"):
         vam.optimize(A, target, iterations=4, resume=back)
 
 

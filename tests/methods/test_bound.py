@@ -128,7 +128,7 @@ def test_a_bound_comes_with_the_plan_and_changes_nothing() -> None:
     assert third.bound is not None and whole.bound is not None and third.bound.value == whole.bound.value
     said = third.bound.statement(third)
     where = f"{SIZE} × {SIZE} × 1 voxels of {1e3 * PITCH:g} µm, turning while lit for 1 of each step"
-    assert said.startswith(f"no light whatever gives more than +{third.bound.value:.3f} on {where}; this one has ")
+    assert said.startswith(f"no patterns give more than +{third.bound.value:.3f} on {where}; this one has ")
     assert where in repr(third.bound)
     assert said.endswith(f"({100 * third.window / third.bound.value:.0f} %)")
 
@@ -200,4 +200,4 @@ def test_the_example_of_the_documents_runs(capsys: pytest.CaptureFixture[str]) -
     page = Path(__file__).resolve().parents[2] / "docs" / "best-light.md"
     for code in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
         exec(compile(code, str(page), "exec"), {})
-    assert capsys.readouterr().out.startswith("no light whatever gives more than +0.")
+    assert capsys.readouterr().out.startswith("no patterns give more than +0.")

@@ -128,7 +128,7 @@ def test_a_part_that_reaches_the_wall_is_answered_and_one_beyond_it_told(fast_de
     assert np.isfinite(plan.sinogram.numpy()).all() and -1.0 <= plan.window <= 1.0
     beyond = touching.copy()
     beyond[:2, :2] = 1.0
-    with pytest.warns(OpticsWarning, match=r"17 % of the target lies farther than 1\.375 mm"):
+    with pytest.warns(OpticsWarning, match=r"17 % of the target is farther than 1\.375 mm"):
         out = optimize(A, beyond, method, 3)
     assert np.isfinite(out.sinogram.numpy()).all() and np.isfinite([s.loss for s in out.history]).all()
 

@@ -219,7 +219,7 @@ def test_a_stopped_run_goes_on_bit_by_bit(device: Device) -> None:
     for found, wanted, before, now in zip(again.light, whole.light, kept, part.light, strict=True):
         assert np.array_equal(found.numpy(), wanted.numpy()) and np.array_equal(before, now.numpy())
     assert again.seconds > part.seconds
-    with pytest.raises(BadInput, match="begin anew"):
+    with pytest.raises(BadInput, match="for a new run"):
         optimize_colors(model, target, LossWeights(0.7), resume=part)
     with pytest.raises(BadInput, match="one"):
         optimize_colors(model, target, start=part, resume=part)

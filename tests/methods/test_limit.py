@@ -93,7 +93,7 @@ def test_limits_that_cannot_be_kept_say_what_binds() -> None:
     ring[3:13, 3:13], ring[6:10, 6:10] = 1.0, 0.0
     even = float(np.asarray(A.T(np.ones(A.range.shape, np.float32)))[ring > 0.5].min())
     least = 1.0 / (ExposureLimit(1.0, **GIVEN).brightness(A) * even)
-    with pytest.warns(OpticsWarning, match="no light with a strict window was found within the exposure limit"):
+    with pytest.warns(OpticsWarning, match="no patterns with a strict window were found within the exposure limit"):
         optimize(A, ring, iterations=20, exposure_limit=1.01 * least, **GIVEN)
 
 

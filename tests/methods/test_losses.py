@@ -231,5 +231,5 @@ def test_what_is_no_loss_is_refused() -> None:
         Descent(leak)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="history is -1"):
         Descent(OWN, history=-1)
-    with pytest.raises(BadInput, match="does not know its curvature"):
+    with pytest.raises(BadInput, match="has no curvature"):
         Even().curvature()

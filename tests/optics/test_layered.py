@@ -188,7 +188,7 @@ def test_a_narrow_window_keeps_light_out() -> None:
     """Tilted far, the edge of the window cuts into the vial's light: what lies there is not lit, and is refused."""
     vessel = vam.SquareBath(replace(VIAL, radius=9.9), 20.0, 3.0, wall_index=1.52, tilt=55 * deg)
     assert vessel.lit_radius < 0.9 * vessel.vessel.lit_radius
-    with pytest.raises(TargetTooLarge, match="take a wider bath, or tilt it less"):
+    with pytest.raises(TargetTooLarge, match="use a wider bath, or tilt it less"):
         vessel.check_fits(0.5 * (vessel.lit_radius + vessel.vessel.lit_radius))
     around = np.linspace(0.0, 2.0 * np.pi, 720)
     for share, lit in ((0.999, True), (1.001, False)):
@@ -208,7 +208,7 @@ def test_what_cannot_be_is_refused() -> None:
         replace(STRAIGHT, front_index=1.73, tilt=60 * deg)
     with pytest.raises(BadInput, match="expected a vessel that is round"):
         vam.Fan(STRAIGHT, throw=200.0)
-    with pytest.raises(TargetTooLarge, match=r"wall or liquid of index 1 keeps .* take a wall or liquid of higher"):
+    with pytest.raises(TargetTooLarge, match=r"wall or liquid of index 1 keeps .* use a wall or liquid of higher"):
         replace(DOUBLE, liquid_index=1.0, bath_index=1.33, resin_index=1.34).check_fits(9.9)
     with pytest.warns(OpticsWarning, match="window and liquid leave 0.7"):
         replace(STRAIGHT, liquid_absorption=0.06).check_fits(2.0)

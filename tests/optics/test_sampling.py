@@ -62,7 +62,7 @@ def test_angles_of_a_part_of_a_turn_are_told_by_their_steps() -> None:
 
 def test_voxels_wider_than_a_pixel_are_told() -> None:
     (note,) = turned(660, 1.0, pitch=0.06)
-    assert note.startswith("voxels of 60 µm are wider than a pixel is in the resin, 40 µm")
+    assert note.startswith("voxels of 60 µm are wider than a pixel in the resin, 40 µm")
 
 
 def test_a_plan_keeps_what_is_too_coarse(tmp_path) -> None:

@@ -153,7 +153,7 @@ def test_a_film_for_players_is_yuv420p_and_nearly_the_same(tmp_path: Path) -> No
     levels, remark = read_film(tmp_path / "a.mp4")
     off = levels[:, :21, :13].astype(int) - frames.gray_levels()
     assert np.abs(off).mean() < 1.5 and np.abs(off).max() <= 12 and json.loads(remark)["columns"] == 13
-    with pytest.raises(BadInput, match="players read films"):
+    with pytest.raises(BadInput, match="players read videos"):
         export(frames, tmp_path / "b", players=True)
 
 

@@ -148,7 +148,7 @@ def test_some_poses_are_those_of_the_whole(device: Device) -> None:
     light[some] = rng.random((3, 16, 3))
     assert np.allclose(np.asarray(A.of_poses(some)(volume)), np.asarray(A(volume))[some], rtol=1e-5)
     assert np.allclose(np.asarray(A.of_poses(some).T(light[some])), np.asarray(A.T(light)), rtol=1e-4, atol=1e-6)
-    with pytest.raises(BadInput, match="lit as long"):
+    with pytest.raises(BadInput, match="angles of equal dwell"):
         vam.Projection(A.grid, A.beam, vam.Turntable(3, (1.0, 2.0, 1.0)), VIAL, device).of_poses([0])
 
 
@@ -184,7 +184,7 @@ def test_what_cannot_be_fitted_is_told(plan: vam.Plan) -> None:
         (Solved(plan.sinogram, plan.operator), {"bits": 1}, "without a target"),
         (Solved(plan.sinogram, None, cross()), {"bits": 1}, "light of None"),
         (Solved(plan.sinogram, None, cross()), {"bits": 8}, "expected an operator on a Grid"),
-        (Solved(plan.sinogram, plan.operator, bodies), {"bits": 1}, "'two', whose voxels have limits of their own"),
+        (Solved(plan.sinogram, plan.operator, bodies), {"bits": 1}, "'two', whose voxels have their own limits"),
     )
     for given, how, message in cases:
         with pytest.raises(BadInput, match=message):

@@ -65,8 +65,8 @@ def test_every_level_of_a_strict_curve_comes_back() -> None:
 @pytest.mark.parametrize(
     ("levels", "intensity", "says"),
     [
-        ((0, 255), (0.0, 0.5, 1.0), "one intensity a level"),
-        ((0,), (1.0,), "two of them"),
+        ((0, 255), (0.0, 0.5, 1.0), "one intensity per level"),
+        ((0,), (1.0,), "at least two"),
         ((0, 128), (0.0, 1.0), "from 0 to 255"),
         ((1, 255), (0.0, 1.0), "from 0 to 255"),
         ((0, 128, 128, 255), (0, 1, 2, 3), "rising"),

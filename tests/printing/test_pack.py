@@ -194,11 +194,11 @@ def test_light_that_cannot_be_shown_is_refused(device: Device, library: Any) -> 
         pack(A, library(some_light(shape=(24, 35, 21))))
     with pytest.raises(NoLight):
         pack(A, library(np.zeros(SHAPE, np.float32)))
-    with pytest.raises(BadInput, match=r"alone; expected .* vam\.pack\(A, light\)"):
+    with pytest.raises(BadInput, match=r"got only a Projection; expected .* vam\.pack\(A, light\)"):
         pack(A)
     with pytest.raises(BadInput, match="expected the operator that makes dose of it"):
         pack(plan_of(device, some_light()), library(some_light()))
-    with pytest.raises(BadInput, match=r"got a ndarray alone; expected .* vam\.pack\(A, light\)"):
+    with pytest.raises(BadInput, match=r"got only a ndarray; expected .* vam\.pack\(A, light\)"):
         pack(some_light())  # pyright: ignore[reportArgumentType]
     with pytest.raises(BadInput, match="^got light beside a ndarray; expected the operator"):
         pack(some_light(), A)  # pyright: ignore[reportArgumentType]

@@ -137,7 +137,7 @@ def test_the_page_opens_with_what_the_verdict_rests_on(proof: Proof, judgement: 
     pixel, found = judgement.pixel, judgement.over_tolerance
     assert figures[f"window a pixel from the surface, {1e3 * pixel:.3g} µm"] == summary.signed(found.at(pixel))
     assert figures["of the threshold, beyond the cylinder"] == f"{proof.outer_share:.2f}"
-    assert figures["off the part's surface, RMS"] == f"{1e3 * judgement.surface.rms:.3g} µm"
+    assert figures["distance from the part's surface, RMS"] == f"{1e3 * judgement.surface.rms:.3g} µm"
     times = proof.exposure
     assert times is not None and figures["exposure"] == f"{times.seconds:.3g} s"
     headline = page[page.index('class="headline"') : page.index('class="summary"')]
@@ -165,7 +165,7 @@ def test_the_fine_dose_is_judged_where_there_is_one(proof: Proof, judgement: Any
     assert coarse.at(0.0) == pytest.approx(proof.scores.window, abs=1e-5)
     assert fine.at(0.0) < coarse.at(0.0)
     page = report.page_of(own, None, its_own).html()
-    assert "by the solver's own dose" in html.unescape(page) and 'class="verdict bad"' in page
+    assert "according to the solver's own dose" in html.unescape(page) and 'class="verdict bad"' in page
 
 
 def test_every_number_of_the_light_says_what_it_is(proof: Proof, page: str) -> None:
@@ -184,7 +184,7 @@ def test_resin_that_prints_beyond_the_cylinder_is_told(proof: Proof, judgement: 
     assert proof.outer is not None
     flooded = replace(proof, outer=replace(proof.outer, dose=1.2 * proof.scores.threshold))
     page = report.page_of(flooded, None, judgement).html()
-    assert "resin beyond the judged cylinder prints too (" in page and "1.20 of the threshold" in page
+    assert "resin beyond the judged cylinder also prints (" in page and "1.20 of the threshold" in page
     assert "Orange: resin beyond" in page and 'class="verdict bad"' in page
     assert 'class="remedy">→ move the part away from the wall' in page
 
@@ -326,7 +326,7 @@ def test_a_print_of_a_single_slice_without_a_vessel(tmp_path: Path) -> None:
     target = ball((20, 20, 3))[:, :, 1:2]
     found = simulate(A, Shown(np.asarray(A(target))), target)
     page = found.report(tmp_path / "slice.html").read_text(encoding="utf-8")
-    assert "straight light" in page and "until the threshold is solid" not in page
+    assert "straight light" in page and "until resin at the threshold is solid" not in page
 
 
 @pytest.mark.slow

@@ -96,7 +96,7 @@ def test_irradiance_and_dose_are_told_as_laboratories_write_them() -> None:
     assert proof.exposure is not None
     assert (proof.exposure.irradiance, proof.exposure.critical_dose) == pytest.approx((0.65, 0.1))
     meaning = next(line.meaning for line in proof.lines() if line.name == "exposure")
-    assert meaning == "until the threshold is solid, at 65 mW/cm² full-on and 100 mJ/cm³"
+    assert meaning == "until resin at the threshold is solid, at 65 mW/cm² full-on and 100 mJ/cm³"
     with pytest.raises(BadInput, match=r"irradiance is -65 \* mW_cm2; expected .* > 0 times vamgpu\.units\.mW_cm2"):
         simulate(A, frames, target, irradiance=-65 * mW_cm2, critical_dose=100 * mJ_cm3)
     said = simulate(A, frames, target, irradiance="65 mW/cm2", critical_dose="0.1 mJ/mm³")
@@ -121,7 +121,7 @@ def test_scores_do_not_change_with_the_scale_of_the_light(device: Device) -> Non
     assert dim.seconds is not None
     within = 0.99 * 86_400.0 / dim.seconds  # times as much dose, for which a day does
     assert simulate(A, shown(A, 0.5), target, irradiance=6 / within, critical_dose=2).seconds is not None
-    with pytest.raises(BadInput, match=r"would take .* s, 1\.0\d* days, at .*expected a day at most: check"):
+    with pytest.raises(BadInput, match=r"would take .* s, 1\.0\d* days, at .*expected at most a day: check"):
         simulate(A, shown(A, 0.5), target, irradiance=6 * 0.97 / within, critical_dose=2)
 
 

@@ -240,13 +240,13 @@ def test_an_operator_that_is_no_plain_projection_keeps_the_rows_of_the_dose(prin
     table = tolerance_table(Other(), printed.light, printed.fraction)  # type: ignore[arg-type]
     notes = {row.name: row.note for row in table.rows}
     assert notes.pop("dose") == "" and table.exposures == 1 and len(table.first_wrong) == 2
-    assert set(notes.values()) == {"Other is exposed as it is; only a plain Projection is varied"}
+    assert set(notes.values()) == {"Other cannot be varied; only a plain Projection can"}
 
 
 def test_a_print_that_is_wrong_already_says_so(printed: Print) -> None:
     high = 0.99 * score(printed.dose(), printed.fraction).peak
     table = tolerance_table(printed.A, printed.light, printed.fraction, threshold=high, scenarios=(DOSE,))
-    assert table.nominal.missing and {first.text for first in table.first_wrong} == {"wrong already"}
+    assert table.nominal.missing and {first.text for first in table.first_wrong} == {"wrong without an error"}
     assert table.exposures == 1
 
 

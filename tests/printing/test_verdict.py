@@ -113,7 +113,7 @@ def test_it_agrees_with_a_dose_of_its_own(name: str, method: str) -> None:
     wanted, changes = own_verdict(name, dose, scale * proof.scores.threshold), proof.judgement.surface.changes
     same = not (changes.bodies_lost or changes.bodies_merged or changes.bodies_broken or changes.bodies_extra)
     assert same == wanted["bodies"], changes
-    deep = [fault for fault in proof.verdict.faults if "from the surface prints wrong" in fault.said]
+    deep = [fault for fault in proof.verdict.faults if "from the surface prints incorrectly" in fault.said]
     assert (not deep) == wanted["deep"], proof.verdict
     if not all(wanted.values()):
         assert not proof.verdict and not proof.all_correct and proof.verdict.remedies
@@ -151,7 +151,7 @@ def test_a_part_thinner_than_four_pixels_bears_as_much_less_as_its_deepest_voxel
                       proof.judgement)  # fmt: skip
     assert not over and not [remedy for remedy in over.remedies if "expose 0 " in remedy]
     dim = verdict_of(replace(proof, scores=replace(proof.scores, threshold=1.1 * deepest)), proof.judgement)
-    assert dim.latitude[0] == 1.0 and "prints wrong" not in dim.sentence  # nothing of it lies two pixels deep
+    assert dim.latitude[0] == 1.0 and "prints incorrectly" not in dim.sentence  # nothing of it lies two pixels deep
 
 
 def changed(proof: Proof, **changes: int) -> Judgement:
@@ -165,7 +165,7 @@ def changed(proof: Proof, **changes: int) -> Judgement:
     [
         ("bodies_lost", "2 bodies of the part do not print"), ("bodies_merged", "2 bodies join another one"),
         ("bodies_broken", "2 bodies are broken"), ("bodies_extra", "2 loose bodies print beside it"),
-        ("holes_closed", "2 holes of the part are closed"), ("holes_opened", "2 holes open that the part has not"),
+        ("holes_closed", "2 holes of the part are closed"), ("holes_opened", "2 holes open that are not in the part"),
         ("cavities_filled", "2 cavities are filled"), ("cavities_extra", "2 voids are left in the part"),
     ],
 )  # fmt: skip
@@ -185,7 +185,7 @@ def test_what_else_is_wrong_is_said_with_its_remedy() -> None:
     assert "1.20 of the threshold" in verdict_of(flooded, judgement).sentence
     assert verdict_of(flooded, judgement).latitude[1] == pytest.approx(1 / 1.2, rel=1e-3)
     dim = verdict_of(replace(proof, scores=replace(scores, threshold=1.3 * scores.threshold)), judgement)
-    assert "more than 200 µm from the surface prints wrong" in dim.sentence
+    assert "more than 200 µm from the surface prints incorrectly" in dim.sentence
     low, high = dim.latitude
     assert f"expose {np.sqrt(low * high):.3g} times as long" in dim.remedies and 1.0 < low < high
     alone = replace(judgement.over_tolerance, greatest_out=np.zeros_like(judgement.over_tolerance.greatest_out))
@@ -193,13 +193,13 @@ def test_what_else_is_wrong_is_said_with_its_remedy() -> None:
     beside_nothing = verdict_of(lone, replace(judgement, over_tolerance=alone))
     assert f"expose {2.0 * low:.3g} times as long" in beside_nothing.remedies
     rough = replace(judgement, surface=replace(judgement.surface, distances=np.full(20, 1.1 * judgement.pixel)))
-    assert "5 % of the surface is more than 110 µm off" in verdict_of(proof, rough).sentence
+    assert "5 % of the surface deviates by more than 110 µm" in verdict_of(proof, rough).sentence
     empty = replace(judgement, surface=replace(judgement.surface, distances=np.zeros(0)))
     assert verdict_of(flooded, empty).sentence.startswith("Does not print: nothing prints; resin beyond")
     spiked = proof.target.numpy().copy()
     spiked[30:34, 30:34, 1] = 0.4
     thin = verdict_of(replace(proof, target=proof.target.device.upload(spiked)), judgement)
-    assert "filled no voxel of 100 µm to a half" in thin.sentence and "thicker walls" in str(thin)
+    assert "not fill half of any 100 µm voxel" in thin.sentence and "thicker walls" in str(thin)
 
 
 def test_a_coarse_verdict_is_that_of_the_proof_and_says_that_nothing_is_proved() -> None:
@@ -208,7 +208,7 @@ def test_a_coarse_verdict_is_that_of_the_proof_and_says_that_nothing_is_proved()
         coarse = vam.simulate(found.operator, vam.pack(found), target, coarse=True)
         assert coarse.operator.grid.pitch <= PITCH and not coarse.independent and not coarse.all_correct
         assert coarse.verdict.prints == proved(name, method).verdict.prints, coarse.verdict
-        assert "by the solver's own dose" in coarse.verdict.opening
+        assert "according to the solver's own dose" in coarse.verdict.opening
 
 
 def test_a_coarse_verdict_knows_resin_beyond_the_grid() -> None:
@@ -218,7 +218,7 @@ def test_a_coarse_verdict_knows_resin_beyond_the_grid() -> None:
     frames = vam.pack(replace(found, sinogram=found.operator.device.upload(light)))
     coarse = vam.simulate(found.operator, frames, target, coarse=True)
     assert coarse.outer is not None and coarse.outer.distance > GRID.inscribed_radius
-    assert coarse.outer_share >= 1.0 and "resin beyond the judged cylinder prints too" in coarse.verdict.sentence
+    assert coarse.outer_share >= 1.0 and "resin beyond the judged cylinder also prints" in coarse.verdict.sentence
 
 
 def test_a_remedy_follows_from_a_cause_that_was_checked() -> None:
@@ -235,9 +235,9 @@ def test_a_remedy_follows_from_a_cause_that_was_checked() -> None:
     assert verdict_of(narrow, changed(thick, bodies_merged=1)).faults[0].remedy == NARROW
     A = vam.Projection(GRID, BEAM, vam.Turntable(20), None, open_device())
     few = verdict_of(replace(thick, operator=A), changed(thick, cavities_extra=1))
-    assert few.remedies == ("take 60 angles", EVALUATIONS)
+    assert few.remedies == ("use 60 angles", EVALUATIONS)
     one_bit: Any = replace(thick, frames=SimpleNamespace(bits=1))  # type: ignore[arg-type]
-    assert verdict_of(one_bit, changed(thick, bodies_extra=1)).remedies == ("take frames of 8 bits", EVALUATIONS)
+    assert verdict_of(one_bit, changed(thick, bodies_extra=1)).remedies == ("use 8-bit frames", EVALUATIONS)
     window = thick.claimed.window
     for most, remedy in ((1.01 * window, BOUNDED), (1.2 * window, EVALUATIONS)):
         bounded = replace(thick, bound=Bound(most, thick.dose, 1.0))
@@ -283,11 +283,11 @@ def test_a_dose_on_finer_voxels_is_where_it_was() -> None:
 
 def test_a_surface_on_the_parts_own_voxels_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     proof = replace(proved("ring", "ramp"))
-    assert "not found yet: read .verdict" in proof._repr_html_()
+    assert "not computed yet: read .verdict" in proof._repr_html_()
     assert not proof.verdict.not_judged and proof.verdict.sentence in proof._repr_html_()
     monkeypatch.setattr(judging, "WHOLE", 1000)
     told = replace(proof).verdict
-    assert told.prints and "\nNot judged: what the surface does between the part's own voxels" in str(told)
+    assert told.prints and "\nNot judged: the surface between the part's own voxels" in str(told)
 
 
 def test_the_judge_of_the_records_compares_pieces_one_for_one() -> None:

@@ -259,7 +259,7 @@ def test_a_proof_judges_gray_doses() -> None:
     careless, careful = proven(target_of(PART), gray), proven(gray, iterations=30)
     wrong = [{body.role: body.wrong / body.voxels for body in proof.bodies}["gray"] for proof in (careless, careful)]
     assert wrong[0] > 0.95 and wrong[1] < 0.3
-    assert "'soft' gets another dose" in str(careless.verdict) and not careless.all_correct
+    assert "'soft' gets the wrong dose" in str(careless.verdict) and not careless.all_correct
 
 
 def test_what_a_print_bears_is_judged_by_the_same_limits(tmp_path: Path) -> None:
@@ -329,14 +329,14 @@ BAD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "role": (lambda: vam.Body(rod(1.0), "prnt"), BadInput, "no role 'prnt'"),
     "kind": (lambda: vam.Body(3), BadInput, "got a int as body"),  # type: ignore[arg-type]
     "no pitch": (lambda: vam.Body(np.ones(SHAPE)), BadInput, "mask without pitch"),
-    "pitch": (lambda: vam.Body(rod(1.0), pitch=0.1), BadInput, "expected it for masks"),
+    "pitch": (lambda: vam.Body(rod(1.0), pitch=0.1), BadInput, "expected it only for masks"),
     "empty mask": (lambda: vam.Body(np.zeros(SHAPE), pitch=0.1), EmptyMesh, "every voxel of the array is 0"),
     "no dose": (lambda: vam.Body(rod(1.0), "keep out"), BadInput, "without a dose"),
     "dose": (lambda: vam.Body(rod(1.0), "print", dose=0.4), BadInput, "got dose=0.4"),
     "negative dose": (lambda: vam.Body(rod(1.0), "gray", dose=-1.0), BadInput, "dose of body 'gray'"),
     "weight": (lambda: vam.Body(rod(1.0), weight=0.0), BadInput, "weight of body"),
     "priority": (lambda: vam.Body(rod(1.0), priority=float("nan")), BadInput, "priority of body"),
-    "index": (lambda: vam.Body(rod(1.0), "insert", index=0.9), BadInput, "index of refraction"),
+    "index": (lambda: vam.Body(rod(1.0), "insert", index=0.9), BadInput, "refractive index of at least 1"),
     "index of a part": (lambda: vam.Body(rod(1.0), index=1.5), BadInput, "got index=1.5"),
     "no body": (lambda: vam.Scene([]), BadInput, "none of 0 bodies is to be printed"),
     "nothing printed": (lambda: vam.Scene([KEPT]), BadInput, "none of 1 bodies is to be printed"),

@@ -58,7 +58,7 @@ def test_a_heavier_body_comes_nearer_to_what_is_asked_of_it(method: str, role: s
 @pytest.mark.parametrize("method", sorted(UNWEIGHTED))
 def test_methods_without_weights_say_which_take_them(method: str) -> None:
     able = ", ".join(name for name in METHODS if name not in UNWEIGHTED)
-    with pytest.raises(BadInput, match=re.escape(f"one of these methods: {able}, or a loss of your own")):
+    with pytest.raises(BadInput, match=re.escape(f"one of these methods: {able}, or your own loss")):
         error(method, "keep out", 0.5, 2.0)
 
 

@@ -174,7 +174,7 @@ def test_repeated_and_empty_triangles_are_removed_and_told() -> None:
 def test_what_was_mended_stays_with_the_part(tmp_path: Path) -> None:
     part = ball()
     holed = Solid(part.vertices, part.faces[3:], "holed").save(tmp_path / "holed.ply")
-    with pytest.warns(MeshWarning, match="holed: the mesh was mended: . holes? closed"):
+    with pytest.warns(MeshWarning, match="holed: the mesh was repaired: . holes? closed"):
         target = Target.from_mesh(holed, height=3.0, pitch=0.5, device="numpy")
     assert target.solid is not None and target.mended == target.solid.mended
     assert target.mended[0].startswith(("1 hole closed", "2 holes closed", "3 holes closed"))

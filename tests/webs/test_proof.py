@@ -97,7 +97,7 @@ def test_the_demo_shows_contrast(tmp_path: Path) -> None:
     settings = [part for setting in SMALL for part in ("--set", setting)]
     assert main(["demo", "web", "--out", str(tmp_path), *settings]) == 0
     page = (tmp_path / "web.html").read_text(encoding="utf-8")
-    assert "Contrast over the index ratio" in page and "A gyroid film" in page
+    assert "Contrast against the index ratio" in page and "A gyroid film" in page
 
 
 def test_contrast_falls_with_the_index_ratio() -> None:

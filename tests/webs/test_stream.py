@@ -185,9 +185,9 @@ def test_a_web_by_a_loss_of_ones_own_is_resumed_by_that_loss_alone(tmp_path: Pat
 
 def test_what_couples_a_web_is_refused() -> None:
     for method, said in (
-        (BCLP(p=3.0, q=1.0, weight=np.ones((60, *SECTION))), "a weight of single voxels|q is 1.0 with p = 3.0"),
-        (BCLP(weight=np.ones((60, *SECTION))), "a weight of single voxels has no place on an endless web"),
-        (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "a weight of single voxels"),
+        (BCLP(p=3.0, q=1.0, weight=np.ones((60, *SECTION))), "weights of single voxels|q is 1.0 with p = 3.0"),
+        (BCLP(weight=np.ones((60, *SECTION))), "an endless web cannot have weights of single voxels"),
+        (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "weights of single voxels"),
         (LBFGS(efficiency=0.1), "efficiency is 0.1: its penalty is set by all light"),
         (OWN**0.5, "a power of a sum couples all of its voxels"),
         ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),

@@ -87,7 +87,7 @@ def within(device: str | None, memory: str) -> str:
 
     Args:
         device: A processor through OpenCL, by name; None takes the best one.
-        memory: Of the process, such as ``8GB``; `BESIDE` of it is for all that is no field.
+        memory: Memory of the process, such as ``8GB``; `BESIDE` of it is for all that is no field.
 
     Returns:
         The name, such as ``opencl:pocl:0@7000000000B``.

@@ -16,12 +16,12 @@ class DeviceArray:
     """An array on a device: a field [major, minor, z] in lane layout (``lanes`` > 0) or a plain table (0).
 
     Attributes:
-        device: Where it lives.
-        handle: What the device's own library calls it.
-        shape: Logical shape, padding not counted.
+        device: The device that holds it.
+        handle: The object of the device's own library.
+        shape: Logical shape, without padding.
         dtype: NumPy type of the elements.
-        lanes: Slices z that lie together in memory.
-        owner: Whose memory it shows, which must not go before it; None if its own.
+        lanes: Number of slices z that are adjacent in memory.
+        owner: Object that owns the memory and must outlive the array; None if the array owns it.
     """
 
     device: Device
@@ -40,7 +40,7 @@ class DeviceArray:
         """Copy the logical array to NumPy.
 
         Args:
-            out: Takes the copy of a table, [shape]; None for a new array.
+            out: Array for the copy of a table, [shape]; None for a new array.
 
         Returns:
             The copy, [shape].

@@ -16,7 +16,7 @@ VARIABLE = "XDG_CACHE_HOME"
 
 @cache
 def refusal() -> str:
-    """Why the system refuses to write the user's cache folder; empty where it can be written."""
+    """Why the system refuses to write the user's cache folder; empty if it can be written."""
     place = Path(os.path.expanduser(os.environ.get(VARIABLE) or "~/.cache"))
     if str(place).startswith("~"):
         return "this user has no home folder"

@@ -119,7 +119,7 @@ class Device(ABC):
         """An object that exports a plain table by DLPack, sharing memory with it or not."""
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """A handle of the same memory for other lanes, which means the same there; None where it cannot be had."""
+        """A handle of the same memory for other lanes, which means the same there; None if it cannot be had."""
         return array.handle
 
     @abstractmethod
@@ -165,7 +165,7 @@ class Device(ABC):
         """Copy a NumPy array to the device, as a field or as a table.
 
         Raises `BadInput` for what is not finite, and for numbers that float32 or the table's type cannot hold. The
-        reference, which computes in float64, refuses them too, so that devices agree on what they take.
+        reference, which computes in float64, also rejects them, so that devices accept the same numbers.
         """
         source = np.asarray(values)
         return self.gather(source.shape, [source], dtype, table=table)
@@ -324,7 +324,7 @@ class Device(ABC):
         return out
 
     def _shared(self, array: DeviceArray) -> DeviceArray | None:
-        """The same memory as a table; None where slabs forbid it."""
+        """The same memory as a table; None if slabs forbid it."""
         if not array.lanes:
             return array
         handle = self._relaid(array, 0) if array.shape[2] == array.lanes else None
@@ -371,15 +371,15 @@ class Device(ABC):
         return self.upload(values, table=True)
 
     def room(self, shape: tuple[int, ...]) -> np.ndarray:
-        """An array of float32 for `settle`; in a file where fields may be, too."""
+        """An array of float32 for `settle`; in a file if fields may be in files."""
         return np.empty(shape, np.float32)
 
     def settle(self, values: np.ndarray) -> DeviceArray:
-        """A table of an array of `room` that nobody else has: the array itself where device and host share memory."""
+        """A table of an array of `room` with no other owner: the array itself if device and host share memory."""
         return self.table(values)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
-        """A table to write that is the NumPy array itself; None where device and host share no memory.
+        """A table to write that is the NumPy array itself; None if device and host share no memory.
 
         What was written is there once `synchronize` returns.
         """
@@ -476,7 +476,7 @@ def _finite(source: np.ndarray) -> bool:
 
 
 def _checked(source: np.ndarray, kind: np.dtype) -> float:
-    """Refuse numbers that the target type would turn into infinity or into others; the greatest that could vanish."""
+    """Reject numbers that the target type cannot hold; return the greatest one, which might become 0."""
     if not source.size or source.dtype == kind != np.float64 or source.dtype.kind == "b":
         return 0.0
     low, high = source.min(), source.max()

@@ -27,7 +27,7 @@ def from_dlpack(device: object, foreign: Any) -> np.ndarray:
 
 
 def fetched(foreign: Any) -> np.ndarray | None:
-    """A copy by ``__array__``, also of types that DLPack has not; None where there is none, or a library refuses."""
+    """A copy by ``__array__``, also of types that DLPack has not; None if there is none, or a library refuses."""
     try:
         return np.asarray(foreign) if hasattr(foreign, "__array__") else None
     except (TypeError, ValueError, RuntimeError):

@@ -49,7 +49,7 @@ class Ledger:
 
     @contextmanager
     def forbid(self) -> Iterator[None]:
-        """Inside, large transfers are refused; may be nested."""
+        """Large transfers inside it raise an error; may be nested."""
         self._forbidden += 1
         try:
             yield

@@ -265,7 +265,7 @@ class OpenclDevice(Device):
         if self.is_gpu:
             raise DeviceError(
                 f"{self.name} adopts pyopencl arrays of its own context (device.context); "
-                f"got {type(foreign).__name__}; upload a NumPy copy, or take device='cuda' to share CUDA's arrays"
+                f"got {type(foreign).__name__}; upload a NumPy copy, or use device='cuda' to share CUDA's arrays"
             )
         values = from_host(self, foreign)
         if not values.nbytes:

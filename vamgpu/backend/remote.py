@@ -196,7 +196,7 @@ class RemoteDevice(Device):
         return self.upload(from_host(self, foreign), table=True)
 
     def _native(self, table: DeviceArray) -> Any:
-        raise DeviceError(f"{self.name} keeps an array in another process, where no library reaches it; take .numpy()")
+        raise DeviceError(f"{self.name} keeps an array in another process, which no library can access; use .numpy()")
 
     def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
         return table.numpy()

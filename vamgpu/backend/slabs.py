@@ -339,7 +339,7 @@ class SlabDevice(Device):
         return self.upload(from_host(self, foreign), table=True)
 
     def _native(self, table: DeviceArray) -> Any:
-        raise DeviceError(f"{self.name} keeps an array on several devices, and no library does; take .numpy()")
+        raise DeviceError(f"{self.name} keeps an array on several devices, and no library does; use .numpy()")
 
     def _exported(self, table: DeviceArray, copy: bool) -> np.ndarray:
         return table.numpy()

@@ -86,7 +86,7 @@ class WarpDevice(Device):
         stride = int(np.prod(shape[1:], dtype=np.int64)) * dtype.itemsize * (4 if lanes else 1)
         if max(shape, default=0) >= STRIDE_LIMIT or stride >= STRIDE_LIMIT:
             raise OutOfMemory(f"{shape} of {dtype} has a stride of {stride} bytes; Warp addresses below 2 GiB a step: "
-                              "take a device of OpenCL, or fewer angles at once")  # fmt: skip
+                              "use a device of OpenCL, or fewer angles at once")  # fmt: skip
         try:
             return wp.empty(shape, dtype=kind, device=self._device)
         except RuntimeError as error:

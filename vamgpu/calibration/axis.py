@@ -2,7 +2,7 @@
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S6. Light runs backwards
 through the projector; one column of mirrors after another sends it to a photodiode, and the roller casts a shadow on
-it. One edge alone tells where the roller ends, not where its axis is: then its radius must be known.
+it. One edge gives the end of the roller, not its axis: then its radius must be known.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def fitted(
     curve: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, start: Sequence[float], refusal: str, remedy: str,
     *, evaluations: int = 4000,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Least-squares parameters of a curve and their covariance. Raises `BadInput` where none are found."""
+    """Least-squares parameters of a curve and their covariance. Raises `BadInput` if none are found."""
     from scipy.optimize import OptimizeWarning, curve_fit
 
     try:

@@ -56,13 +56,13 @@ def fit_flat(readings: ArrayLike, dark: ArrayLike, mirrors: tuple[int, int], ord
     if not (light * area).min() > LEAST_CONTRAST * noise:
         raise BadInput(
             f"a block gives {(light * area).min():.3g} with a noise of {noise:.2g}; expected {LEAST_CONTRAST:g} times "
-            "the noise or more: light the meter, take larger blocks, average more readings"
+            "the noise or more: light the meter, use larger blocks, average more readings"
         )
     rows, columns = (legvander(np.linspace(-1.0, 1.0, length), order) for length in mirrors)
     terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
     if light.size < 2 * len(terms):
         raise BadInput(
-            f"{light.size} blocks for a surface of {len(terms)} terms; expected {2 * len(terms)} or more: take more "
+            f"{light.size} blocks for a surface of {len(terms)} terms; expected {2 * len(terms)} or more: use more "
             "blocks along rows and columns"
         )
     low, wide = (np.add.reduceat(part, borders[:-1], axis=0) / np.diff(borders)[:, None]
@@ -76,7 +76,7 @@ def fit_flat(readings: ArrayLike, dark: ArrayLike, mirrors: tuple[int, int], ord
         surface[i, j] = value
     field = rows @ surface @ columns.T
     if field.min() <= 0:
-        raise BadInput("the surface falls below 0; expected light on every block: take more blocks, check the meter")
+        raise BadInput("the surface falls below 0; expected light on every block: use more blocks, check the meter")
     covariance = np.linalg.pinv(means.T @ means)
     spread = np.zeros(mirrors)
     for a, (i, j) in enumerate(terms):

@@ -169,7 +169,7 @@ def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLik
 
 
 def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
-    """The line through peaks at positions of the camera [mm]. Raises `BadInput` where they do not move."""
+    """The line through peaks at positions of the camera [mm]. Raises `BadInput` if they do not move."""
     # Powers are uncertain, positions are not: powers are fitted over positions and the line is inverted.
     place = np.asarray(positions, np.float64)
     if place.shape != (len(peaks),) or not np.isfinite(place).all() or np.unique(place).size < 2:

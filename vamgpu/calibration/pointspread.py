@@ -16,7 +16,7 @@ from vamgpu.geometry import positive
 
 @dataclass(frozen=True)
 class PointSpread:
-    """Blur of the optics alone, as `Beam` takes it: ``Beam(pixels, pitch, spread=PointSpread.load("mtf", pitch))``.
+    """Blur of only the optics, for `Beam`: ``Beam(pixels, pitch, spread=PointSpread.load("mtf", pitch))``.
 
     Args:
         width: standard deviation of the blur [mm].
@@ -101,7 +101,7 @@ class PointSpread:
         if not near.size:
             raise BadInput(
                 f"{file!r} was measured at {positions.tolist()} mm; expected one within {reach:g} mm of the "
-                "axis: take a greater reach, or measure there"
+                "axis: use a greater reach, or measure there"
             )
         least, greatest = (cls.behind(float(blur), pitch, fill, pixel).width for blur in (near.min(), near.max()))
         return least, greatest

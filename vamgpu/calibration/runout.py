@@ -243,8 +243,8 @@ class Runout:
         """Columns by which a frame's rows move so that they follow the vial, their axis being at its place already.
 
         Args:
-            angles: Of the frames [rad], (frames,).
-            rows: Of a frame, its middle on the mirrors' middle.
+            angles: Angles of the frames [rad], (frames,).
+            rows: Rows of a frame, its middle on the mirrors' middle.
             turning: Whether the angle is known; else only the lean, which is the same at every angle, counts.
 
         Returns:

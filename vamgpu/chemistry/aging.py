@@ -50,7 +50,7 @@ class Aging:
 
 @dataclass(frozen=True)
 class AgingFit:
-    """A fitted model and what it is worth."""
+    """A fitted model and its errors."""
 
     aging: Aging
     residuals: tuple[float, ...]  # model minus measured [s], with all generations fitted
@@ -80,7 +80,7 @@ def fit_aging(
 
     Args:
         seconds: Print times [s], four or more.
-        lost: Share of the resin that a print takes away.
+        lost: Share of the resin that a print removes.
         deviations: Standard deviations of the times [s], as weights; none by default.
 
     Returns:

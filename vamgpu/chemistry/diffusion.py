@@ -25,15 +25,15 @@ from vamgpu.schema.quantities import Diffusivity, ExposureTime, Quantity, Thickn
 from vamgpu.web import WebGrid
 
 DROPPED = 1e-7
-"""Share of a kernel's weight that its cut tails may hold."""
+"""Share of a kernel's weight that may be cut off."""
 
 
 @dataclass(frozen=True)
 class Diffusion:
     """Oxygen that spreads at a constant rate while light consumes it evenly over an exposure.
 
-    What was consumed at time t has until the end to spread, so a dose is blurred by the mean over the exposure of heat
-    kernels of variance 2D(T − t) along each axis; ``optical`` widens all of them.
+    Oxygen consumed at time t spreads until the end, so a dose is blurred by the mean over the exposure of heat kernels
+    of variance 2D(T − t) along each axis; ``optical`` widens all of them.
 
     Sources: A. Orth et al., Nat. Commun. 14 (2023) 4412: diffusion and optical blur as one kernel to be deconvolved;
     the mean over the exposure is derived here.
@@ -42,7 +42,7 @@ class Diffusion:
         diffusivity: D [mm²/s].
         seconds: Exposure T [s].
         optical: Standard deviation [mm] of the light's own blur.
-        stages: Gaussians that stand for the mean, at the nodes of Gauss and Legendre.
+        stages: Number of Gaussians that approximate the mean, at Gauss–Legendre nodes.
 
     Raises:
         BadInput: A value is out of its range.
@@ -68,10 +68,10 @@ class Diffusion:
         return tuple((float(0.5 * w), float(v)) for w, v in zip(weights, spread, strict=True))
 
     def transfer(self, frequency: float) -> float:
-        """Tell what is left of a wave in a continuous medium, with the exact mean.
+        """Attenuation of a wave in a continuous medium, with the exact mean.
 
         Args:
-            frequency: Of the wave [rad/mm].
+            frequency: Frequency of the wave [rad/mm].
 
         Returns:
             The share that is left.
@@ -99,8 +99,8 @@ class Spread(LinearOperator):
 
     Args:
         grid: The voxels of the doses.
-        diffusion: What spreads, over an exposure.
-        device: Where to compute; the best device here by default.
+        diffusion: Diffusion over an exposure.
+        device: A name or a device; the best available device by default.
     """
 
     domain: VolumeSpace | WebSpace

@@ -35,17 +35,17 @@ def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> fl
 
 @dataclass(frozen=True)
 class RotatingLight:
-    """Even light of two colors on a turning vial, weakened by Beer-Lambert on the way to a point of the resin.
+    """Even light of two colors on a turning vial, absorbed by Beer-Lambert up to a point of the resin.
 
     Args:
-        vial: Inner radius [mm].
+        vial: Inner radius of the vial [mm].
         visible, uv: Irradiance at the wall [mW/mm²].
-        visible_extinction, uv_extinction: Natural, of the fresh resin [1/mm].
-        period: Of a turn [s].
+        visible_extinction, uv_extinction: Natural extinction of the fresh resin [1/mm].
+        period: Time of a turn [s].
         poses: Intervals of constant light in a turn.
 
     Raises:
-        BadInput: For negative or infinite numbers, and a vial, a period or visible light of 0.
+        BadInput: A number is negative or infinite, or vial, period or visible light is 0.
     """
 
     vial: Length = 15.0
@@ -60,17 +60,17 @@ class RotatingLight:
         check(self)
 
     def path(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> Floats:
-        """Measure the way through the resin, l = √(R² − r²) − x·cosθ − y·sinθ with r = y·cosθ − x·sinθ.
+        """Path length through the resin, l = √(R² − r²) − x·cosθ − y·sinθ with r = y·cosθ − x·sinθ.
 
         Args:
-            radius: Of the points [mm], (points,).
+            radius: Radius of the points [mm], (points,).
             phase: Their angle [rad], (points,).
 
         Returns:
             Length [mm], (points, poses).
 
         Raises:
-            BadInput: For points beyond the wall.
+            BadInput: A point is beyond the wall.
         """
         rho, start = np.broadcast_arrays(np.atleast_1d(np.asarray(radius, float)), np.asarray(phase, float))
         if not (np.isfinite(rho).all() and np.isfinite(start).all()) or rho.min() < 0 or rho.max() > self.vial:
@@ -80,10 +80,10 @@ class RotatingLight:
         return np.sqrt(np.maximum(self.vial**2 - across**2, 0.0)) - along
 
     def at(self, radius: ArrayLike, phase: ArrayLike = 0.0) -> LightCycle:
-        """Tell the light of one turn at points.
+        """Light of one turn at points.
 
         Args:
-            radius: Of the points [mm], (points,).
+            radius: Radius of the points [mm], (points,).
             phase: Their angle [rad], (points,).
 
         Returns:

@@ -46,7 +46,7 @@ def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tup
     """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm]."""
     dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
     if dose >= 1.0:
-        raise BadInput(f"dose may be off by {dose:g}; expected a share below 1")
+        raise BadInput(f"tolerance of the dose is {dose:g}; expected a share below 1")
     shares = (1.0,) if dose == 0.0 else (1.0 - dose, 1.0 + dose)
     offsets = (0.0,) if axis == 0.0 else (-axis, 0.0, axis)
     widths = (0.0,) if blur == 0.0 else (0.0, blur)
@@ -131,17 +131,16 @@ def plan_exposure(
 
     Args:
         turn: The light of a turn.
-        turns: How many.
+        turns: Number of turns.
         power: Factor by which the light of a turn is multiplied.
-        period: Of a turn [s]; without it the shortest that the limits allow.
+        period: Time of a turn [s]; by default the shortest that the limits allow.
         visible_limit, ultraviolet_limit: Irradiance of a full-on pixel in air [mW/cm²].
 
     Returns:
         Times [s] and irradiances [mW/cm²].
 
     Raises:
-        BadInput: The period is too short for a limit, or neither a period nor the limit of a color that shines is
-            given.
+        BadInput: The period is too short for a limit, or neither a period nor the limit of a used color is given.
     """
     turns, power = counts("turns", (turns,), 1)[0], positive("power", power)
     angles = turn.visible.motion.angles

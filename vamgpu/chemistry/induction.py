@@ -74,20 +74,20 @@ def fit_induction(
 ) -> Fit:  # fmt: skip
     """Fit α, k_C and k₂ to induction times; k_A is 1 over the first.
 
-    A grid of resins in one launch, then least squares from its best entries. Three constants for three times: the
-    errors that remain are the equations' own.
+    A grid of resins in one launch, then least squares from its best entries. Three constants are fitted to three times:
+    remaining errors come from the equations.
 
     Args:
         measured: Induction times [s] in the order of `NAMES`.
-        supply: [C] over [A] before printing, a ratio; 200 does not run out.
-        order: Of the reaction in [C], 0 or 1.
-        device: Where to compute; the best device here by default.
+        supply: Ratio [C] / [A] before printing; 200 is not exhausted.
+        order: Order of the reaction in [C], 0 or 1.
+        device: A name or a device; the best available device by default.
 
     Returns:
         The constants and the times that they give.
 
     Raises:
-        BadInput: For times that are not positive, or a UV trial that is shorter than the one without.
+        BadInput: A time is not positive, or a UV trial is shorter than the one without.
     """
     from scipy.optimize import least_squares
 

@@ -35,18 +35,18 @@ def made(rates: Rates, uv: float, supply: float | None = None) -> float:
 
 
 def stationary(rates: Rates, visible: float, uv: float, supply: float | None = None) -> Stationary | None:
-    """Find the stationary state of constant light while [C] is held.
+    """Find the stationary state of constant light at constant [C].
 
     It exists only for 2k_C·I_UV > k_B·I_vis (β > α/2), is (0, √((2k_C·I_UV − k_B·I_vis)/(2k₂))), and is a stable node:
-    the oscillating center of the paper's text cannot be, [A] never grows.
+    the oscillating center of the paper's text is impossible, because [A] never grows.
 
     Args:
-        rates: Of the reactions.
+        rates: Rates of the reactions.
         visible, uv: Irradiances [mW/mm²].
-        supply: Concentration of C that is held; that of the rates by default.
+        supply: Constant concentration of C; that of the rates by default.
 
     Returns:
-        The state, or None where there is none.
+        The state, or None if there is none.
 
     Raises:
         BadInput: An irradiance is negative, or k₂ is 0 and [B] would grow for ever.

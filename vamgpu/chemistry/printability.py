@@ -139,7 +139,7 @@ class PowerWindow(LegalRange):
 
 
 def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerWindow:
-    """All powers at which ``turns`` turns meet (a) to (c); empty where the part gets no dose. Raises `BadInput`."""
+    """All powers at which ``turns`` turns meet (a) to (c); empty if the part gets no dose. Raises `BadInput`."""
     n = counts("turns", (turns,), 1)[0]
     low = thresholds.mechanical / (n * doses.in_least) if doses.in_least > 0 else inf
     early = thresholds.optical / ((n - 1) * doses.in_most) if n > 1 and doses.in_most > 0 else inf

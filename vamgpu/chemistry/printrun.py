@@ -23,15 +23,15 @@ Progress = Callable[[int, Concentrations], None]
 
 @dataclass(frozen=True, eq=False)
 class PrintRun:
-    """Turns of a dual-color print: light of an angle, through the C there is, for a frame's time; then the next angle.
+    """Turns of a dual-color print: light of each angle for a frame's time, absorbed by the remaining C.
     Source: paper, "Reactive Transport Simulation".
 
     Args:
-        transport: How species move and react.
+        transport: Diffusion and reaction of the species.
         exposure: The light of a turn.
         turn: Time of a turn [s].
-        turns: How many.
-        steps: Steps of transport a frame; by default the fewest that are stable (see `Transport.advance`).
+        turns: Number of turns.
+        steps: Steps of transport per frame; by default the fewest that are stable (see `Transport.advance`).
 
     Raises:
         BadInput: A value is out of its range.
@@ -60,7 +60,7 @@ class PrintRun:
 
     @property
     def frame_time(self) -> float:
-        """Seconds a frame is shown."""
+        """Time for which a frame is shown [s]."""
         return self.turn / self.exposure.angles
 
     @property
@@ -84,7 +84,7 @@ class PrintRun:
             frame: The first frame.
             until: The frame to stop before; the end by default.
             save: A file that is replaced after every ``every`` frames and at the end; see `load`.
-            every: Frames from one saving to the next; a turn by default.
+            every: Frames between two saves; a turn by default.
             progress: Called with the next frame and the state after each frame.
 
         Returns:
@@ -104,7 +104,7 @@ class PrintRun:
         return frame
 
     def save(self, path: str | Path, state: Concentrations, frame: int) -> None:
-        """Write the state before ``frame`` to an .npz file that appears whole or not at all.
+        """Write the state before ``frame`` atomically to an .npz file.
 
         Args:
             path: The .npz file.
@@ -135,14 +135,14 @@ class PrintRun:
             fields = [self.transport.device.upload(found[name]) for name in Concentrations.FIELDS]
             frame, time, owner = int(found["frame"]), float(found["time"]), str(found["print"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it anew") from error
+            raise StorageError(f"cannot read the print in {str(path)!r}: {error}; start it again") from error
         if owner != self.fingerprint:
-            raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it anew")
+            raise StorageError(f"{str(path)!r} is of another print: its resin, light or times differ; start it again")
         return Concentrations(*fields, time), frame  # pyright: ignore[reportCallIssue] - as many as FIELDS
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of everything that decides how the print goes on."""
+        """Digest of everything that determines the rest of the print."""
         t, e = self.transport, self.exposure
         settings = (t.box, t.diffusivities, t.reaction, t.boundaries, e.extinction, e.pitch, self.turn, self.steps)
         digest = hashlib.sha256(repr(settings).encode())

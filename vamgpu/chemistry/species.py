@@ -53,7 +53,7 @@ class Rates:
 
     @property
     def alpha(self) -> float:
-        """α = k_B/k_A: sensitivity of B to visible light over that of A. Raises `BadInput` where k_A is 0."""
+        """α = k_B/k_A: sensitivity of B to visible light over that of A. Raises `BadInput` if k_A is 0."""
         if self.k_a == 0:
             raise BadInput("k_a is 0; expected k_a > 0, or α = k_b/k_a has no value")
         return self.k_b / self.k_a

@@ -40,7 +40,7 @@ Face = Fixed | None
 
 @dataclass(frozen=True)
 class Boundary:
-    """One entry a face of a species' box, in the order of `FACES`: None where no flux passes, or `Fixed`."""
+    """One entry a face of a species' box, in the order of `FACES`: None if no flux passes, or `Fixed`."""
 
     faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
 
@@ -160,10 +160,10 @@ class Transport:
         visible: DeviceArray | None = None,
         ultraviolet: DeviceArray | None = None,
     ) -> None:
-        """Advance a state in place under constant light, fields [mW/mm²] of both colors, dark where not given.
+        """Advance a state in place under constant light, fields [mW/mm²] of both colors, None for dark.
 
-        steps: equal steps, by default the fewest that are stable, which diffusion alone decides. Reactions stay above
-        zero at any step, but their error is of its first order: where diffusion is slow, ask for more.
+        steps: equal steps, by default the fewest that are stable for diffusion. Reactions never give negative values,
+        but their error is first order in the step: use more steps if diffusion is slow.
         Raises `UnstableStep`, `BadInput`.
         """
         if not isinstance(state, Concentrations):
@@ -173,8 +173,8 @@ class Transport:
         step = span / count
         if step > self.limit * (1 + 1e-9):
             raise UnstableStep(
-                f"a step of {step:g} s is not stable; at most {self.limit:g} s is: "
-                f"take {self.steps(span)} steps or more",
+                f"a step of {step:g} s is not stable; the limit is {self.limit:g} s: "
+                f"use {self.steps(span)} steps or more",
                 self.limit,
             )
         spread, rates = self._tables(step)

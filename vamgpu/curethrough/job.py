@@ -52,18 +52,18 @@ class PrintedStack:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A modeled stack, and its correction where there is one.
+    """A modeled stack, and its correction if there is one.
 
     Args:
         machine: Printer and resin.
         shape: Slices, y and x of the part.
-        threshold: Gray level from which a pixel is solid.
+        threshold: Least gray level of a solid pixel.
         sample: Columns that are followed.
-        solid: What these should be, bool [slice, column].
-        before: The print of the slices as they are.
+        solid: Expected state of these columns, bool [slice, column].
+        before: The print of the uncorrected slices.
         after: The print of the corrected slices.
-        correction: What was corrected for.
-        missed: Features that lack dose at their back side, summed over pixels [slice].
+        correction: The correction.
+        missed: Features that get too little dose at their back, summed over pixels [slice].
         closed: Voids that stay cured, summed over pixels [slice].
         written: Slices that were written.
     """
@@ -85,19 +85,20 @@ class Outcome:
 
     @property
     def verdict(self) -> tuple[bool, str]:
-        """Whether all prints right, and a sentence or two on what does not."""
+        """Whether everything prints correctly, and a sentence or two on what does not."""
         if self.after is None:
             error = self.before.heights.error
             wrong = int((self.before.heights.over + self.before.heights.under > 0).sum())
-            text = f"{wrong:,} columns of pixels print wrong, by {length(error / max(1, wrong))} of height on average."
+            mean = length(error / max(1, wrong))
+            text = f"{wrong:,} columns of pixels print incorrectly, by {mean} of height on average."
             return error == 0, text
         ratio = self.ratio
         missed, closed = (0 if found is None else int(found.sum()) for found in (self.missed, self.closed))
         if ratio is None:
-            return True, "The slices print right as they are."
+            return True, "The slices print correctly without a correction."
         text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
         if missed:
-            text += f" {missed:,} features lack room behind them for the light they need."
+            text += f" {missed:,} features have too little room behind them for the light that they need."
         if closed:
             text += f" {closed:,} voids are too short: they stay cured at this speed and power."
         return missed + closed == 0 and ratio < 1, text
@@ -253,11 +254,11 @@ class _Follow:
 
 
 def warn_of(machine: Machine) -> None:
-    """Warn where level 0 alone cures what it reaches: nothing can be uncured then."""
+    """Warn if level 0 cures all resin that it reaches: then nothing can stay uncured."""
     dose = float(machine.doses[0] / machine.decay)
     if dose >= 1.0:
         warnings.warn(
-            f"level 0 alone leaves {dose:.3g} critical doses behind: everything it reaches cures, nothing can stay "
+            f"even level 0 leaves {dose:.3g} critical doses behind: everything it reaches cures, nothing can stay "
             f"uncured. Print at least {dose:.3g} times faster, or darken level 0",
             SliceWarning,
             stacklevel=3,

@@ -38,7 +38,7 @@ BetterColumns = tuple[np.ndarray, np.ndarray, np.ndarray]
 def better_columns(
     correction: Correction, stack: Stack, device: Device, progress: StageProgress
 ) -> BetterColumns | None:  # fmt: skip
-    """Better levels of columns out of reach, None where there are none. Raises `BadInput` for too many of them."""
+    """Better levels of columns out of reach, None if there are none. Raises `BadInput` for too many of them."""
     corrector = Corrector(correction, stack.shape, device)
     for block in corrector.run(stack):
         progress("survey", 1.0 - block.start / corrector.slices)

@@ -27,7 +27,7 @@ from vamgpu.storage.reading import open_file, parse_json, read_text
 from vamgpu.storage.zips import open_zip, unpacked
 
 RECORD = "curethrough.json"
-"""Says in a folder of slices, or beside them in a zip, what they were made with."""
+"""File in a folder or a zip of slices that records their settings."""
 WAITING = 64
 """Slices that may wait to be written; more would fill the memory where the disk is slow."""
 
@@ -126,11 +126,11 @@ def _finished(writer: Writer) -> Iterator[Writer]:
 
 
 def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
-    """Tell whether slices were made with a record; those of an SL1 do not say.
+    """Whether slices were made with a record; those of an SL1 have none.
 
     Args:
         path: Where `writing` put slices, a folder or a zip.
-        record: What it was given, or part of it.
+        record: Its record, or part of it.
 
     Returns:
         Whether there are slices whose record says the same.

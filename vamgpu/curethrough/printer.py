@@ -55,7 +55,7 @@ def check_eta(slice_height: float, absorption_height: float) -> None:
 
 
 def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None = None) -> tuple[float, ...]:
-    """Light of every gray level: in proportion, or as a curve says.
+    """Light of every gray level: proportional, or from a curve.
 
     Args:
         full: Irradiance of level 255 [mW/mm²].
@@ -275,7 +275,7 @@ class Printer(Machine):
         return self.phi_max * self.speed * share
 
     def _check_correctable(self) -> None:
-        """Refuse a printer whose full light cures nothing, or whose level 0 cures everything in its way."""
+        """Reject a printer whose full light cures nothing, or whose level 0 cures everything in its way."""
         if self.phi_min >= 1.0:
             raise BadInput(
                 f"level 0 leaves {self.phi_min * self.critical_dose * 1e3:.4g} mJ/cm³ behind, the critical dose is "

@@ -1,4 +1,4 @@
-"""Dose inside a feature; the constraint curves bound whatever is asked for."""
+"""Dose inside a feature, bounded by the constraint curves."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Flat:
 
 @dataclass(frozen=True)
 class Parallel:
-    """A share of the way from the critical dose to the constraint curve that is nearer.
+    """A dose between the critical dose and the nearer constraint curve.
 
     Args:
-        share: Share of the way, 0 to 1.
+        share: Position between them, a share, 0 to 1.
         absorption_height: h_a [mm].
         least: Φ of level 0, a dose in critical doses.
         most: Φ of level 255, a dose in critical doses.

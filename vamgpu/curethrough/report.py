@@ -22,24 +22,24 @@ PAPER = (
 )
 ROWS = 24
 COLUMNS_NOTE = (
-    "Dose over the height of single columns of pixels, in critical doses; what is shaded should be solid. Dose above 1 "
+    "Dose against height in single columns of pixels, in critical doses; shaded parts should be solid. Dose above 1 "
     "cures."
 )
 LACKING = 0.1
-"""A feature lacks something where more than this share of a slice height is uncured."""
+"""A feature is incomplete where more than this share of a slice height is uncured."""
 
 
 def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:
     """Write the page.
 
     Args:
-        outcome: A modeled stack, and its correction where there is one.
-        path: Where to, ending in .html.
-        title: What stands at its top; empty for the usual one.
+        outcome: A modeled stack, and its correction if there is one.
+        path: The file to write, ending in .html.
+        title: The title; empty for the file's name.
         facts: More lines of the set-up, name → value.
 
     Returns:
-        The path written.
+        The path of the written file.
 
     Raises:
         StorageError: The page cannot be written.
@@ -68,7 +68,7 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
             Card("Cross-sections", *sections, Legend(f"{pictures.MOST_DOSE:g} critical doses"),
                  note=_sections_note(outcome), wide=True),
             Card("Height errors seen from above", Images(maps, "panels", across),
-                 note=f"From none to {length(most)}, the same scale for all.", wide=True),
+                 note=f"From 0 to {length(most)}, the same scale for all.", wide=True),
             Card("Features", features, note=_table_note(outcome, groups), wide=True),
             Card("Set-up", Table(_setup(outcome, facts)), wide=True),
             Card("Sources", Papers((PAPER,)), wide=True),
@@ -79,16 +79,16 @@ def page_of(outcome: Outcome, title: str, facts: dict[str, str]) -> Page:
 def _sections_note(outcome: Outcome) -> str:
     row, column = outcome.sample.rows[outcome.sample.across][0], outcome.sample.columns[outcome.sample.along][0]
     return (
-        f"Along row {row} and along column {column} of the pictures; the platform is below, every pixel as wide as it "
-        "has room."
+        f"Along row {row} and along column {column} of the pictures; the platform is below, and pixels are stretched "
+        "to fit."
     )
 
 
 def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
-    """The numbers that a person looks at first.
+    """The most important numbers.
 
     Args:
-        outcome: A modeled stack, and its correction where there is one.
+        outcome: A modeled stack, and its correction if there is one.
 
     Returns:
         Name, value and meaning of each.
@@ -98,17 +98,17 @@ def lines(outcome: Outcome) -> tuple[tuple[str, str, str], ...]:
     for name, shown in (("uncorrected", outcome.before), ("corrected", outcome.after)):
         if shown is not None:
             over, under = (float(getattr(shown.heights, key).sum(dtype=float)) / pixels for key in ("over", "under"))
-            found.append((f"excess height, {name}", length(over), "cured void, mean over the pixels that print wrong "
-                          "uncorrected"))  # fmt: skip
+            found.append((f"excess height, {name}", length(over), "cured void, mean over the pixels that print "
+                          "incorrectly without correction"))  # fmt: skip
             found.append((f"missing height, {name}", length(under), "uncured part, mean over the same pixels"))
     if outcome.ratio is not None:
-        found.append(("error ratio", f"{outcome.ratio:.3g}", "all height errors, corrected over uncorrected"))
+        found.append(("error ratio", f"{outcome.ratio:.3g}", "all height errors, corrected / uncorrected"))
     single = outcome.feature_ratio
     if single is not None:
-        found.append(("median error ratio", f"{single[1]:.3g}", "of single features, corrected over uncorrected"))
+        found.append(("median error ratio", f"{single[1]:.3g}", "of single features, corrected / uncorrected"))
     if outcome.missed is not None and outcome.closed is not None:
-        found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "lack dose at their back side"))
-        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to fall to the critical dose"))
+        found.append(("features out of reach", f"{int(outcome.missed.sum()):,}", "get too little dose at their back"))
+        found.append(("voids out of reach", f"{int(outcome.closed.sum()):,}", "too short to stay below critical dose"))
     return tuple(found)
 
 
@@ -129,7 +129,7 @@ def _row(group: Group, outcome: Outcome) -> tuple[str, ...]:
 
 
 def _fastest(group: Group, outcome: Outcome) -> str:
-    """The speed up to which a feature gets its dose and the void behind it opens, with the same light."""
+    """The highest speed at which a feature gets its dose and the void behind it stays open, with the same light."""
     machine, correction = outcome.machine, outcome.correction
     if correction is None or not isinstance(machine, Printer):
         return "–"
@@ -139,14 +139,14 @@ def _fastest(group: Group, outcome: Outcome) -> str:
 
 
 def _table_note(outcome: Outcome, groups: tuple[Group, ...]) -> str:
-    more = f"; {len(groups) - ROWS:,} rarer places are left out" if len(groups) > ROWS else ""
+    more = f"; {len(groups) - ROWS:,} rarer ones are left out" if len(groups) > ROWS else ""
     return (
         f"Runs of solid slices in {len(outcome.sample.rows):,} columns of pixels{more}. The error is the cured height "
-        "of the void before a feature and the uncured height within it, a mean over its columns; lacking are columns "
-        f"where more than {LACKING:g} of a slice height within the feature stay uncured."
+        'of the void before a feature plus the uncured height within it, a mean over its columns. "Lacking" counts '
+        f"columns where more than {LACKING:g} of a slice height within the feature stays uncured."
         + (
-            " Fastest is the speed up to which a feature can get its dose, and the void behind it open, with the same "
-            "light."
+            ' "Fastest" is the highest speed at which a feature gets its dose and the void behind it stays open, with '
+            "the same light."
             if outcome.after is not None
             else ""
         )
@@ -161,9 +161,9 @@ def _setup(outcome: Outcome, facts: dict[str, str]) -> list[tuple[str, str]]:
         ("resin", f"absorption height {length(machine.absorption_height)}, critical dose "
                   f"{machine.critical_dose / mJ_cm3:.4g} mJ/cm³"),
         ("light", f"{machine.light[0] / mW_cm2:.3g} to {machine.light[-1] / mW_cm2:.4g} mW/cm²"),
-        ("print", f"{machine.exposure:.4g} s a slice" if machine.layered else
+        ("print", f"{machine.exposure:.4g} s per slice" if machine.layered else
                   f"{machine.speed:.4g} mm/s, {3600 * machine.speed:.4g} mm/h"),
-        ("solid", f"from gray level {outcome.threshold} on"),
+        ("solid", f"gray level {outcome.threshold} or more"),
     ]  # fmt: skip
     if outcome.correction is not None:
         rows.append(("correction", f"{outcome.correction.profile}, {outcome.correction.added} slices added"

@@ -108,7 +108,7 @@ class WorkingCurve:
 
         Args:
             path: The file.
-            irradiance: I₀ [mW/mm²] where the file gives times alone; a column ``irradiance_mW_cm2`` takes its place.
+            irradiance: I₀ [mW/mm²] if the file has only times; a column ``irradiance_mW_cm2`` replaces it.
             confidence: Share of repeats whose interval holds the true value, between 0 and 1.
 
         Returns:
@@ -142,7 +142,7 @@ class GrayFit:
     """Light of a projector over its gray levels: straight pieces that never fall, fitted to readings.
 
     Args:
-        levels: Where pieces meet, gray levels from 0 to 255.
+        levels: Gray levels at which pieces meet, from 0 to 255.
         intensity: Light there [mW/mm²].
         spread: Standard deviation of the readings about the curve [mW/mm²].
     """
@@ -185,7 +185,7 @@ def read_gray(path: str | Path, pieces: int | None = None) -> GrayFit:
 
     Args:
         path: The file.
-        pieces: Straight pieces of the fit; None takes as many as the readings carry.
+        pieces: Straight pieces of the fit; None for the greatest number that the readings support.
 
     Returns:
         The fit, in mW/mm².
@@ -211,7 +211,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises:
         StorageError: The file cannot be read.
-        BadInput: It is no table of finite numbers; the message names the line.
+        BadInput: The file is not a table of finite numbers; the message names the line.
     """
     file = Path(path)
     try:

@@ -228,7 +228,7 @@ def layer_height(stack: object) -> float | None:
         stack: The slices.
 
     Returns:
-        Height of a layer [mm]; None where the file does not say.
+        Height of a layer [mm]; None if the file does not say.
     """
     if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
         return None
@@ -241,7 +241,7 @@ def layer_height(stack: object) -> float | None:
 
 
 def _check_entry(info: zipfile.ZipInfo, place: str) -> None:
-    """Refuse what is dangerous to unpack, and what cannot be read."""
+    """Reject what is dangerous to unpack, and what cannot be read."""
     name = info.orig_filename.replace("\\", "/")
     path = PurePosixPath(name)
     why = ""

@@ -22,9 +22,9 @@ class Differentiable(ABC):
     """A function of fields with its vector-Jacobian product; heirs become functions of PyTorch and JAX.
 
     Attributes:
-        device: Where it computes.
-        spaces: Of its inputs, one each.
-        space: Of its value.
+        device: The device of its arrays.
+        spaces: Spaces of its inputs, one each.
+        space: Space of its value.
     """
 
     device: Device
@@ -70,7 +70,7 @@ class Linear(Differentiable):
 
     @property
     def transposed(self) -> Linear:
-        """The function by which slopes are found, linear too."""
+        """The linear function that gives the derivatives."""
         return Linear(self.operator.T)
 
     def value(self, *inputs: DeviceArray) -> DeviceArray:
@@ -83,10 +83,10 @@ class Linear(Differentiable):
 class Kinetics(Differentiable):
     """Effective dose of visible and ultraviolet light, by the adjoint of the kinetics.
 
-    Slopes expose the light anew, since a model keeps the states of the last light alone.
+    Derivatives expose the light again, because a model keeps only the states of the last light.
 
     Args:
-        model: Of both colors.
+        model: The model of both colors.
     """
 
     def __init__(self, model: KineticModel | LinearModel) -> None:
@@ -105,7 +105,7 @@ class Kinetics(Differentiable):
 
 
 def function_of(what: Any) -> Differentiable:
-    """The differentiable function that something stands for.
+    """The differentiable function of an operator or a model.
 
     Args:
         what: An operator, a model of kinetics, or a `Differentiable`.

@@ -15,7 +15,7 @@ from vamgpu.printing.independent_exposure import IndependentExposure
 
 @final
 class ProofDose(LinearOperator):
-    """Light [angle, r, z] to the dose that `simulate` judges: rays traced apart from the operator, on finer voxels.
+    """Light [angle, r, z] to the dose that `simulate` judges: traced independently of the operator, on finer voxels.
 
     The transpose is exact but computed on the host in float64: at 128³ voxels and 360 angles it takes minutes.
 
@@ -32,7 +32,7 @@ class ProofDose(LinearOperator):
 
     def __init__(self, A: Projection) -> None:
         if not isinstance(A, Projection):
-            raise BadInput(f"got {A!r}; expected a Projection, whose rays can be traced apart from it")
+            raise BadInput(f"got {A!r}; expected a Projection, which independent rays can check")
         self.domain = A.range  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = A.domain  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device = A.device

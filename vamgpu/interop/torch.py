@@ -1,4 +1,4 @@
-"""Differentiable functions and losses of PyTorch; CUDA tensors stay on a GPU that is Warp's too."""
+"""Differentiable functions and losses for PyTorch; CUDA tensors stay on a GPU that Warp also uses."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def differentiable(what: Any) -> Callable[..., Tensor]:
 
 
 def to_device(device: Device, tensor: Tensor) -> DeviceArray:
-    """A tensor as a field; shares memory where it can.
+    """A tensor as a field; shares memory if possible.
 
     Args:
-        device: Of the field.
+        device: Device of the field.
         tensor: [major, minor, z], anywhere.
 
     Returns:
@@ -96,7 +96,7 @@ def _check(space: Space, tensor: Tensor) -> None:
 
 
 class _Applied(torch.autograd.Function):
-    """A linear function; its slopes are one too, so that derivatives have derivatives."""
+    """A linear function; its derivatives are linear, so they are also differentiable."""
 
     @staticmethod
     def forward(ctx: Any, function: Linear, *inputs: Tensor) -> Tensor:

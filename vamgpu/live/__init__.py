@@ -1,4 +1,4 @@
-"""Live printing: a camera watches, parameters and dose are estimated, and the remaining light is planned anew."""
+"""Live printing: a camera measures, parameters and dose are estimated, and the remaining light is replanned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the surface of a print lies between the voxels on either side of the part's."""
+"""Position of a print's surface between the voxels on either side of the part's surface."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from vamgpu.backend.device import Device
 from vamgpu.live.fields import picked, places
 
 PAIRS = 50_000
-"""Neighbors on either side of the surface that are looked at, at most, spread evenly."""
+"""Most neighbors on either side of the surface that are used, spread evenly."""
 FARTHEST = 1.5
-"""Distance [voxels] beyond which a surface is as wrong as it can be."""
+"""Distance [voxels] at which the error of a surface is clipped."""
 STEEPEST = 1e-3
-"""Least fall of the dose between neighbors, over the threshold, from which a place is told."""
+"""Least fall of the dose between neighbors, relative to the threshold, that gives a position."""
 
 
 class Border:
-    """Neighbor pairs across the part's surface, and how far from halfway the dose crosses a threshold between them."""
+    """Neighbor pairs across the part's surface, and the distance from halfway at which the dose crosses a threshold."""
 
     threshold: float
 
@@ -38,14 +38,14 @@ class Border:
         self._pairs = pairs[:, :: max(-(-pairs.shape[1] // PAIRS), 1)]
 
     def off(self, dose: Any) -> float:
-        """Root mean square distance [voxels] of a print's surface from the part's, `FARTHEST` at most."""
+        """Root mean square distance [voxels] of a print's surface from the part's, at most `FARTHEST`."""
         return self._rms(*self._ends(dose))
 
     def share(self, had: Any, more: Any) -> float:
-        """The share, 0 to 2, of the dose to come that puts the print's surface nearest to the part's."""
+        """Factor, 0 to 2, on the remaining dose that brings the print's surface closest to the part's."""
         (a, b), (da, db) = self._ends(had), self._ends(more)
         best, step = 1.0, 1.0
-        for shares in (40, 40):  # the second time between the neighbors of the first one's best
+        for shares in (40, 40):  # the second pass searches between the neighbors of the first optimum
             tried = np.clip(best + step * np.linspace(-1.0, 1.0, shares + 1), 0.0, 2.0)
             best = float(tried[np.argmin([self._rms(a + s * da, b + s * db) for s in tried])])
             step *= 2.0 / shares

@@ -32,7 +32,7 @@ class SensorNoise:
     Args:
         read: Standard deviation in the dark [gray levels].
         gain: Gray levels per electron; 0 for no shot noise.
-        bits: Of a pixel; the brightest gray level is 2^bits − 1.
+        bits: Bits per pixel; the brightest gray level is 2^bits − 1.
 
     Raises:
         BadInput: A value is out of its range.
@@ -66,7 +66,7 @@ class SensorNoise:
 
         Args:
             images: Gray levels, (...,).
-            seed: Of the random numbers.
+            seed: Seed of the random numbers.
 
         Returns:
             Whole gray levels from 0 to the brightest, uint16 (...,).
@@ -82,9 +82,9 @@ class CameraPose:
     """Where the axis of rotation and the middle of the grid appear in the images.
 
     Args:
-        axis: The axis, columns from the middle of the image [mm].
-        height: The middle of the grid, rows from the middle of the image [mm].
-        roll: Turn of the image about the middle of the grid, from columns to rows [rad].
+        axis: Position of the axis from the middle of the image, along columns [mm].
+        height: Position of the middle of the grid from the middle of the image, along rows [mm].
+        roll: Rotation of the image about the middle of the grid, from columns to rows [rad].
 
     Raises:
         BadInput: A value is not finite.
@@ -99,15 +99,15 @@ class CameraPose:
 
     @property
     def centered(self) -> bool:
-        """Whether images are as the projection has them."""
+        """Whether images are in the geometry of the projection."""
         return self == CameraPose()
 
     def seen(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Centered images as this pose shows them.
+        """Turn centered images into images of this pose.
 
         Args:
-            images: Gray levels, or anything else, [angle, row, column].
-            pitch: Of a pixel [mm].
+            images: Gray levels or other values, [angle, row, column].
+            pitch: Pitch of a pixel [mm].
 
         Returns:
             The images, [angle, row, column].
@@ -116,11 +116,11 @@ class CameraPose:
         return _resampled(images, turn.T, -turn.T @ shift)
 
     def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Images of this pose as a centered camera would see them.
+        """Turn images of this pose into those of a centered camera.
 
         Args:
-            images: Gray levels, or anything else, [angle, row, column].
-            pitch: Of a pixel [mm].
+            images: Gray levels or other values, [angle, row, column].
+            pitch: Pitch of a pixel [mm].
 
         Returns:
             The images, [angle, row, column].
@@ -135,7 +135,7 @@ class CameraPose:
 
 
 def _resampled(images: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Images whose pixel p, from the middle, is that at turn·p + shift; the edge goes on beyond itself."""
+    """Images whose pixel p, from the middle, is that at turn·p + shift; edge values continue outside."""
     from scipy.ndimage import affine_transform  # takes longer to load than all of vamgpu
 
     middle = 0.5 * (np.array(images.shape[1:]) - 1.0)
@@ -152,15 +152,15 @@ class MonitoringCamera:
     Each pixel sees along one ray, so that a `Projection` with the camera's pixels, spread and angles and the vial's
     indices at its wavelength is its geometry. In images [angle, row, column] rows count along z and columns along r.
 
-    To first order: light that is scattered is lost to the view through the vial, and light that is scattered into the
-    view at an angle was weakened nowhere.
+    To first order: scattered light is lost to the view through the vial, and light scattered into the view at an angle
+    is not weakened.
 
     Args:
-        projection: The rays. Its vessel absorbs nothing: what resin took before the print is in the open field.
+        projection: The rays. Its vessel absorbs nothing: absorption before the print is in the open field.
         open_field: Gray levels through the vial before the print, with the vignetting of light and lens:
             [row, column], or [angle, row, column] of one turn, or one number.
-        noise: Of the sensor.
-        pose: Of the sensor.
+        noise: Noise of the sensor.
+        pose: Pose of the sensor.
         focus: How far downstream of the axis the camera is in focus [mm]. Cured resin of another index bends light, and
             edges show bright and dark in proportion to this.
 
@@ -203,7 +203,7 @@ class MonitoringCamera:
         """The view through the vial.
 
         Args:
-            extinction: Of the resin above that before the print [1/mm], [x, y, z].
+            extinction: Extinction of the resin above that before the print [1/mm], [x, y, z].
             index: Change of the refractive index, [x, y, z]; None for none.
 
         Returns:
@@ -252,7 +252,7 @@ class MonitoringCamera:
         return dark if self._blur is None else self._blur(dark)  # beyond the image nothing is dark
 
     def scattered(self, scattering: Any, background: Any = 0.0) -> np.ndarray:
-        """The view at an angle of the light: each pixel adds up what scatters along its ray.
+        """The view at an angle to the light: each pixel sums the light scattered along its ray.
 
         Args:
             scattering: Share of the light scattered into the view per length [1/mm], [x, y, z].
@@ -300,7 +300,7 @@ class MonitoringCamera:
 
     @cached_property
     def share(self) -> DeviceArray:
-        """`reached` as a table on the device, 0 where there is next to nothing."""
+        """`reached` as a table on the device, 0 where it is negligible."""
         return self.projection.device.table(np.where(self.reached > LEAST, self.reached, 0.0)[:, 0])
 
     @cached_property

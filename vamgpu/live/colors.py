@@ -30,9 +30,10 @@ class ReplannedColors:
     """Light of both colors of each of the turns that remain.
 
     Args:
-        light: Of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark where the print should stop.
-        kept: What the plan that was running would make of the print.
-        expected: What this light makes of it; its ``turns`` is the moment to stop.
+        light: Light of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark if the print should
+            stop.
+        kept: Forecast of the print with the running plan.
+        expected: Forecast with this light; its ``turns`` is the moment to stop.
         evaluations: Projector evaluations spent, each one forward and one back projection of both colors.
     """
 
@@ -48,14 +49,14 @@ class ColorReplanner:
 
     Doses of two colors do not add up: what was delivered is the state of the species in every voxel, from which the
     kinetics of the rest begin. Voxels that are surely over their limit (void that is solid, part above the most that is
-    asked) cannot be mended and get no weight.
+    asked) cannot be corrected and get no weight.
 
     Args:
         target: A `Target`, or fractions [x, y, z].
-        model: Of the print as planned.
+        model: Model of the planned print.
         most: Greatest light of a pixel of each color, in units of the plan's.
-        weights: Effective doses that are asked for.
-        threshold: Effective dose from which resin is solid; None for the middle between outside and inside.
+        weights: Required effective doses.
+        threshold: Least effective dose of solid resin; None for the middle between outside and inside.
 
     Raises:
         BadInput: A value is out of its range.
@@ -83,24 +84,24 @@ class ColorReplanner:
         self, model: KineticModel, delivered: SpeciesFields, plan: Pair, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0,
     ) -> ReplannedColors:  # fmt: skip
-        """Light for the rest of a print, the best found with what may be spent.
+        """The best light for the rest of a print within the given evaluations.
 
         Args:
             model: With operators and lamps as estimated, for example `KineticModel.going_on`; its turns and start do
                 not count.
             delivered: State after the turns so far, for example `KineticModel.state` of the light that was shown.
-            plan: Light of each turn that would be shown otherwise, [angle, r, z] of both colors.
-            planned: Turns it would be shown for.
-            turns: Numbers of further turns that are allowed, 0 for a stop now.
-            evaluations: Projector evaluations that may be spent.
+            plan: Planned light of each remaining turn, [angle, r, z] of both colors.
+            planned: Planned number of remaining turns.
+            turns: Allowed numbers of further turns, 0 for a stop now.
+            evaluations: Limit of projector evaluations.
             deviation: Standard deviation of the effective dose so far, [x, y, z], or one for all.
 
         Returns:
             The best of the light found and the plan's own.
 
         Raises:
-            BadInput: A state or light that is no number, or no turns.
-            ShapeMismatch: An array of another geometry.
+            BadInput: A state or light is not a number, or there are no turns.
+            ShapeMismatch: An array has another geometry.
         """
         counts, allowed = allowed_turns(turns, planned), positive("evaluations", evaluations)
         state, light = _on_device(model, delivered, plan)
@@ -130,7 +131,7 @@ class ColorReplanner:
     def _start(
         self, model: KineticModel, plan: Pair, planned: int, counts: Sequence[int], rise: float, before: float
     ) -> tuple[int, Pair]:
-        """Turns, and light to begin with: the plan's, as bright as brings the part to the middle of what is asked."""
+        """Turns, and starting light: the plan's, scaled so that the part gets the middle of the required doses."""
         missing = max(0.5 * (self.weights.inside + self.weights.most) - before, 0.02)
         share = planned * missing / rise
         peak = share * max(extent(plan.visible)[1], 1e-30)
@@ -157,7 +158,7 @@ class ColorReplanner:
         return all(extent(part)[1] <= most * (1.0 + ROUNDING) for part, most in zip(light, self.most, strict=True))
 
     def _loss(self, model: KineticModel, now: DeviceArray, deviation: Any) -> Band:
-        """The loss of what can still be mended: what is solid stays so, whatever inhibitor is made later."""
+        """The loss of voxels that can still be corrected: solid ones stay solid, even with more inhibitor."""
         band = self.weights.band(model.resin)
         sure = np.asarray(now, float) - SURE * np.asarray(deviation, float)
         part = np.asarray(self._fractions) >= 0.5

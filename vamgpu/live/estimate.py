@@ -1,4 +1,4 @@
-"""Estimates what the light of the turns so far did: a few parameters, then a gain of every voxel."""
+"""Estimates the effect of the light so far: a few parameters, then a gain of every voxel."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STEPS = (0.05, 0.1, 0.1)
 APART = (4, 2, 2)
 """Steps from one place that derivatives are taken about to the next; the dose is known to second order between."""
 FAR = 0.75
-"""Share of these distances beyond which derivatives are taken anew."""
+"""Share of these distances beyond which derivatives are computed again."""
 KEPT = 16
 """Operators whose tables are kept."""
 SLICES = 32
@@ -60,14 +60,14 @@ class Estimate:
     """Parameters and dose after the turns seen so far.
 
     Args:
-        values: Of each of `NAMES`, (7,).
-        covariance: Of each with each, (7, 7), widened where the residuals are greater than the noise.
+        values: Value of each of `NAMES`, (7,).
+        covariance: Covariance matrix, (7, 7), larger if the residuals exceed the noise.
         delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
-        lit: Of it, what the light since the estimate before gave by the parameters alone, [x, y, z] on the device.
+        lit: The part of it from the light since the last estimate, from only the parameters, [x, y, z] on the device.
         std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
-        voxels: Used for the parameters.
-        unexplained: Mean square of what the parameters leave of the conversion of the voxels used, over its variance.
+        voxels: Number of voxels used for the parameters.
+        unexplained: Mean square residual of the conversion of these voxels, over its variance.
     """
 
     values: np.ndarray
@@ -112,7 +112,7 @@ class Estimate:
         Lamp and oxygen are one gain here: give the history of a vial only where the lamp was measured.
 
         Args:
-            history: As it was believed to be before the print.
+            history: The assumed history before the print.
 
         Returns:
             The history with the oxygen 1 / sensitivity, at most 1.
@@ -147,13 +147,13 @@ class Estimator:
     is left of a voxel is a relative gain of its own, smoothed over its neighbors and drawn towards 0.
 
     Args:
-        operator: That the light was planned with.
+        operator: The operator of the plan.
         response: Conversion M of a dose in units of Aᵀ(light).
-        samples: Voxels used for the parameters at most.
-        rounds: How often derivatives are taken anew.
+        samples: Most voxels used for the parameters.
+        rounds: Number of times that derivatives are computed again.
         residual: Standard deviation of a voxel's own relative gain.
         smooth: Standard deviation [voxels] of the neighborhood that shares it.
-        rings: Whether `nearly` computes on rings, see `RingProjection`; None where they are faster.
+        rings: Whether `nearly` computes on rings, see `RingProjection`; None if they are faster.
 
     Raises:
         BadInput: A value is out of its range.
@@ -187,7 +187,7 @@ class Estimator:
         """Conversion of a dose.
 
         Args:
-            dose: In units of Aᵀ(light), (...,).
+            dose: Dose in units of Aᵀ(light), (...,).
 
         Returns:
             Conversion, (...,).
@@ -198,7 +198,7 @@ class Estimator:
         """Dose over that of even light.
 
         Args:
-            values: Of each of `NAMES`, (7,).
+            values: Value of each of `NAMES`, (7,).
 
         Returns:
             The factor of each voxel, [x, y, z].
@@ -219,10 +219,10 @@ class Estimator:
         return self.operator.device.table(self._up), self.operator.device.table(self._out)
 
     def calibrated(self, values: np.ndarray) -> CalibratedProjection:
-        """The operator with these parameters; its transpose is what light delivers.
+        """The operator with these parameters; its transpose gives the delivered dose.
 
         Args:
-            values: Of each of `NAMES`, (7,).
+            values: Value of each of `NAMES`, (7,).
 
         Returns:
             The operator, on the device of the planned one.
@@ -237,9 +237,9 @@ class Estimator:
         gain, with which some light has the dose that it should. The dose of other light is nearly right.
 
         Args:
-            values: Of each of `NAMES`, (7,).
-            light: That is like the light to come, [angle, r, z], NumPy or on the device.
-            dose: What it delivers with these parameters, such as `Estimate.lit`, [x, y, z], likewise.
+            values: Value of each of `NAMES`, (7,).
+            light: Light similar to the remaining light, [angle, r, z], NumPy or on the device.
+            dose: Its dose with these parameters, such as `Estimate.lit`, [x, y, z], NumPy or on the device.
 
         Returns:
             The operator, on the device of the planned one.
@@ -255,7 +255,7 @@ class Estimator:
 
     @cached_property
     def quick(self) -> RingProjection | None:
-        """The planned operator on rings; None where rays go on. Its tables are made when it is first asked for."""
+        """The planned operator on rings; None if rays go on. Its tables are made when it is first asked for."""
         return on_rings(self.operator, self.rings)
 
     def _placed_anew(self, absorption: float, across: float) -> Projection:
@@ -269,18 +269,18 @@ class Estimator:
 
         Args:
             light: Sum over the turns since ``before``, as planned, [angle, r, z], NumPy or on the device.
-            seen: Conversion now, [x, y, z], NumPy or on the device; NaN in a NumPy array where nothing is seen.
-            deviation: Standard deviation of each voxel's conversion, [x, y, z] likewise, or one for all.
-            prior: What is known of the parameters of these turns.
-            before: Whose dose these turns add to; None at the start.
-            start: Values that the search begins with, as those of the turn before, (7,); None takes the prior's.
+            seen: Current conversion, [x, y, z], NumPy or on the device; NaN in a NumPy array for invalid voxels.
+            deviation: Standard deviation of each voxel's conversion, [x, y, z], NumPy or on the device, or one for all.
+            prior: Prior of the parameters of these turns.
+            before: The estimate before these turns; None at the start.
+            start: Start of the search, for example the last values, (7,); None for the prior's.
 
         Returns:
             The estimate.
 
         Raises:
-            BadInput: Arrays that are no numbers, or parameters that no print has.
-            ShapeMismatch: An array of another geometry.
+            BadInput: An array does not hold numbers, or the parameters are impossible.
+            ShapeMismatch: An array has another geometry.
         """
         require(self.operator.range, light, "the light")
         require(self.operator.domain, seen, "the conversion seen")
@@ -450,7 +450,7 @@ class Estimator:
         return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[1] * self._curve.density
 
     def _check(self, values: np.ndarray, chi: float) -> None:
-        """Refuse what no print has."""
+        """Reject impossible parameters."""
         off = max(abs(values[2]) / (0.1 * self._width(0)), abs(values[3]) / (0.1 * self._width(1)))
         absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:

@@ -24,7 +24,7 @@ CURVES = {"sensitivity": style.BLUE, "absorption": style.ORANGE, "inhibitor": st
 
 
 def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
-    """Write a film (.mp4) of a recorded print; every turn is computed anew. rate: pictures a second, one a turn."""
+    """Write a video (.mp4) of a recorded print; every turn is computed again. rate: images per second, one per turn."""
     return write_film(path, pictures(record), positive("rate [turns/s]", rate))
 
 

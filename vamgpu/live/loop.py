@@ -1,4 +1,4 @@
-"""Sense, estimate, replan, swap: what is decided after every turn, as a pure function of what was seen."""
+"""Sense, estimate, replan, swap: the decision after every turn, a pure function of the images."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from vamgpu.operators.reductions import total
 SIGNIFICANT = 0.1
 """Conversion that counts as seen."""
 ENOUGH = 50
-"""Voxels of it without which nothing is estimated."""
+"""Fewest such voxels for an estimate."""
 MODEL = 0.1
 """Conversion by which resin and tomograph may be wrong besides the noise."""
 ALIKE = 30.0
-"""Neighbors that are wrong alike, and speak as one."""
+"""Neighbors with the same error, which count as one."""
 FIRST = 1000
-"""Voxels of the first look at most."""
+"""Most voxels of the first estimate."""
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
-"""Deviations of what little can be told apart by a rounded field, and of the inhibitor that a vial's age used up;
-places [mm], others dimensionless."""
+"""Deviations of parameters that a rounded field hardly separates, and of the inhibitor that a vial's age used up; [mm]
+or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
-"""Light and inhibitor over planned, looked at before the rest is estimated."""
+"""Light and inhibitor, relative to the plan, tried before the rest is estimated."""
 ONSET = 0.02
 """Share of the planned print's darkening below which nothing counts as cured."""
 KEPT = 4
@@ -57,21 +57,20 @@ class Decision:
     Args:
         turn: Turns shown so far.
         action: "keep" the light, "swap" it at the boundary, or "stop".
-        version: Of the light that goes on.
-        light: Of the next turn, [angle, r, z].
-        turns: Expected from now on.
-        inhibitor: Estimated, over that of fresh resin, dimensionless.
-        parameters: Estimated values and deviations by name, dimensionless or [mm]; empty where nothing
-            is estimated.
+        version: Version of the light that continues.
+        light: Light of the next turn, [angle, r, z].
+        turns: Expected number of remaining turns.
+        inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
+        parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
         iou: Overlap expected at the end, dimensionless.
-        reason: Why, in words.
-        doubt: Why images no longer decide; empty where they do. From then on the planned light goes on until images are
-            as dark as its print makes them, with the dose of the plan at most, and no overlap is expected.
-        misfit: Of the images, see `Reconstruction.misfit`; 0 where nobody looked.
-        stages: Wall time of "see", "estimate" and "replan" [s]; no part of `entry`, as no replay takes as long.
-        dose: Estimated of all light so far, over that from which resin is solid, [x, y, z] on the device (``.numpy()``
-            copies it); no part of `entry`. None where nothing is estimated.
-        conversion: Reconstructed, [x, y, z] likewise; no part of `entry`. None before the first field.
+        reason: Reason in words.
+        doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
+            as its print makes them, with at most the dose of the plan, and no overlap is expected.
+        misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
+        stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes another time.
+        dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
+            (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.
+        conversion: Reconstructed conversion, [x, y, z] on the device; not in `entry`. None before the first field.
     """
 
     turn: int
@@ -91,7 +90,7 @@ class Decision:
 
     @property
     def entry(self) -> dict[str, Any]:
-        """For the run's record: every number, and the digest of the light."""
+        """Entry of the run's record: every number, and the digest of the light."""
         return {
             "turn": self.turn, "action": self.action, "version": self.version, "turns": self.turns,
             "inhibitor": self.inhibitor, "parameters": {name: list(v) for name, v in self.parameters.items()},
@@ -121,13 +120,13 @@ class LiveState:
     Args:
         turn: Turns shown so far.
         shown: Sum of their light, [angle, r, z], on the device or NumPy.
-        pending: Light whose radicals have not reacted yet, [angle, r, z] likewise.
-        light: Of the coming turn, [angle, r, z].
-        turns: That it is to be shown for.
-        version: Of the light.
+        pending: Light whose radicals have not reacted yet, [angle, r, z], on the device or NumPy.
+        light: Light of the next turn, [angle, r, z].
+        turns: Number of turns for which it is to be shown.
+        version: Version of the light.
         seen: The last field; None before the first.
-        committed: Light of turns before the coming one that can be changed no more, one [angle, r, z] each: the first
-            of them is what the frames that come next saw.
+        committed: Light of earlier turns that can no longer be changed, one [angle, r, z] each; the next images belong
+            to the first of them.
         values: The last estimate of the parameters, (7,); None before the first.
         clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
         images: Digest of the last images.
@@ -167,25 +166,25 @@ class _Turn:
 
 @dataclass(frozen=True, eq=False)
 class LiveLoop:
-    """Decides after every turn. Work is counted in pairs of projections, so that a replay decides the same.
+    """Decides after every turn. Work is counted in projector evaluations, so that a replay decides the same.
 
-    Used-up inhibitor is a dose that the resin has already; light that has not reacted yet is not seen, and counts as
-    delivered.
+    Consumed inhibitor counts as dose that the resin already has. The camera does not see light that has not reacted
+    yet; it counts as delivered.
 
     Args:
-        tomograph: Fields from images.
-        estimator: Of `resin`'s response.
-        replanner: Of the rest.
-        resin: Kinetics as they are believed.
-        light: The plan, of one turn, [angle, r, z].
+        tomograph: Makes fields from images.
+        estimator: Estimates the response of `resin`.
+        replanner: Replans the remaining light.
+        resin: Assumed kinetics.
+        light: The plan's light of one turn, [angle, r, z].
         planned: Turns of the plan.
-        longest: Turns that the operator allows.
-        iterations: Pairs of projections to see with.
-        evaluations: Projector evaluations to replan with.
-        prior: Of the parameters.
+        longest: Greatest number of turns that the user allows.
+        iterations: Projector evaluations of the tomograph per decision.
+        evaluations: Projector evaluations of the replanner per decision.
+        prior: Prior of the parameters.
         ahead: Turns that begin before a decision can reach the projector.
-        every: Decide after every so many turns.
-        trust: Limits of what images may decide.
+        every: Number of turns from one decision to the next.
+        trust: Limits within which images decide.
     """
 
     tomograph: Tomograph
@@ -203,7 +202,7 @@ class LiveLoop:
     trust: Trust = field(default_factory=Trust)
 
     def start(self) -> LiveState:
-        """The state before the first turn. Tables that no turn should wait for are made here."""
+        """The state before the first turn. It also makes tables, so that no turn waits for them."""
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
         self.replanner.prepare(self.estimator.operator)
         light = self._planned
@@ -213,11 +212,11 @@ class LiveLoop:
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
         """Decide after one more turn of the first committed light, or of the state's light if none is committed.
 
-        Images or estimates that are refused cost the update of this turn only.
+        Images or estimates that are rejected only cost the update of this turn.
 
         Args:
             state: Before the turn.
-            frames: Of the turn, gray levels [angle, row, column].
+            frames: Frames of the turn, gray levels [angle, row, column].
 
         Returns:
             The state after it, and the decision.
@@ -262,7 +261,7 @@ class LiveLoop:
                      digest(frames))  # fmt: skip
 
     def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
-        """An array on the device of the plan; of arrays that nobody can write to, the last few are kept there."""
+        """An array on the device of the plan; the last few read-only arrays are kept there."""
         device, kept = self.estimator.operator.device, self._kept_fields
         if isinstance(values, DeviceArray) or values.flags.writeable:
             return here(device, values)
@@ -277,25 +276,25 @@ class LiveLoop:
         return {}
 
     def corrected(self, state: LiveState, lights: Mapping[int, np.ndarray], showed: Sequence[int]) -> LiveState:
-        """The state where other versions were shown than decided, as when one came too late.
+        """The state if the versions shown differ from those decided, for example because one came too late.
 
         Args:
-            state: Before a turn.
-            lights: Of the versions so far, [angle, r, z].
+            state: The state before a turn.
+            lights: Light of the versions so far, [angle, r, z].
             showed: Versions of the turn and of those committed after it.
 
         Returns:
-            The state by what was shown.
+            The state for the versions shown.
         """
         *committed, light = (lights[version] for version in showed)
         return replace(state, committed=tuple(committed), light=light)
 
     def replay(self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None) -> Iterator[Decision]:
-        """The decisions for recorded images, bit by bit those of the print.
+        """The decisions for recorded images, bit for bit those of the print.
 
         Args:
             turns: Frames of each turn, [angle, row, column], in order.
-            showed: Of each turn, the versions that `corrected` takes; None where all were shown as decided.
+            showed: Versions of each turn, as for `corrected`; None if all were shown as decided.
 
         Yields:
             The decision after each.

@@ -29,16 +29,16 @@ GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
 
 @dataclass(frozen=True)
 class CuringResin:
-    """Resin whose inhibitor has to be used up before it cures, and that goes on curing in the dark.
+    """Resin whose inhibitor must be consumed before it cures, and that continues to cure in the dark.
 
     dose rate E: inhibitor −E until it is gone, from then on radicals R' = E − R/dark, and conversion
     M' = rate·(1 − M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
 
     Args:
-        induction: Dose that uses up the inhibitor of fresh resin, in units of the part's.
-        rate: Of curing, per dose.
-        solid: Dose from which fresh resin is solid, in units of the part's.
-        dark: Life of radicals [turns].
+        induction: Dose that consumes the inhibitor of fresh resin, in units of the part's.
+        rate: Rate of curing, per dose.
+        solid: Least dose that makes fresh resin solid, in units of the part's.
+        dark: Lifetime of radicals [turns].
 
     Raises:
         BadInput: A value is out of its range, or the resin is solid before it cures.
@@ -56,10 +56,10 @@ class CuringResin:
                            "expected induction to end before")  # fmt: skip
 
     def conversion(self, dose: Any) -> np.ndarray:
-        """Conversion in the end.
+        """Final conversion.
 
         Args:
-            dose: In units of the part's, (...,).
+            dose: Dose in units of the part's, (...,).
 
         Returns:
             Conversion, (...,).
@@ -82,7 +82,7 @@ class CuringResin:
 
         Args:
             state: Inhibitor [dose], radicals [dose] and conversion of voxels, (3, ...).
-            dose: Of the turn, spread evenly over it, (voxels,) or [x, y, z].
+            dose: Dose of the turn, spread evenly over it, (voxels,) or [x, y, z].
 
         Returns:
             The state after the turn, (3, ...).
@@ -113,12 +113,12 @@ class Truth:
     """Differences of a print from its plan.
 
     Args:
-        inhibitor: Over that of fresh resin, dimensionless.
-        lamp: Power over planned, dimensionless.
-        drift: Change of the lamp's power in a turn, relative to planned.
-        absorption: Of the resin more than planned, share of it.
-        across: The axis off the middle of the light [pixels].
-        along_z: What the gain rises by from the middle to the top, share of it.
+        inhibitor: Inhibitor relative to fresh resin, dimensionless.
+        lamp: Power relative to the plan, dimensionless.
+        drift: Change of the lamp's power per turn, relative to the plan.
+        absorption: Excess absorption of the resin, relative to the plan.
+        across: Distance of the axis from the middle of the light [pixels].
+        along_z: Relative rise of the gain from the middle to the top.
     """
 
     inhibitor: float = 1.0
@@ -136,12 +136,12 @@ class VirtualPrinter:
     wide again, shifted by a quarter of one. The camera's images are made from the resin's own voxels.
 
     Args:
-        operator: The plan's.
-        camera: That the print is watched with, on the plan's grid.
+        operator: The operator of the plan.
+        camera: The monitoring camera, on the plan's grid.
         resin: True kinetics.
         turbidity: True turbidity.
-        truth: What differs from the plan.
-        seed: Of the camera's noise.
+        truth: Differences from the plan.
+        seed: Seed of the camera's noise.
     """
 
     resin: CuringResin
@@ -184,7 +184,7 @@ class VirtualPrinter:
         """Dose of a turn at full lamp power.
 
         Args:
-            light: Of the turn, [angle, r, z].
+            light: Light of the turn, [angle, r, z].
 
         Returns:
             Dose in units of the plan's, [x, y, z] of the resin's grid.
@@ -196,7 +196,7 @@ class VirtualPrinter:
         """Expose the resin for one turn.
 
         Args:
-            dose: From `dose`, [x, y, z].
+            dose: The result of `dose`, [x, y, z].
         """
         power = max(self.truth.lamp + self.truth.drift * self.turns, 0.0)
         self.state = self.resin.expose(self.state, np.maximum(power * dose, 0.0))

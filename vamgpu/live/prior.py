@@ -26,11 +26,11 @@ MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0, np.inf])
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Prior of the parameters before a turn is seen: a normal distribution.
+    """Prior of the parameters before the first images: a normal distribution.
 
     Args:
-        mean: Of each of `NAMES`, (7,).
-        covariance: Of each with each, (7, 7).
+        mean: Mean of each of `NAMES`, (7,).
+        covariance: Covariance matrix, (7, 7).
 
     Raises:
         BadInput: A number is not finite, or the covariance is not positive definite.
@@ -53,10 +53,10 @@ class Prior:
 
     @classmethod
     def of(cls, history: ResinHistory | None = None, deviations: Mapping[str, float] | None = None) -> Prior:
-        """The prior for a vial with a history: resin with less oxygen needs as much less light.
+        """The prior for a vial with a history: resin with less oxygen needs less light in proportion.
 
         Args:
-            history: Of the vial; None for fresh resin.
+            history: History of the vial; None for fresh resin.
             deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; those left out are the
                 usual ones.
 

@@ -39,29 +39,30 @@ class LiveSetup:
 
     Args:
         shape: Voxels of the grid.
-        pitch: Of voxels [mm].
+        pitch: Pitch of the voxels [mm].
         pixels: Columns and rows of beam and camera.
         pixel: Their pitch [mm].
         angles: Images of a turn.
-        vial: As the printing light sees it.
-        red: As the camera's light sees it; absorbs nothing.
+        vial: The vial for the printing light.
+        red: The vial for the camera's light; absorbs nothing.
         open_field: Gray level through the vial before the print.
-        noise: Of the camera.
-        resin: As it is believed.
-        turbidity: As it is believed.
-        most: Greatest light of a pixel, over the brightest of the plan.
+        noise: Noise of the camera.
+        resin: Assumed kinetics.
+        turbidity: Assumed turbidity.
+        most: Greatest light of a pixel, relative to the brightest of the plan.
         planned: Turns of the plan.
-        longest: Turns that the operator allows.
-        iterations: Pairs of projections to see with.
-        evaluations: Projector evaluations to replan with.
-        device: That the decisions were made on; others round otherwise.
+        longest: Greatest number of turns that the user allows.
+        iterations: Projector evaluations of the tomograph per decision.
+        evaluations: Projector evaluations of the replanner per decision.
+        device: Device of the decisions; other devices round differently.
         ahead: Turns that begin before a decision can reach the projector.
-        every: Decide after every so many turns.
+        every: Number of turns from one decision to the next.
         fill: Share of a pixel of the beam that is lit.
         spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
-        dose: Of one unit of planned light, in units of the resin's dose.
-        lit_share: Share of each step during which its image is lit while the vial turns; pictures are of its angle.
-        rings: Whether to see and to plan on rings, see `vamgpu.RingProjection`; None where they are faster.
+        dose: Dose of one unit of planned light, in units of the resin's dose.
+        lit_share: Share of each step during which its image is lit while the vial turns; camera images are of its
+            angle.
+        rings: Whether to reconstruct and plan on rings, see `vamgpu.RingProjection`; None if they are faster.
     """
 
     shape: tuple[int, int, int]
@@ -93,8 +94,8 @@ class LiveSetup:
         """Rays through a vial, on the device of this setup.
 
         Args:
-            vial: As one of the two lights sees it.
-            beam: Whose rays; None takes that of the printing light.
+            vial: The vial for one of the two lights.
+            beam: The beam; None for that of the printing light.
 
         Returns:
             The operator.
@@ -115,7 +116,7 @@ class LiveSetup:
 
         Args:
             part: Fractions, [x, y, z].
-            light: Of each turn of the plan, [angle, r, z].
+            light: Light of each turn of the plan, [angle, r, z].
 
         Returns:
             The loop, before its first turn.
@@ -157,7 +158,7 @@ class LiveRecord:
     """A folder with `live.json`, `live.jsonl`, and arrays: part, light of the plan, frames of every turn.
 
     Args:
-        folder: Of the run.
+        folder: Folder of the run.
     """
 
     folder: Path
@@ -169,18 +170,18 @@ class LiveRecord:
         """Start a record.
 
         Args:
-            setup: Of the loop.
+            setup: Setup of the loop.
             part: Fractions, [x, y, z].
-            light: Of each turn of the plan, [angle, r, z].
+            light: Light of each turn of the plan, [angle, r, z].
 
         Returns:
             The loop that the record is of.
 
         Raises:
-            StorageError: The folder holds a live print already, or cannot be written.
+            StorageError: The folder already holds a live print, or cannot be written.
         """
         if (self.folder / DECISIONS).exists():
-            raise StorageError(f"{str(self.folder)!r} holds a live print already; take another folder")
+            raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / SETUP).write_text(json.dumps(asdict(setup), indent=1))
@@ -192,11 +193,11 @@ class LiveRecord:
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
-        """Add a turn: its frames first, so that no decision stands without them.
+        """Add a turn: its frames first, so that every decision has its frames.
 
         Args:
             frames: Gray levels, [angle, row, column].
-            decision: That followed from them.
+            decision: The decision from them.
             facts: More to keep beside it, such as ``showed``, see `LiveLoop.corrected`, and seconds that it took.
 
         Raises:
@@ -210,12 +211,12 @@ class LiveRecord:
             raise explained("write", self.folder, error) from error
 
     def note(self, turn: int, stages: Mapping[str, float] | None = None, **facts: Any) -> None:
-        """Add what is known of a decision only later, as how long its upload took.
+        """Add facts about a decision that are known later, such as the time of its upload.
 
         Args:
-            turn: Of the decision.
-            stages: Wall times [s] by name, beside those that it has.
-            facts: Take the place of those of `add`.
+            turn: Turn of the decision.
+            stages: Further wall times [s] by name.
+            facts: Facts that replace those of `add`.
 
         Raises:
             StorageError: The folder cannot be written.
@@ -228,7 +229,7 @@ class LiveRecord:
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """Recorded, in order, each with what was noted later."""
+        """Recorded decisions in order, each with later notes."""
         lines, told = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
         try:
             for each in map(parse_json, lines):
@@ -252,7 +253,7 @@ class LiveRecord:
         """
         told = self.decisions
         if not told:
-            raise StorageError(f"{str(self.folder)!r} holds no decision; take the record of a print that was watched")
+            raise StorageError(f"{str(self.folder)!r} holds no decision; use the record of a print that was watched")
         return told
 
     def setup(self) -> LiveSetup:
@@ -276,11 +277,10 @@ class LiveRecord:
         return np.array(map_npy(self.folder / "live-part.npy"))
 
     def replay(self) -> Iterator[tuple[dict[str, Any], list[str]]]:
-        """Decide every turn anew from what was seen.
+        """Repeat the decision of every turn from the recorded images.
 
         Yields:
-            The decision as recorded, and the names of what is decided otherwise now: none where it is the same bit by
-            bit.
+            The recorded decision, and the names of values that differ now: none if it is the same bit for bit.
 
         Raises:
             BadInput: The setup cannot be read.
@@ -294,7 +294,7 @@ class LiveRecord:
         """Go through the print once more.
 
         Yields:
-            Of each turn the decision as recorded, the frames, [angle, row, column], and the decision made anew.
+            The recorded decision of each turn, its frames, [angle, row, column], and the repeated decision.
 
         Raises:
             BadInput: The setup cannot be read.

@@ -48,11 +48,11 @@ WORTH = 0.02
 
 
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
-    """Values on the device. Raises `BadInput` for what is no number, `ShapeMismatch`."""
+    """Finite values on the device. Raises `BadInput`, `ShapeMismatch`."""
     require(space, values, name)
     known = isfinite(total(values)) if isinstance(values, DeviceArray) else np.isfinite(values).all()
     if not known:
-        raise BadInput(f"{name} holds NaN or infinity; expected finite numbers: go on by the last plan")
+        raise BadInput(f"{name} holds NaN or infinity; expected finite numbers: continue with the last plan")
     return device.field(values)
 
 
@@ -69,7 +69,7 @@ class Forecast:
     """Forecast of a print.
 
     Args:
-        turns: From now on.
+        turns: Number of remaining turns.
         window: Strict process window, dimensionless.
         iou: Overlap with the part at the threshold of the resin, dimensionless, 0..1.
     """
@@ -84,10 +84,11 @@ class Replanned:
     """Light of each of the turns that remain.
 
     Args:
-        light: Of one turn, [angle, r, z] on the device, 0 to the projector's bound; dark where the print should stop.
-        kept: What the plan that was running would make of the print.
-        expected: What this light makes of it; its ``turns`` is the moment to stop.
-        evaluations: Projector evaluations spent; a replay that may spend as many finds the same light.
+        light: Light of one turn, [angle, r, z] on the device, 0 to the projector's bound; dark if the print should
+            stop.
+        kept: Forecast of the print with the running plan.
+        expected: Forecast with this light; its ``turns`` is the moment to stop.
+        evaluations: Projector evaluations spent; a replay with the same number finds the same light.
     """
 
     light: DeviceArray
@@ -121,7 +122,7 @@ class Replanner:
     """Optimizes the light of the turns that remain; all of them show the same.
 
     The delivered dose enters the loss as an offset. Voxels that are surely over their limit (void that is already
-    printed, part above ``most``) cannot be mended and get no weight. How much of the light is given, and whether any
+    printed, part above ``most``) cannot be corrected and get no weight. How much of the light is given, and whether any
     is, is decided by where the surface of the print will lie.
 
     Args:
@@ -130,8 +131,8 @@ class Replanner:
         outside: Greatest dose outside the part, in units of the part's dose.
         inside: Least dose in the part.
         greatest: Greatest dose in the part.
-        threshold: Dose from which resin is solid, to which the three before are scaled, so that it is in the middle
-            between outside and inside; None for where it is.
+        threshold: Least dose that makes resin solid; the three doses above are scaled so that it is midway between
+            outside and inside. None leaves them as they are.
 
     Raises:
         BadInput: A value is out of its range.
@@ -158,25 +159,25 @@ class Replanner:
         self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0, wanted: Any = None,
     ) -> Replanned:  # fmt: skip
-        """Light for the rest of a print, the best found with what may be spent.
+        """The best light for the rest of a print within the given evaluations.
 
         Args:
-            operator: As estimated, e.g. `Estimator.calibrated`.
-            delivered: Dose so far, [x, y, z], NumPy or on the device, as the next.
-            plan: Light of each turn that would be shown otherwise, [angle, r, z].
-            planned: Turns it would be shown for.
-            turns: Numbers of further turns that are allowed, 0 for a stop now.
-            evaluations: Projector evaluations that may be spent; seconds times those a machine makes in one.
+            operator: The estimated operator, e.g. `Estimator.calibrated`.
+            delivered: Dose so far, [x, y, z], NumPy or on the device, like ``plan``.
+            plan: Planned light of each remaining turn, [angle, r, z].
+            planned: Planned number of remaining turns.
+            turns: Allowed numbers of further turns, 0 for a stop now.
+            evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
             wanted: Dose that the whole print was meant to have, [x, y, z]; the plan's light is first corrected by
                 what is left of it. None to begin with the plan as it is.
 
         Returns:
-            The light found, or the plan's own where its surface lies no farther off.
+            The light found, or the plan's own if its surface is not farther off.
 
         Raises:
-            BadInput: A dose or light that is no number, or no turns.
-            ShapeMismatch: An array of another geometry.
+            BadInput: A dose or light is not a number, or there are no turns.
+            ShapeMismatch: An array has another geometry.
         """
         counts = allowed_turns(turns, planned)
         target, border = self._part(operator)
@@ -221,7 +222,7 @@ class Replanner:
     def _chosen(
         self, task: _Task, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
     ) -> Replanned:
-        """The dark, the plan's light or the light found, by where the surface of the print will lie."""
+        """Darkness, the plan's light or the light found, by the expected surface of the print."""
         counts, spent = task.counts, task.state.evaluations
         possible = planned in counts and extent(task.light)[1] <= self.most * (1.0 + ROUNDING)
         going_on = min(inf if found is None else found.off, kept.off if possible else inf)
@@ -286,7 +287,7 @@ class Replanner:
         return state.memory.get("best", state.memory["light"])
 
     def _loss(self, delivered: DeviceArray, target: DeviceArray, deviation: Any) -> Band:
-        """The loss of what can still be mended."""
+        """The loss of voxels that can still be corrected."""
         device, weight = delivered.device, delivered.device.empty(delivered.shape)
         even = not isinstance(deviation, DeviceArray) and np.ndim(deviation) == 0
         margin = 0.0 if isinstance(deviation, DeviceArray) or not even else SURE * float(deviation)

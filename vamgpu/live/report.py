@@ -1,4 +1,4 @@
-"""The report of a print that was watched: what was found, what was decided, and what came of it."""
+"""The report of a live print: estimates, decisions and result."""
 
 from __future__ import annotations
 
@@ -33,41 +33,41 @@ def page(
     doubted = next((each for each in told if each.get("doubt")), None)
     good = bool(found) and last["iou"] > 0.99 and not doubted
     headline = [] if overlaps is None else [
-        Figure(f"{overlaps[1]:.4f}", "overlap watched", "of the print with the part, by rays of its own"),
-        Figure(f"{overlaps[0]:.4f}", "overlap unwatched", "of the same resin lit as planned"),
+        Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
+        Figure(f"{overlaps[0]:.4f}", "overlap, not live", "of the same resin, lit as planned"),
     ]  # fmt: skip
     expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
-        Figure(str(len(told)), "decisions", "one after each turn that was looked at"),
-        Figure(str(swaps), "swaps", "times that the light of the turns to come was replaced"),
+        Figure(str(len(told)), "decisions", "one after each turn with images"),
+        Figure(str(swaps), "swaps", "replacements of the remaining light"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
-        Figure(expected, "overlap expected", "with the part, by the last estimate"),
+        Figure(expected, "overlap expected", "with the part, from the last estimate"),
     ]
     cards = [
-        Card("What was decided",
-             Table(_rows(told), ("after turn", "", "light", "shown from turn", "to go", "why")), wide=True),
-        Card("How long it took", Table(_times(told, setup), ("", "median [s]", "most [s]", "decisions")),
-             note="Sensing is the share of the turn whose images are looked at."),
+        Card("Decisions",
+             Table(_rows(told), ("after turn", "", "light", "shown from turn", "turns left", "why")), wide=True),
+        Card("Time per decision", Table(_times(told, setup), ("", "median [s]", "most [s]", "decisions")),
+             note="Sensing is the share of the turn whose images are used."),
     ]  # fmt: skip
     if found:
         cards.insert(
             0,
             Card(
-                "What was found",
+                "Estimates",
                 Chart(_curves(found, _true(truth, setup))),
                 wide=True,
-                note="Bars are standard deviations; a dashed line is the truth of an emulated print as it began.",
+                note="Bars are standard deviations; a dashed line is the true value at the start of an emulated print.",
             ),
         )
     if conversion is not None:
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
-        cards.insert(1, Card("Conversion in the end", Images([picture], "panels", 1), note="The part is outlined."))
-    verdict = (f"Watched over {len(told)} turns, its light replaced {swaps} times." if found
-               else "Nothing was seen that light could be decided by; it went as planned.")  # fmt: skip
+        cards.insert(1, Card("Final conversion", Images([picture], "panels", 1), note="The part is outlined."))
+    verdict = (f"The camera measured {len(told)} turns; the remaining light was replaced {swaps} times." if found
+               else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
     if doubted:
         verdict = (
-            f"From turn {doubted['turn']} on images did not decide, and the planned light went on: {doubted['doubt']}."
+            f"From turn {doubted['turn']}, images did not decide; the planned light continued: {doubted['doubt']}."
         )
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 

@@ -11,7 +11,7 @@ are as near to the truth as by rays, as the dose so far is known and few evaluat
 
 
 def on_rings(A: Projection, asked: bool | None) -> RingProjection | None:
-    """The same light on rings; None where rays are used. asked: None chooses the faster; `BadInput` if impossible."""
+    """The same light on rings; None if rays are used. asked: None chooses the faster; `BadInput` if impossible."""
     if asked is None:
         asked = prefers_rings(A)
     return RingProjection.of(A, WIDTH) if asked else None

@@ -35,20 +35,20 @@ from vamgpu.operators.space import require
 
 ITERATIONS = 30
 NEIGHBORS = 12.0
-"""Greatest sum of a row of the second differences along three axes, sizes counted."""
+"""Greatest absolute row sum of the second differences along three axes."""
 TINY = 1e-30
-"""Less than any weight, and any bound of a step."""
+"""Less than any weight and any bound of a step."""
 PATCH = 2.0
 """Standard deviation [voxels] of the patches in which a deviation is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticalDepths:
-    """Optical depths of a turn's images, as a camera's projection has them, on its device."""
+    """Optical depths of a turn's images, in the geometry of a camera's projection, on its device."""
 
-    depth: DeviceArray  # times the share of its column's light that gets in, [angle, r, z]
-    weight: DeviceArray  # 1/variance, [angle, r, z]; 0: the pixel says nothing
-    pixels: int  # number of those that say anything
+    depth: DeviceArray  # times the share of its column's light that enters, [angle, r, z]
+    weight: DeviceArray  # 1/variance, [angle, r, z]; 0 for invalid pixels
+    pixels: int  # number of valid pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,12 @@ class Reconstruction:
 
     Attributes:
         field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
-        cured: Conversion of the resin, [x, y, z] likewise.
-        iterations: Pairs of projections that were made; a replay asks for as many.
-        misfit: Mean square of what images and field differ by over the variance of the noise, dimensionless: near 1
-            where camera and noise are as described.
+        cured: Conversion of the resin, [x, y, z] on the tomograph's device.
+        iterations: Projector evaluations that were made; a replay uses the same number.
+        misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
+            camera and noise are as described.
         contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
-        seconds: How long it took [s].
+        seconds: Wall time [s].
     """
 
     field: DeviceArray
@@ -98,11 +98,11 @@ class Tomograph:
     Only resin within the vial's printable radius is seen; farther out it counts as not cured.
 
     Args:
-        camera: That took the images.
-        turbidity: Of the resin.
+        camera: The camera of the images.
+        turbidity: Turbidity of the resin.
         contrast: δ, how much neighboring voxels differ, over the extinction of fully cured resin. The more, the
             sharper and the noisier.
-        rings: Whether to see on rings, see `RingProjection`; None where they are faster.
+        rings: Whether to reconstruct on rings, see `RingProjection`; None if they are faster.
 
     Raises:
         BadInput: The contrast is not above 0.
@@ -136,7 +136,7 @@ class Tomograph:
             Depths and weights, on the device.
 
         Raises:
-            BadInput: No pixel is good.
+            BadInput: No pixel is valid.
             ShapeMismatch: The images are of another geometry.
         """
         depth, weight = self.camera.measured(images)
@@ -153,15 +153,15 @@ class Tomograph:
 
         Args:
             images: Gray levels [angle, row, column]; frames that were lost are NaN. Or what `measure` made of them.
-            last: What the turn before said, to go on from.
-            iterations: Pairs of projections at most.
-            deadline: Time that it may take [s]; the best field so far is returned, after one iteration at least.
+            last: Result of the turn before, as a start.
+            iterations: Most projector evaluations.
+            deadline: Time limit [s]; the best field so far is returned, after at least one iteration.
 
         Returns:
             The field.
 
         Raises:
-            BadInput: No pixel is good, or fewer than one iteration is asked for.
+            BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: Images or field are of another geometry.
         """
         begun = perf_counter()
@@ -194,13 +194,13 @@ class Tomograph:
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.
             iterations: As for `see`; it takes as long.
-            seed: Of the noise.
+            seed: Seed of the noise.
 
         Returns:
             [1/mm], [x, y, z]; times `Turbidity.slope_at` that of the conversion.
 
         Raises:
-            BadInput: No pixel is good, or fewer than one iteration is asked for.
+            BadInput: No pixel is valid, or iterations is below 1.
             ShapeMismatch: The images are of another geometry.
         """
         return np.sqrt(self.variance(images, iterations=iterations, seed=seed).numpy())

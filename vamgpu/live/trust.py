@@ -1,4 +1,4 @@
-"""Whether a turn's images agree with the light that was shown, and how much resin the planned light has cured."""
+"""Whether a turn's images agree with the light shown, and how much resin the planned light has cured."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vamgpu.live.tomography import Reconstruction
 
 CLEAREST = 0.05
-"""Quantile of the pixels behind which nothing has cured."""
+"""Quantile of the pixels that are taken as without cured resin."""
 FAINT = 0.05
 """Share of the greatest darkening up to which pixels are not compared."""
 
@@ -22,13 +22,13 @@ FAINT = 0.05
 class Trust:
     """Limits beyond which images do not decide the light.
 
-    Simulated prints of 16 turns stay below 8, 0.04 and 0.24 with lamps of 60 to 125 %, turbidity off by a fifth, the
-    gel point by a tenth, and 60 % of the frames lost. A camera that is mirrored, upside down, rolled by 4°, late by
-    three angles, off by a tenth of its gain, or behind a bubble exceeds one of them.
+    Simulated prints of 16 turns stay below 8, 0.04 and 0.24 with lamps of 60 to 125 %, errors of a fifth in turbidity
+    and of a tenth in the gel point, and 60 % of the frames lost. A camera that is mirrored, upside down, rolled by 4°,
+    late by three angles, wrong by a tenth in its gain, or behind a bubble exceeds one of them.
 
     Args:
-        misfit: Greatest `Reconstruction.misfit`, where images also leave more than a share of themselves unexplained.
-        images: That share of the mean square of optical depths, dimensionless.
+        misfit: Greatest `Reconstruction.misfit`, if more than the share ``images`` is also unexplained.
+        images: Unexplained share of the mean square of optical depths, dimensionless.
         conversion: Greatest `Estimate.unexplained`.
     """
 
@@ -37,14 +37,14 @@ class Trust:
     conversion: float = 0.35
 
     def of_images(self, seen: Reconstruction) -> str:
-        """Why not to trust a reconstruction; empty where there is no reason."""
+        """Why not to trust a reconstruction; empty without a reason."""
         if seen.misfit <= max(self.misfit, self.images * seen.contrast):
             return ""
         return (f"images differ from any field by {seen.misfit:.3g} times their noise (expected at most "
                 f"{self.misfit:g}): check open field, noise, orientation and place of the camera")  # fmt: skip
 
     def of_estimate(self, found: Estimate) -> str:
-        """Why not to trust an estimate; empty where there is no reason."""
+        """Why not to trust an estimate; empty without a reason."""
         if found.unexplained <= self.conversion:
             return ""
         return (f"the light shown does not explain {100.0 * found.unexplained:.0f} % of the conversion seen (at most "
@@ -52,7 +52,7 @@ class Trust:
 
 
 def digest(frames: np.ndarray) -> str:
-    """Digest of a turn's images; empty where none arrived."""
+    """Digest of a turn's images; empty if none arrived."""
     if not np.isfinite(frames).any():
         return ""
     return hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest()

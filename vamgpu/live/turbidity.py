@@ -80,7 +80,7 @@ class Turbidity:
         """Conversion of an extinction [1/mm], (...,); beyond the samples that of the nearest.
 
         Args:
-            extinction: Above the resin's before the print [1/mm], (...,).
+            extinction: Extinction above the resin's before the print [1/mm], (...,).
 
         Returns:
             Shares in 0..1, (...,).
@@ -88,10 +88,10 @@ class Turbidity:
         return np.interp(extinction, self.extinction, self.conversion)
 
     def slope_at(self, extinction: np.ndarray) -> np.ndarray:
-        """Conversion per extinction [mm], (...,): what turns a deviation of one into one of the other.
+        """Conversion per extinction [mm], (...,): the ratio of their deviations.
 
         Args:
-            extinction: Above the resin's before the print [1/mm], (...,).
+            extinction: Extinction above the resin's before the print [1/mm], (...,).
 
         Returns:
             Slope [mm], (...,).

@@ -26,22 +26,22 @@ from vamgpu.webs.store import RECORD, SegmentRecord, WebFolder
 from vamgpu.webs.stream import Progress, Stream
 
 PlanFolders = WebFolder | Sequence[WebFolder]
-"""A web as it is shown: a folder, or several, of which each goes on where the one before it ends."""
+"""A web as shown: a folder, or several, each of which continues the one before."""
 
 
 class WebReplanner:
     """Optimizes the segments of a web beyond the commit horizon, for another lamp or another resin.
 
-    Frames before the horizon stay as they are. What they deliver to columns that later frames light too is an offset of
-    the loss. Later frames begin as planned, and no pixel is brighter than the lamp then makes it.
+    Frames before the horizon do not change. Their dose in columns that later frames also light is an offset of the
+    loss. Later frames start as planned, and no pixel is brighter than the lamp then allows.
 
     Args:
-        stream: That planned the web; its tiles are read from the very beginning.
-        drifts: How the light turned out to be, one or more; the last one goes on.
-        iterations: Of each segment; the stream's by default.
+        stream: The stream that planned the web; its tiles are read from the start.
+        drifts: One or more measured changes of the light; the last one continues to apply.
+        iterations: Iterations of each segment; the stream's by default.
 
     Raises:
-        BadInput: A value is out of its range, or the film cannot absorb otherwise.
+        BadInput: A value is out of its range, or the absorption of this film cannot be changed.
     """
 
     stream: Stream
@@ -56,14 +56,14 @@ class WebReplanner:
 
     @property
     def gain(self) -> float:
-        """Light over planned, from now on."""
+        """Light relative to the plan, from now on."""
         return self.drifts[-1].gain
 
     def open_window(self, horizon: int) -> tuple[int, int]:
-        """Columns that both committed frames and later ones light.
+        """Columns that both committed and later frames light.
 
         Args:
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
 
         Returns:
             The first, and the one after the last.
@@ -81,8 +81,8 @@ class WebReplanner:
         """Dose that the committed frames deliver to the open window.
 
         Args:
-            plan: The web as planned; several folders where each goes on where the one before it ends.
-            horizon: Segments that are committed.
+            plan: The web as planned; several folders if each continues the one before.
+            horizon: Number of committed segments.
 
         Returns:
             Dose [l, rho, z] of the columns `open_window`.
@@ -122,18 +122,18 @@ class WebReplanner:
         Args:
             plan: The web as planned, or as replanned before; several folders where each goes on where the one before
                 it ends.
-            horizon: Segments that are committed.
+            horizon: Number of committed segments.
             delivered: Dose of the open window [l, rho, z]; that of the committed frames by default.
             first: Number of the first segment to solve; the horizon by default.
 
         Yields:
-            The segments in order, each as soon as it is solved; ``scale`` is what a full-on pixel now gives.
+            The segments in order, each as soon as it is solved; ``scale`` is the current light of a full-on pixel.
 
         Raises:
-            BadInput: The plan has not so many segments, or a dose is no number.
-            ShapeMismatch: The dose is of another window.
+            BadInput: The plan has fewer segments, or a dose is not a number.
+            ShapeMismatch: The dose is that of another window.
             StorageError: The folder is damaged.
-            TileError: The tiles are others than the plan was made from.
+            TileError: The tiles differ from those of the plan.
         """
         stream, layout, first = self.stream, self.stream.layout, horizon if first is None else first
         folders, known = _folders(plan), _segments(plan, horizon)
@@ -169,23 +169,23 @@ class WebReplanner:
     ) -> WebFolder:  # fmt: skip
         """Write a web of the committed frames, byte for byte, and of those found for the rest.
 
-        A killed run leaves a folder of whole segments; the same call goes on with it, to the same bytes.
+        A killed run leaves a folder of whole segments; the same call continues it, to the same bytes.
 
         Args:
-            path: Of the folder, another one than the plan's.
+            path: Path of the folder, not the plan's.
             plan: As for `segments`.
-            horizon: Segments that are committed.
-            count: Of segments beyond the horizon; None for all. A later call goes on with further ones.
+            horizon: Number of committed segments.
+            count: Number of segments beyond the horizon; None for all. A later call continues with further ones.
             delivered: As for `segments`, [l, rho, z].
-            overwrite: Begin anew.
+            overwrite: Replace an existing folder.
             progress: Called after each segment.
 
         Returns:
-            The folder; `vamgpu.webs.proof.prove_web` knows by it which light its frames were made for.
+            The folder, which tells `vamgpu.webs.proof.prove_web` the light of its frames.
 
         Raises:
             BadInput, ShapeMismatch, TileError: As for `segments`.
-            StorageError: The folder is that of another web, or cannot be written.
+            StorageError: The folder belongs to another web, or cannot be written.
         """
         place = Path(path)
         folders, known = _folders(plan), _segments(plan, horizon)

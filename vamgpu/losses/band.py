@@ -17,7 +17,7 @@ from vamgpu.losses.response import Linear, Response
 MOST = 1e12
 """Weights and slacks are below this: sums of what they multiply must fit float32, as devices keep it."""
 GREATEST_POWER = 64.0
-"""Of an excess: that of a dose three times the part's to a higher power leaves float32."""
+"""Greatest power of an excess: that of a dose three times the part's to a higher power exceeds float32."""
 
 
 def check_thresholds(outside: float, inside: float, most: float) -> None:
@@ -34,14 +34,14 @@ class Band(KernelLoss):
     Pairs are for outside and inside the part; between for a fractional voxel unless ``binary``.
 
     Args:
-        center: c, in units of M, dimensionless.
+        center: The middle c of the band, in units of M, dimensionless.
         slack: Half width of the band about c, dimensionless.
         gain: A factor of the loss.
-        power: Of the excess, an exponent.
+        power: Exponent of the excess.
         ridge: A factor of M².
-        binary: A voxel is in the part from a fraction of one half on, never between.
-        response: M(d), of a dose.
-        weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.
+        binary: A voxel is in the part if at least half of it is filled; no voxel is partly in the part.
+        response: M(d), the response to a dose.
+        weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
     Raises:
         BadInput: A value is out of its range.
@@ -75,7 +75,7 @@ class Band(KernelLoss):
             outside: Greatest dose outside, relative to the part's.
             inside: Least dose inside, relative to the part's.
             most: Greatest dose inside, relative to the part's.
-            power: Of the excess, an exponent.
+            power: Exponent of the excess.
 
         Returns:
             The loss.

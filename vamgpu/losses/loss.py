@@ -21,24 +21,24 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import EVERYWHERE, folded, parts_for
 
 DOSES = 257
-"""At which curvatures are looked for."""
-SINGLE = "a weight of single voxels has no place on an endless web; use penalty or gain for inside and outside"
+"""Number of doses in the search for the curvature."""
+SINGLE = "an endless web cannot have weights of single voxels; use penalty or gain for inside and outside"
 
 
 class Loss(ABC):
-    """A number for a dose, the less the better, and which way it changes.
+    """A scalar function of the dose to minimize, with its gradient.
 
-    Losses add (``a + b``), take factors ≥ 0 (``0.1 * a``) and powers (``a ** 0.5``). One of your own is a `VoxelLoss`,
-    written in NumPy, or a subclass with `value_and_gradient`.
+    Losses can be added (``a + b``), multiplied by factors ≥ 0 (``0.1 * a``) and raised to powers (``a ** 0.5``). Your
+    own loss is a `VoxelLoss`, written in NumPy, or a subclass with `value_and_gradient`.
     """
 
     @property
     def coupling(self) -> str:
-        """Why what a voxel asks for depends on other voxels.
+        """Why the derivative of a voxel depends on other voxels.
 
-        Empty for a sum over voxels of losses of their own dose and target, which can be lowered piece by piece.
+        Empty for a sum over voxels of losses of their own dose and target, which can be minimized piece by piece.
         """
-        return f"{type(self).__name__} does not say that it is a sum over voxels; define its coupling as empty if it is"
+        return f"{type(self).__name__} is not declared as a sum over voxels; define its coupling as empty if it is one"
 
     @abstractmethod
     def value_and_gradient(
@@ -47,9 +47,9 @@ class Loss(ABC):
         """The loss of a dose, on its device.
 
         Args:
-            dose: Relative to the part's, [x, y, z]; stays as it is unless it is ``out``.
+            dose: Dose relative to the part's, [x, y, z]; unchanged unless it is ``out``.
             target: Fractions [x, y, z].
-            out: Takes the derivative by dose, [x, y, z]; may be ``dose``.
+            out: Array for the derivative by dose, [x, y, z]; may be ``dose``.
             reach: Radius about the axis [voxels] beyond which voxels do not count: their derivative is 0.
 
         Returns:
@@ -64,9 +64,9 @@ class Loss(ABC):
             The curvature of the loss.
 
         Raises:
-            BadInput: The loss does not know it.
+            BadInput: The curvature is not defined.
         """
-        raise BadInput(f"{self!r} does not know its curvature, on which steps along a web depend; define curvature()")
+        raise BadInput(f"{self!r} has no curvature, which the steps along a web need; define curvature()")
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
         """The same loss with its weights of voxels on a device.
@@ -83,7 +83,7 @@ class Loss(ABC):
         """The same loss with every voxel's share multiplied by a weight.
 
         Args:
-            weight: Of every voxel ≥ 0, [x, y, z] on the dose's device.
+            weight: Weight of every voxel ≥ 0, [x, y, z] on the dose's device.
 
         Returns:
             The loss.
@@ -116,7 +116,7 @@ class KernelLoss(Loss):
         """Name the kernel that computes the loss.
 
         Args:
-            device: Where the loss is computed.
+            device: Device of the loss.
 
         Returns:
             The kernel, and its arguments besides dose, target, weight, reach and parts.

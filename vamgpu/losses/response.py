@@ -1,4 +1,4 @@
-"""What a resin makes of a dose: response models, sampled once and looked up on the device."""
+"""Response of a resin to a dose: models that are sampled once and looked up on the device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vamgpu.geometry import positive
 
 SAMPLES = 1024
 REACH = 3.0
-"""Curves are sampled from dose 0 to this; beyond, they go on straight."""
+"""Curves are sampled from dose 0 to this; beyond, they continue straight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Logistic(Response):
     """M(d) = 1 / (1 + exp(−steepness·(d − middle))).
 
     Args:
-        steepness: Relative to the part's dose, above 0.
+        steepness: Steepness relative to the part's dose, above 0.
         middle: Dose at which M is one half, relative to the part's.
     """
 
@@ -84,11 +84,11 @@ class GeneralizedLogistic(Response):
     """M(d) = low + (high − low) / (1 + exp(−steepness·(d − middle)))^(1/skew), Richards' curve.
 
     Args:
-        low: M in darkness, dimensionless.
-        high: M at any dose however great, dimensionless.
-        steepness: Relative to the part's dose, above 0.
-        middle: Dose relative to the part's.
-        skew: Above 0, dimensionless.
+        low: M without light, dimensionless.
+        high: M in the limit of high dose, dimensionless.
+        steepness: Steepness relative to the part's dose, above 0.
+        middle: Dose of the middle, relative to the part's.
+        skew: Skew, above 0, dimensionless.
 
     Raises:
         BadInput: A value is out of its range.
@@ -119,10 +119,10 @@ class GeneralizedLogistic(Response):
 
 @dataclass(frozen=True)
 class Interpolated(Response):
-    """A measured response: straight between (dose, value) pairs.
+    """A measured response: linear between (dose, value) pairs.
 
     Args:
-        doses: Relative to the part's dose, rising.
+        doses: Doses relative to the part's, rising.
         values: M at each dose, dimensionless.
 
     Raises:

@@ -24,18 +24,18 @@ Function = Callable[[np.ndarray], np.ndarray]
 class VoxelLoss(KernelLoss):
     """Σ w·((1 − f)·void(M) + f·part(M)) with M = response(dose) and the target's fraction f.
 
-    ``void`` and ``part`` are functions of NumPy arrays. Both are sampled at 1024 doses from 0 to 3 times the part's, go
-    on straight beyond, and run on every device: no kernel has to be written.
+    ``void`` and ``part`` are functions of NumPy arrays. Both are sampled at 1024 doses from 0 to 3 times the part's,
+    continue straight beyond, and run on every device: you need not write a kernel.
 
     Args:
         void: Loss of a voxel out of the part.
         part: Loss of a voxel in the part.
-        response: M(d), of a dose.
-        binary: A voxel is in the part from a fraction of one half on, never between.
-        weight: w of each voxel [x, y, z], NumPy or on the device; None for 1.
+        response: M(d), the response to a dose.
+        binary: A voxel is in the part if at least half of it is filled; no voxel is partly in the part.
+        weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
     Raises:
-        BadInput: For functions that do not give a finite number for every dose.
+        BadInput: A function does not return a finite number for every dose.
     """
 
     void: Function = field(compare=False)
@@ -84,12 +84,12 @@ class VoxelLoss(KernelLoss):
 def cross_entropy(response: Response) -> VoxelLoss:
     """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c the least of P(d) − d; its derivative by dose is M(d) − f.
 
-    For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f over s, less that of
-    darkness out of the part. It is convex where M rises, and never negative. For M(d) = d it is half the square error.
-    P is interpolated between its samples, so that M comes in steps: a logistic of steepness 10 to 0.4 %.
+    For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f divided by s, minus
+    that of darkness outside the part. It is convex where M rises, and never negative. For M(d) = d it is half the
+    square error. P is interpolated between its samples, so M has steps: for a logistic of steepness 10, of 0.4 %.
 
     Args:
-        response: M; beyond the doses it is sampled at it keeps its last value.
+        response: M; beyond the sampled doses it keeps its last value.
 
     Returns:
         The loss.

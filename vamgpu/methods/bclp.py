@@ -16,31 +16,31 @@ from vamgpu.methods.papers import BAND, ROLL_TO_ROLL
 
 @dataclass(frozen=True)
 class BCLP(ByDescent):
-    """Band constraint Lp norm minimization: a response M of the dose within a band of the target f, never farther.
+    """Band constraint Lp norm minimization: keeps a response M of the dose within a band around the target f.
 
     As published, with light g, dose d = Aᵀg and the voxels' weights w:
 
         minimize (Σ w·max(0, |M(d) − f| − ε)^p)^(q/p),    g ← max(0, g − η·∂/∂g)
 
     and in the roll-to-roll paper with λ·Σ M(d)² added, the L2 regularization (S1), and momentum. Printed there without
-    max(0, …), which would penalize voxels inside their band, and without the sum of the last term. With λ, and q other
-    than p, both sums are means over the voxels: of sums, λ would outweigh the norm the more, the finer the voxels.
+    max(0, …), which would penalize voxels inside their band, and without the sum of the last term. If λ > 0 and q ≠ p,
+    both sums are means over the voxels: with sums, λ would outweigh the norm more on finer voxels.
 
-    What differs here: the step η is not fixed. The first changes the light by ``share``, the next are longer by
-    ``growth``; a step that raises the loss is taken back, and the next is half as long and without momentum. With a
-    fixed growing step the loss of a web rose from 80 to 2352, and no warning came. Momentum looks ahead (Nesterov).
+    What differs here: the step η is not fixed. The first changes the light by ``share``, each next one is ``growth``
+    times as long; a step that raises the loss is taken back, and the next is half as long and without momentum. With a
+    step that only grew, the loss of a web rose from 80 to 2352 without a warning. Momentum is Nesterov's.
 
     Args:
         p: Exponent, ≥ 1.
         q: Exponent of the sum, ≥ 1; None makes q = p, so that distant parts of a print do not couple.
-        slack: ε outside and inside the part, dimensionless, as the response is.
+        slack: Half widths ε of the band outside and inside the part, dimensionless.
         penalty: Weight w of a voxel outside and inside the part.
-        ridge: λ, the weight of the regularization.
-        response: M(d), of a dose.
+        ridge: Weight λ of the regularization.
+        response: M(d), the response to a dose.
         share: Relative change of the light in the first step, > 0.
-        growth: Of the step from one to the next, ≥ 1.
+        growth: Factor from one step to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1).
-        weight: Further w for each voxel [x, y, z], NumPy or on the device; None for 1.
+        weight: Further weight of each voxel [x, y, z], NumPy or on the device; None for 1.
 
     Raises:
         BadInput: For values out of these ranges.
@@ -80,7 +80,7 @@ class BCLP(ByDescent):
 
         A learning rate has the unit of its light, which is not told: here the first step changes the light by a
         hundredth of itself and later ones are as long as its rate makes them, but for those that would raise the loss.
-        q = 1 couples a whole web, by one number: `optimize` finds it anew at each step of a `WebProjection`, `Stream`
+        q = 1 couples a whole web, by one number: `optimize` updates it at each step of a `WebProjection`, `Stream`
         once, from its first segment.
         """
         return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)
@@ -119,7 +119,7 @@ class BCLP(ByDescent):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty where they do not."""
+        """Why places far apart on a web depend on each other; empty if they do not."""
         if self.q in (None, self.p):
             return self.loss.coupling
         return f"q is {self.q} with p = {self.p}: that couples the whole web; expected q = p, or None"

@@ -1,4 +1,4 @@
-"""How wide a process window any light can have."""
+"""Upper bound on the process window of any patterns."""
 
 from __future__ import annotations
 
@@ -36,37 +36,37 @@ def bound(
     progress: bool | Progress | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Bound:
-    """Bound the strict process window of every light there is: ``bound(A, target).share(plan)``.
+    """Bound the strict process window of any patterns: ``bound(A, target).share(plan)``.
 
     The window's linear program is solved by PDHG (A. Chambolle, T. Pock, J. Math. Imaging Vis. 40 (2011) 120), whose
     multipliers make the bound. After 1500 evaluations it is within 1 % of the optimum on slices.
 
-    With tolerances it is the window at all corners. What no light exceeds on some slices it exceeds on none but these,
-    so that a bound of the few that are hardest is one of the whole print, sooner near and at a fraction of the cost.
+    With tolerances it bounds the window at all corners. A bound for some slices also holds for the whole print, so that
+    of the few hardest slices converges sooner and at a fraction of the cost.
 
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
-        evaluations: Projector evaluations of the run; six more make the bound.
-        tolerances: How far machine and resin may be off; evaluations of every corner count.
-        slices: First slice, and the one behind the last, of those that alone are asked for; prices are theirs. For a
-            `Projection` whose rows are as high as its voxels.
+        evaluations: Projector evaluations of the run; the bound takes six more.
+        tolerances: Tolerances of machine and resin; evaluations of every corner count.
+        slices: First slice, and the one after the last, of a bound for only these slices, whose dual variables it has.
+            For a `Projection` whose rows are as high as its voxels.
         progress: As for `optimize`.
-        cancel: Asked before each step; the bound is that of the prices so far.
+        cancel: Called before each step; the bound is then that of the dual variables so far.
 
     Returns:
         The bound.
 
     Raises:
         BadInput: As `optimize` does, for too few evaluations, and for slices that are not there.
-        Cancelled: Before there are prices that tell.
+        Cancelled: There are no useful dual variables yet.
     """
     check_tolerances(tolerances)
     evaluations = positive("evaluations", evaluations)
     if slices is not None:
         operator, target = _of_slices(operator, target, slices, tolerances)
     if not evaluations >= TOLD + 3:
-        raise BadInput(f"evaluations is {evaluations!r}; expected {TOLD + 3} or more: fewer steps tell no bound")
+        raise BadInput(f"evaluations is {evaluations!r}; expected {TOLD + 3} or more: fewer steps give no bound")
     try:
         found = optimize(
             operator, target, PDHG(), evaluations=evaluations, tolerances=tolerances, progress=progress, cancel=cancel
@@ -76,7 +76,7 @@ def bound(
         if found is None:
             raise
     if found is None:
-        raise BadInput(f"{evaluations:g} evaluations of all corners tell no bound; expected more")
+        raise BadInput(f"{evaluations:g} evaluations of all corners give no bound; expected more")
     return found
 
 
@@ -87,20 +87,20 @@ def _of_slices(
     try:
         first, behind = (index(each) for each in slices)
     except (TypeError, ValueError):
-        raise BadInput(f"slices are {slices!r}; expected two whole numbers: the first, and the one behind the last, "
+        raise BadInput(f"slices are {slices!r}; expected two whole numbers: the first, and the one after the last, "
                        "such as (40, 44)") from None  # fmt: skip
     operator = operator.direct if isinstance(operator, RingProjection) else operator
     if type(operator) is not Projection or not np.isclose(operator.beam.pitch, operator.grid.pitch):
-        raise BadInput(f"slices of {operator!r} cannot be asked for alone; expected a Projection whose pixels are as "
+        raise BadInput(f"slices of {operator!r} cannot be bounded alone; expected a Projection whose pixels are as "
                        "large as its voxels")  # fmt: skip
     if getattr(target, "limits", None) is not None:
-        raise BadInput("slices of a target with bodies cannot be asked for alone; expected a part: leave slices out")
+        raise BadInput("slices of a target with bodies cannot be bounded alone; expected a part: leave slices out")
     shape, (columns, rows), pitch = operator.grid.shape, operator.beam.pixels, operator.grid.pitch
     if not 0 <= first < behind <= shape[2]:
         raise BadInput(f"slices are {slices!r}; expected 0 ≤ first < behind ≤ {shape[2]}")
     if (shape[2] - rows) % 2:
-        raise BadInput(f"{rows} rows light {shape[2]} slices, so that every row lies between two of them; expected "
-                       "an even difference, or no slices")  # fmt: skip
+        raise BadInput(f"{rows} rows light {shape[2]} slices, so every row lies between two of them; expected an "
+                       "even difference, or no slices")  # fmt: skip
     spreads = [operator.beam.sigma * pitch, *(tolerances.spread or () if tolerances is not None else ())]
     beyond = 2 * ceil(REACHED * max(spreads) / pitch)
     grid = Grid((*shape[:2], behind - first), pitch)

@@ -14,22 +14,22 @@ from vamgpu.methods.papers import CAL, CAL_FIRST
 
 @dataclass(frozen=True)
 class GradientDescent(ByDescent):
-    """The projected error of a sigmoid of the dose corrects the light, from filtered back projection on.
+    """Starts from filtered back projection, and corrects the light by the projected error of a sigmoid of the dose.
 
     As published, with light g, dose d = Aᵀg, target f and the sigmoid M of steepness s about the threshold μ:
 
         g ← max(0, g − η·A(M(d) − f)),    M(d) = 1 / (1 + exp(−s·(d − μ)))
 
-    The error is projected as it is, without the slope of the sigmoid, so that voxels far on the wrong side count in
-    full. That makes A(M(d) − f) the exact gradient of a convex function of light, the cross entropy of M(d) and f over
-    s (`cross_entropy`); it is the loss reported, by which the best light is chosen.
+    The error is projected without the slope of the sigmoid, so voxels far on the wrong side count in full. That makes
+    A(M(d) − f) the exact gradient of a convex function of light, the cross entropy of M(d) and f divided by s
+    (`cross_entropy`). This is the reported loss, which selects the best light.
 
-    What differs here: doses are in units of the part's (published: over the greatest dose, with μ chosen anew each
-    time), the step η is not fixed but grows, and a step that raises the loss is taken back and halved.
+    What differs here: doses are in units of the part's (published: divided by the greatest dose, with a new μ in each
+    step), the step η grows, and a step that raises the loss is taken back and halved.
 
     Args:
         share: Relative change of the light in the first step, > 0.
-        growth: Of the step from one to the next, ≥ 1.
+        growth: Factor from one step to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1); published: 0.
         response: The sigmoid M.
 
@@ -46,5 +46,5 @@ class GradientDescent(ByDescent):
 
     @property
     def loss(self) -> Loss:
-        """What the projected error is the gradient of."""
+        """The loss whose gradient is the projected error."""
         return cross_entropy(self.response)

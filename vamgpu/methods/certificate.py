@@ -1,4 +1,4 @@
-"""The certificate of a process window: prices of dose by which no light whatever has a wider one."""
+"""The certificate of a process window: dual variables that prove that no patterns have a wider one."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
     from vamgpu.methods.plan import Plan
 
 SWEEPS = 4
-"""Covers in a row, each with more light where the one before was shortest."""
+"""Successive covers, each with more light where the one before was weakest."""
 GOLDEN, TRIED = 0.5 * (5**0.5 - 1.0), 20
-"""Share of the way, and times, that the share of what the part pays is looked for that is left out, where that is
-cheaper than to cover it: by golden sections, to 1e-4, for the bound is convex in it."""
+"""Golden ratio and number of steps of the search for the share of the part's gain that is cheaper to leave out than to
+cover, to 1e-4; the bound is convex in it."""
 ROUNDING = 1e-4
-"""Share of what the part pays that is left out for the rounding of float32, over a hundred times as large as it was
-seen to be on any device; the bound is greater by as much."""
+"""Share of the part's gain that is left out for the rounding of float32, over a hundred times the rounding seen on any
+device; it raises the bound by the same amount."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bound:
-    """No light whatever has a strict process window wider than this; anyone can check it by the prices.
+    """Upper bound on the strict process window of any patterns, which the dual variables prove.
 
-    Let prices p be ≥ 0 outside the part, and A p ≥ 0 on every pixel. Light g ≥ 0 of greatest dose 1 has a dose D = Aᵀg,
-    and 0 ≤ g·A p = p·D. If the part has the dose a at least and the voids b at most, a ≥ b, then
+    Let dual variables p be ≥ 0 outside the part, and A p ≥ 0 on every pixel. Patterns g ≥ 0 of greatest dose 1 have a
+    dose D = Aᵀg, and 0 ≤ g·A p = p·D. If the part has at least the dose a and the voids at most b, a ≥ b, then
 
         a − b ≤ 1 + Σ p inside + max(0, Σ p outside − 1),
 
-    where prices below 0 come to −1 at least in all. That is the value; the prices' sums are rounded upwards.
+    where the negative variables sum to −1 or more. The right side is the bound; the sums are rounded upwards.
 
     Attributes:
-        value: The bound, a share of the greatest dose; 1, the widest window that could be, where nothing is known.
-        prices: Of a dose in each voxel [x, y, z], on the operator's device; 0 where voxels are not judged.
-        evaluations: Projector evaluations it took, those of the run that found the prices included.
-        on: The voxels and the motion of the vial that it holds for, in words; of finer voxels, and of a vial that moves
-            otherwise, it says nothing. Empty where the operator does not tell.
+        value: The bound, a share of the greatest dose; 1, the widest possible window, if nothing is known.
+        prices: Dual variable of each voxel [x, y, z], on the operator's device; 0 for voxels that are not judged.
+        evaluations: Projector evaluations, including those of the run that found the dual variables.
+        on: The voxels and the motion of the vial for which the bound holds, in words. It does not hold for finer voxels
+            or another motion. Empty if the operator does not describe them.
     """
 
     value: float
@@ -54,10 +54,10 @@ class Bound:
     on: str = ""
 
     def share(self, plan: Plan | float) -> float:
-        """How near a light comes to the best there can be.
+        """Relate a window to the bound.
 
         Args:
-            plan: Its plan, or its strict window, a share of the greatest dose.
+            plan: A plan, or a strict window, a share of the greatest dose.
 
         Returns:
             The window over the bound, a share.
@@ -65,15 +65,15 @@ class Bound:
         return _window(plan) / self.value
 
     def statement(self, plan: Plan | float | None = None) -> str:
-        """The bound in words, and how near a light comes.
+        """Describe the bound in words, and how close a window comes to it.
 
         Args:
-            plan: Its plan, or its strict window, a share of the greatest dose; None for the bound alone.
+            plan: A plan, or a strict window, a share of the greatest dose; None for only the bound.
 
         Returns:
             One sentence.
         """
-        said = f"no light whatever gives more than {self.value:+.3f}{f' on {self.on}' if self.on else ''}"
+        said = f"no patterns give more than {self.value:+.3f}{f' on {self.on}' if self.on else ''}"
         return said if plan is None else f"{said}; this one has {_window(plan):+.3f} ({100 * self.share(plan):.0f} %)"
 
     def __repr__(self) -> str:
@@ -91,10 +91,10 @@ def certified(
     operator: Projector, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
     rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
 ) -> Bound:  # fmt: skip
-    """The bound by the multipliers of a run, made feasible; takes `SWEEPS` and one more evaluations.
+    """The bound from the multipliers of a run, made feasible; takes `SWEEPS` + 1 evaluations.
 
-    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 where voxels do not count.  rows, columns: dose of light 1 and
-    projection of the voxels that count, of any scale.
+    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 for voxels that do not count.  rows, columns: dose of patterns
+    of 1, and projection of the voxels that count, both of any scale.
     """
     device = operator.device
     spent = evaluations + SWEEPS + 1.0
@@ -136,14 +136,14 @@ def certified(
 
 
 def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float) -> float:
-    """What a cover is to be multiplied by so that ``keep`` of what is paid costs as much on every pixel."""
+    """Factor of a cover at which ``keep`` of the gain is balanced on every pixel."""
     highs = parts_for(cover_scale, paid)
     paid.device.launch(cover_scale, paid=paid, cost=cost, cover=cover, keep=keep, highs=highs)
     return folded(highs, HIGH)
 
 
 def _lowest(of: Callable[[float], tuple[float, float, float]], most: float) -> tuple[float, float, float]:
-    """Least of a convex function between 0 and most, by its first number; right of where it is not finite."""
+    """Minimum of a convex function between 0 and most, by its first number; to the right of infinite values."""
     low, high = 0.0, most
     first, second = of(high - GOLDEN * (high - low)), of(low + GOLDEN * (high - low))
     for _ in range(TRIED):

@@ -36,10 +36,10 @@ def chosen(method: str | Method | Loss) -> Method:
 
 
 def check_bodies(method: Method, limits: Limits) -> None:
-    """Refuse weights of bodies for a method whose light does not depend on them."""
+    """Reject weights of bodies for a method that ignores them."""
     if limits.weighted and not getattr(method, "takes_weights", True):
         able = ", ".join(name for name, kind in METHODS.items() if getattr(kind, "takes_weights", True))
         raise BadInput(
-            f"bodies of the target have weights, at which {type(method).__name__} does not look; expected 1, or one of "
-            f"these methods: {able}, or a loss of your own"
+            f"bodies of the target have weights, which {type(method).__name__} ignores; expected 1, or one of "
+            f"these methods: {able}, or your own loss"
         )

@@ -65,19 +65,18 @@ def compared(
     thresholds: tuple[float, float] = (OUTSIDE, INSIDE),
     resume: Plan | None = None,
 ) -> Plan:
-    """The best light of a method at given thresholds that ``evaluations`` projector evaluations buy.
+    """The best patterns of a method at given thresholds after at most ``evaluations`` projector evaluations.
 
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
-        name: Of the method, one of `LABELS`.
-        evaluations: Projector evaluations that may be spent, warm start included; those a method has no use for
-            stay unspent.
+        name: Name of the method, one of `LABELS`.
+        evaluations: Most projector evaluations, warm start included; a method may use fewer.
         thresholds: (outside, inside) in units of the part's dose.
-        resume: A plan of the same call with fewer evaluations, to go on from.
+        resume: A plan of the same call with fewer evaluations, to resume.
 
     Returns:
-        The plan; its ``evaluations`` are never more than were given, if one iteration is paid for.
+        The plan; it uses at most ``evaluations``, if they are enough for one iteration.
 
     Raises:
         BadInput: As `at_thresholds` and `optimize` do.

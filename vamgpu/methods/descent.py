@@ -1,4 +1,4 @@
-"""Any loss lowered from filtered back projection on; the methods whose loss is the purpose are cases of it."""
+"""Minimization of any loss, starting from filtered back projection; other methods of a loss are cases of it."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.state import OptimizerState
 
 ABOVE = 0.05
-"""Share of its own dose that a gray body may get beyond it before it costs."""
+"""Excess dose of a gray body, relative to its own dose, above which it is penalized."""
 STEEP = 10.0
-"""Cost of that, beside losses whose steepest slopes by dose are about 1."""
+"""Weight of that penalty, for losses whose steepest derivatives by dose are about 1."""
 
 
 @dataclass(frozen=True)
 class Descent(Method):
-    """Projected gradient steps that lower any loss of the dose; steps that raise it are taken back and halved.
+    """Projected gradient steps that minimize any loss of the dose; steps that raise it are taken back and halved.
 
         minimize loss(Aᵀg), g ← max(0, g − η·∂/∂g)
 
     Args:
-        loss: A `vamgpu.losses.Loss`, your own included.
+        loss: A `vamgpu.losses.Loss`, also your own.
         share: Relative change of the light in the first step, > 0.
-        growth: Of the step η from one to the next, ≥ 1.
+        growth: Factor from one step η to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1).
         history: Pairs of sinograms from which L-BFGS finds its directions and steps instead; 0 for none.
 
@@ -64,7 +64,7 @@ class Descent(Method):
 
 
 class ByDescent(ABC):
-    """What methods share whose loss is the purpose: `Descent` lowers it at their share, growth and momentum."""
+    """Base of methods that minimize a loss: `Descent` does it with their share, growth and momentum."""
 
     share: float
     growth: float
@@ -76,7 +76,7 @@ class ByDescent(ABC):
     @property
     @abstractmethod
     def loss(self) -> Loss:
-        """The loss that is lowered."""
+        """The loss to minimize."""
 
     def __post_init__(self) -> None:
         self._descent()
@@ -91,7 +91,7 @@ class ByDescent(ABC):
 
 
 def _held(state: OptimizerState) -> Loss | None:
-    """What holds gray bodies from above, which losses of parts do not; None without any."""
+    """Upper limit of gray bodies, which losses of parts lack; None without any."""
     if state.limits is None or not state.limits.gray.any():
         return None
     most = 0.5 + ABOVE

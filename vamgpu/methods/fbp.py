@@ -1,4 +1,4 @@
-"""Filtered back projection: exact for light that may be negative, clipped because it may not."""
+"""Filtered back projection: exact for light that may be negative, and clipped at 0."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from vamgpu.methods.state import OptimizerState
 
 @dataclass(frozen=True)
 class FilteredBackProjection(Method):
-    """Forward projection, ramp, clip: one projector evaluation and done.
+    """Forward projection, ramp filter, clipping: a single projector evaluation.
 
-    Poses count by the directions that they stand for. `optimize` refuses a scan that lacks a twentieth of all
-    directions, where nothing is inverted: methods that iterate take it.
+    Angles are weighted by the directions that they cover. `optimize` rejects a scan that lacks a twentieth of all
+    directions, which cannot be inverted: iterative methods accept it.
     """
 
     papers: ClassVar[tuple[str, ...]] = (RAMP,)

@@ -34,12 +34,12 @@ class ByPairs(Method):
     @property
     @abstractmethod
     def loss(self) -> Loss:
-        """That of doses, which refuses thresholds that are not in order."""
+        """Loss of the dose. Raises `BadInput` for thresholds that are not in order."""
         ...
 
     @property
     def rule(self) -> StepRule:
-        """At which it is lowered."""
+        """Rule of the steps that lower it."""
         return StepRule(history=self.history, history_bytes=self.history_bytes)
 
     def __post_init__(self) -> None:
@@ -59,12 +59,12 @@ class LBFGS(ByPairs):
         outside: Greatest dose outside the part, in units of the part's dose.
         inside: Least dose in the part, in units of the part's dose.
         most: Greatest dose in the part, in units of the part's dose.
-        efficiency: Penalty of bright light against a part that is all wrong by one; with power 4 it is the few
-            brightest pixels that cost, which dim the rest of a print: the mean over the greatest light rises.
-        power: Exponent of that penalty, ≥ 1; 1 asks for little light instead.
-        history: Pairs of sinograms kept.
-        history_bytes: Memory they may take; None takes what the device gives. Fewer pairs than asked raise a
-            `MemoryNotice`.
+        efficiency: Weight of the penalty on bright pixels, relative to a part whose every voxel is wrong by 1. With
+            power 4, it mainly penalizes the few brightest pixels, so the ratio of mean to greatest light rises.
+        power: Exponent of that penalty, ≥ 1; 1 penalizes all light.
+        history: Pairs of sinograms that are kept.
+        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` says if fewer pairs
+            fit.
 
     Raises:
         BadInput: A value is out of its range.
@@ -90,7 +90,7 @@ class LBFGS(ByPairs):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty where they do not."""
+        """Why places far apart on a web depend on each other; empty if they do not."""
         if not self.efficiency:
             return ""
         return f"efficiency is {self.efficiency}: its penalty is set by all light of a web; expected 0"

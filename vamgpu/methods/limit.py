@@ -20,14 +20,14 @@ MARGIN = 0.99
 class ExposureLimit:
     """A time in which a print must be done, by a lamp and a resin.
 
-    An exposure lasts until the dose halfway between the least in the part and the greatest outside is the critical one,
-    by a projector whose brightest pixel is full-on. So it limits the brightest pixel over that dose.
+    An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical one,
+    with a projector whose brightest pixel is full-on. So it limits the ratio of the brightest pixel to that dose.
 
     Args:
-        seconds: Of the light at most [s].
-        irradiance: Of a full-on pixel in air [mW/mm²].
-        critical_dose: From which resin is solid [mJ/mm³].
-        absorption: Of the resin [1/mm], where the operator absorbs no light.
+        seconds: Longest exposure [s].
+        irradiance: Irradiance of a full-on pixel in air [mW/mm²].
+        critical_dose: Least dose that makes resin solid [mJ/mm³].
+        absorption: Absorption of the resin [1/mm], if the operator absorbs no light.
 
     Raises:
         BadInput: A value is not above 0.
@@ -46,14 +46,14 @@ class ExposureLimit:
         if exposure_limit is None:
             if irradiance is not None or critical_dose is not None:
                 raise BadInput(
-                    "got an irradiance or a critical dose without exposure_limit; leave them out, or say how long the "
-                    "light may last"
+                    "got an irradiance or a critical dose without exposure_limit; leave them out, or give the "
+                    "longest exposure"
                 )
             return None
         if irradiance is None or critical_dose is None:
             lacking = "irradiance" if irradiance is None else "critical_dose"
             raise BadInput(
-                f"got an exposure_limit without {lacking}; a time needs the lamp and the resin: give both irradiance "
+                f"got an exposure_limit without {lacking}; time depends on lamp and resin: give both irradiance "
                 "and critical_dose"
             )
         return cls(
@@ -72,7 +72,7 @@ class ExposureLimit:
         return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
 
     def check(self, operator: Any, even: float) -> None:
-        """Refuse a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
+        """Reject a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(

@@ -1,4 +1,4 @@
-"""What every method is: a frozen choice of parameters and a generator of steps."""
+"""The protocol of methods: frozen parameters and a generator of steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Steps = Generator[tuple[float, float], None, None]
 """Loss and strict window after every step."""
 
 Criterion = Literal["window", "loss"]
-"""What tells better light from worse: the greater strict window, or the lesser loss."""
+"""Criterion of better patterns: the greater strict window, or the lower loss."""
 
 
 class Method(Protocol):
@@ -21,14 +21,14 @@ class Method(Protocol):
 
     Attributes:
         papers: Citations of its sources.
-        iterations: How many it runs where the caller does not say.
-        cost: Projector evaluations that an iteration takes at least.
-        criterion: What its best light is chosen by: the strict window for methods that aim at thresholds, the loss for
-            methods whose loss is the purpose. With weights or gray bodies it is the loss for all.
-        takes_start: Whether it begins with the ``light`` in the memory where there is some; without the attribute it
-            does not, and `optimize` refuses a ``start``.
-        takes_weights: Whether weights of bodies change its light, as they do wherever ``state.loss`` is lowered;
-            without the attribute they do, and where it is False `optimize` refuses them.
+        iterations: Default number of iterations.
+        cost: Least projector evaluations of an iteration.
+        criterion: Criterion of its best light: the strict window for methods of thresholds, the loss for methods that
+            minimize a loss. With weights or gray bodies it is the loss for all.
+        takes_start: Whether it starts from the ``light`` in the memory, if there is some; without the attribute it does
+            not, and `optimize` rejects a ``start``.
+        takes_weights: Whether weights of bodies change its light, as in all methods that minimize ``state.loss``;
+            without the attribute they do, and if it is False `optimize` rejects them.
     """
 
     papers: ClassVar[tuple[str, ...]]
@@ -37,13 +37,13 @@ class Method(Protocol):
     criterion: ClassVar[Criterion]
 
     def steps(self, state: OptimizerState) -> Steps:
-        """Improve ``light`` in the memory for ever, or until nothing is left to gain.
+        """Improve ``light`` in the memory forever, or until no gain is left.
 
-        Every light whose dose is known is offered by ``state.offer``, which keeps the best. Everything a later run
-        needs to go on is in ``state.memory`` whenever it yields.
+        ``state.offer`` gets every light whose dose is known, and keeps the best. At every yield, ``state.memory`` has
+        everything that a later run needs to continue.
 
         Args:
-            state: Of the run.
+            state: State of the run.
 
         Yields:
             Loss and strict window of the step.

@@ -99,7 +99,7 @@ def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) 
 
     It goes on for ever, or until the loss is 0 or no step lowers it; whoever asks for its records counts, cancels and
     tells divergence. Numbers are kept in the memory of the first channel. A later call with the same memories goes on
-    bit by bit where this one stopped. The best light is kept as the criterion of the works says.
+    bit for bit where this one stopped. The best light is kept as the criterion of the works says.
     """
     if rule.history:
         yield from _searched(objective, channels[0].state, rule)

@@ -17,25 +17,25 @@ from vamgpu.methods.state import OptimizerState
 
 @dataclass(frozen=True)
 class OSMO(Method):
-    """Lower a model of the part where voids get too much and raise it where the part gets too little, in turn.
+    """Alternately lower a model of the part where voids get too much dose, and raise it where the part gets too little.
 
-    As published, with the model m, at first the target, and the dose d of its light over the greatest dose:
+    As published, with the model m, initially the target, and the dose d of its light divided by the greatest dose:
 
-        m ← m − max(0, d − outside) in voids, then d anew, then m ← m + max(0, inside − d) in the part, then d anew
+        m ← m − max(0, d − outside) in voids, update d, then m ← m + max(0, inside − d) in the part, update d
 
-    What is made of the model is never negative light: max(0, filter(A m)). One iteration takes two projector
-    evaluations, and the first one a third for the dose of the target itself.
+    The light of the model is never negative: max(0, filter(A m)). One iteration takes two projector evaluations, and
+    the first iteration a third one for the dose of the target itself.
 
-    What differs here: the ramp filters every projection of the model, so that corrections are sharpened as the target
-    is (the authors' toolbox filters the target alone); ``gain`` scales a correction (published: 1).
+    What differs here: the ramp filters every projection of the model, so corrections are sharpened like the target (the
+    authors' toolbox filters only the target); ``gain`` scales a correction (published: 1).
 
     Args:
-        outside: Threshold of voids over the greatest dose.
-        inside: Threshold of the part over the greatest dose.
+        outside: Threshold of voids, relative to the greatest dose.
+        inside: Threshold of the part, relative to the greatest dose.
         gain: Share of a difference that is corrected, > 0.
 
     Raises:
-        BadInput: For a gain that is not positive, or unless 0 ≤ outside < inside ≤ 1.
+        BadInput: The gain is not positive, or unless 0 ≤ outside < inside ≤ 1.
     """
 
     outside: float = 0.6

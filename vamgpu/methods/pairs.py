@@ -56,7 +56,7 @@ class Pairs:
         need = 2 * count * self.state.buffer("light").nbytes
         try:
             if self.most_bytes is not None and need > self.most_bytes and self.kept:
-                raise OutOfMemory(f"{count} pairs take {need} bytes; {self.most_bytes} are allowed")
+                raise OutOfMemory(f"{count} pairs need {need} bytes; {self.most_bytes} are allowed")
             self._spare = [self.state.sinogram(), self.state.sinogram()]
         except OutOfMemory as error:
             self._spare = []

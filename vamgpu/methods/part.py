@@ -92,7 +92,7 @@ def limited(operator: Any, limits: Limits) -> Any:
 
 
 def lit_pixels(operator: Any, fractions: DeviceArray) -> DeviceArray:
-    """Tell which pixels send rays through a part: 1, and 0 for those whose light is idle."""
+    """1 for pixels that send rays through a part, and 0 for those whose light is idle."""
     met = operator(_stepped(fractions, HALF * (extent(fractions)[1] or 1.0), reach_of(operator.grid)))
     return _stepped(met, max(MET * extent(met)[1], 1e-30))
 
@@ -171,7 +171,7 @@ def _check_values(fractions: DeviceArray) -> None:
 
 
 def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> None:
-    """Refuse a target without a voxel to judge; warn, at ``stacklevel``, of a part that reaches out of the cylinder."""
+    """Reject a target without a voxel to judge; warn, at ``stacklevel``, of a part outside the cylinder."""
     reach = reach_of(grid)
     _, most = extent(fractions, reach=reach)
     if not most >= 0.5:
@@ -184,34 +184,34 @@ def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> N
     out = 1.0 - total(inside) / total(fractions)
     if out > 1e-6:
         warnings.warn(
-            f"{100 * out:.2g} % of the target lies farther than {grid.inscribed_radius:.4g} mm from the axis, out of "
-            "the cylinder that every angle lights: it is neither asked for nor judged; take a wider grid",
+            f"{100 * out:.2g} % of the target is farther than {grid.inscribed_radius:.4g} mm from the axis, outside "
+            "the cylinder that every angle lights: it is neither optimized nor judged; use a wider grid",
             OpticsWarning,
             stacklevel=stacklevel,
         )
 
 
 def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
-    """Refuse a part [mm] higher than the light; warn of one wider, which only the angles along it light whole."""
+    """Reject a part [mm] higher than the light; warn of a wider part, which some angles light only in part."""
     (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, _vessel(operator)
     if height is not None and height > rows * pitch * (1.0 + 1e-6):
         raise TargetTooLarge(
             f"the target is {height:.4g} mm high, the light of {operator.beam} {rows * pitch:.4g} mm; "
-            "scale or center the target, or take a beam of more rows"
+            "scale or center the target, or use a beam of more rows"
         )
     edge = np.array([0.5 * columns * pitch])
     reach = float((edge if vessel is None else vessel.chords(edge).p)[0])
     if radius is not None and radius > reach * (1.0 + 1e-6):
         warnings.warn(
             f"the target has a radius of {radius:.4g} mm, the light of {operator.beam} one of {reach:.4g} mm in the "
-            "resin: what lies beyond is lit at some angles only; scale the target or take a beam of more columns",
+            "resin: only some angles light the rest; scale the target or use a beam of more columns",
             OpticsWarning,
             stacklevel=5,
         )
 
 
 def _check_reach(operator: Any, fractions: DeviceArray) -> None:
-    """Refuse a part that stays dark whatever the light, and warn of one that light hardly gets to; one evaluation."""
+    """Reject a part that light does not reach, and warn of one that it hardly reaches; one evaluation."""
     device, vessel = operator.device, _vessel(operator)
     even, dose = device.empty(operator.range.shape), device.empty(operator.domain.shape)
     operator(fractions, out=even)  # finite numbers, as new memory need not hold
@@ -226,9 +226,9 @@ def _check_reach(operator: Any, fractions: DeviceArray) -> None:
     absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
     told = (
         f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or more, "
-        f"{LOST:g} at the very least: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the "
-        f"axis, and the light is that of {operator.beam}: take less absorber, a smaller part nearer to the axis, or a "
-        "beam of more pixels"
+        f"at least {LOST:g}: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the axis, and "
+        f"the light is that of {operator.beam}: use less absorber, a smaller part nearer to the axis, or a beam of "
+        "more pixels"
     )
     if share < LOST:
         raise NoLight(f"light does not reach the part: {told}")

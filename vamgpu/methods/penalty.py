@@ -13,24 +13,24 @@ from vamgpu.methods.papers import PENALTY
 
 @dataclass(frozen=True)
 class PenaltyMinimization(ByDescent):
-    """Pays for every voxel on the wrong side of its threshold, and for nothing else.
+    """Penalizes only voxels on the wrong side of their threshold.
 
     As published, with light g, dose d = Aᵀg and the penalties ρ₁ of a void voxel and ρ₂ of a part voxel:
 
         minimize ρ₁·Σ_void max(0, d − outside) + ρ₂·Σ_part max(0, inside − d) over g ≥ 0
 
-    The slope by dose is ρ₁ or −ρ₂ where a voxel is wrong, else 0; it is projected and light that would be negative is
-    dark. There is no upper threshold in the part. Light that violates nothing ends the run.
+    The derivative by dose is ρ₁ or −ρ₂ if a voxel is wrong, otherwise 0. It is projected, and negative light is set to
+    0. There is no upper threshold in the part. The run ends when no voxel is wrong.
 
     What differs here: subgradient steps whose length is found as in `BCLP` (share, growth, and steps that raise the
-    loss taken back and halved), from filtered back projection on; no buffer zone around the part.
+    loss taken back and halved), starting from filtered back projection; no buffer zone around the part.
 
     Args:
         outside: Threshold of the void in units of the part's dose.
         inside: Threshold of the part, in units of the part's dose.
         penalty: Weight of a void voxel and of a part voxel, (ρ₁, ρ₂).
         share: Relative change of the light in the first step, > 0.
-        growth: Of the step from one to the next, ≥ 1.
+        growth: Factor from one step to the next, ≥ 1.
         momentum: Share of the last step that is added to the next, in [0, 1).
 
     Raises:

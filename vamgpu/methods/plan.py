@@ -29,10 +29,10 @@ class Step:
     Attributes:
         iteration: Counted from 1.
         evaluations: Projector evaluations (one forward and one back projection) spent so far, warm start included.
-        loss: The method's own: of the light it holds where light is chosen by the loss; otherwise of the point the step
-            looked at, which accelerated methods take ahead of the light they hold.
-        window: Strict process window of the light held, (least dose in the part − greatest out of it) / greatest; −1
-            for light that gives no dose at all.
+        loss: The method's own loss: of the current light if the loss selects the best light; otherwise of the evaluated
+            point, which accelerated methods place ahead of the current light.
+        window: Strict process window of the current light, (least dose in the part − greatest outside) / greatest; −1
+            for light without any dose.
     """
 
     iteration: int
@@ -43,28 +43,28 @@ class Step:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """Light that prints a target: the best that a run evaluated, not its last.
+    """Patterns that print a target: the best that a run evaluated, not its last.
 
-    Best is the light of the greatest strict window, or of the least loss, as the method's ``criterion`` says.
+    The best patterns have the greatest strict window or the lowest loss, depending on the method's ``criterion``.
 
     Attributes:
-        sinogram: [angle, r, z] ≥ 0 on the operator's device, in units of the dose the part should get.
-        operator: The projector it was found for.
-        method: The method that found it.
-        history: One `Step` an iteration.
-        window: Strict process window of this very light, a share of the greatest dose.
-        evaluations: Projector evaluations that the method spent. One before, to see whether light reaches the part, and
-            half of one after, to choose the light, are not counted: no method has a say in them.
-        papers: What the method relies on.
-        seconds: How long the run took [s].
-        target_name: Of what it prints.
-        state: What resuming needs; a resumed run goes on from its last light, not from the best.
-        best_iteration: Number of iterations after which this light was reached; 0 is the first guess.
-        bound: How wide a window any light can have, where the method tells; else see `vamgpu.methods.bound`.
-        target: What it prints, as it was given to `optimize`; None where nobody said.
-        tolerances: That the light was sought for; ``window`` and ``bound`` are those of all their corners together.
-        corners: What the light gives at each of them; None without tolerances.
-        notes: What is too coarse for the light to be what it is claimed to be, a sentence each.
+        sinogram: Patterns [angle, r, z] ≥ 0 on the operator's device, in units of the dose the part should get.
+        operator: The projector that they were found for.
+        method: The method that found them.
+        history: One `Step` per iteration.
+        window: Strict process window of these patterns, a share of the greatest dose.
+        evaluations: Projector evaluations that the method spent, without one before that checks whether light reaches
+            the part, and half of one after that selects the patterns.
+        papers: Papers of the method.
+        seconds: Wall time of the run [s].
+        target_name: Name of the target.
+        state: Memory for resuming; a resumed run continues from its last patterns, not from the best.
+        best_iteration: Number of iterations after which these patterns were reached; 0 is the first guess.
+        bound: Upper bound on the window, if the method gives one; otherwise see `vamgpu.methods.bound`.
+        target: The target given to `optimize`; None if unknown.
+        tolerances: Tolerances of the run; ``window`` and ``bound`` are those of all their corners together.
+        corners: Doses of the patterns at each corner; None without tolerances.
+        notes: Warnings about voxels or angles too coarse for the predicted result, one sentence each.
     """
 
     sinogram: DeviceArray
@@ -116,7 +116,7 @@ class Plan:
 
     @cached_property
     def idle_light(self) -> float:
-        """Share of the light in pixels whose rays never meet the part; NaN where nobody said what is printed.
+        """Share of the light in pixels whose rays never meet the part; NaN if the target is unknown.
 
         One forward projection.
         """
@@ -126,23 +126,23 @@ class Plan:
         return idle_light(self.operator, self.sinogram, lit)
 
     def dose(self) -> DeviceArray:
-        """Dose [x, y, z] of the light on the operator's device: Aᵀ sinogram."""
+        """Dose [x, y, z] of the patterns on the operator's device: Aᵀ sinogram."""
         return self.operator.T(self.sinogram)
 
     def save(self, path: str | Path, *, state: bool = True, overwrite: bool = False) -> Path:
-        """Write a job folder that `vamgpu.load` reads, and that ``vam prove`` and ``vam print`` take.
+        """Write a job folder for `vamgpu.load`, ``vam prove`` and ``vam print``.
 
         Args:
             path: The folder.
-            state: Keep what resuming needs too, several times as much as the light.
-            overwrite: Replace a job folder that stands there.
+            state: Also store the memory for resuming, several times the size of the patterns.
+            overwrite: Replace an existing job folder.
 
         Returns:
             The path.
 
         Raises:
-            BadInput: Nothing but Python can describe the operator.
-            StorageError: The path is taken, or cannot be written.
+            BadInput: A folder cannot describe the operator.
+            StorageError: The path exists, or cannot be written.
         """
         # a circle: folders make plans
         from vamgpu.methods.plan_folder import save_plan
@@ -151,7 +151,7 @@ class Plan:
 
 
 def copied(value: Any) -> Any:
-    """A copy of what a plan remembers, arrays included, so that the plan stays what it is."""
+    """A copy of a plan's memory, arrays included, so that the plan does not change."""
     if isinstance(value, DeviceArray):
         return combine(1.0, value, 0.0, value, value.device.empty(value.shape))
     if isinstance(value, dict):

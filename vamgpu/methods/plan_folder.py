@@ -150,7 +150,7 @@ def _at_rest(table: Any) -> Any:
 
 
 def _weigh(description: Any) -> None:
-    """Refuse grids and beams of more voxels and pixels than memory holds, before operators make tables of them."""
+    """Reject grids and beams of more voxels and pixels than memory holds, before operators make tables."""
     for key, value in description.items() if isinstance(description, Mapping) else ():
         if key in ("shape", "pixels") and isinstance(value, list) and all(isinstance(n, (int, float)) for n in value):
             afford(np.dtype(np.float64).itemsize * prod(map(abs, value)), f"a manifest's geometry of {key} {value}")
@@ -220,12 +220,12 @@ FACTS = ("name", "radius", "volume", "height")
 
 
 def pixel_pitch(plan: Any) -> float | None:
-    """Distance of a plan's pixels [mm]; None where nobody knows it."""
+    """Distance of a plan's pixels [mm]; None if unknown."""
     return getattr(getattr(getattr(plan, "operator", None), "beam", None), "pitch", None)
 
 
 def target_of(plan: Any) -> Target | None:
-    """The target of a plan; one of fractions alone is told from them. None where nobody knows it, or of a web."""
+    """The target of a plan, also from fractions only. None if unknown, or for a web."""
     target, grid = getattr(plan, "target", None), getattr(plan.operator, "grid", None)
     if target is None or isinstance(target, Target) or not isinstance(grid, Grid):
         return target if isinstance(target, Target) else None
@@ -234,7 +234,7 @@ def target_of(plan: Any) -> Target | None:
 
 
 def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
-    """The target that a job folder keeps, and its mesh; None where it keeps none. Raises `StorageError`."""
+    """The target that a job folder keeps, and its mesh; None if it keeps none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
     try:
@@ -256,7 +256,7 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Tar
 
 
 def limits_entries(target: Target) -> dict[str, Entry]:
-    """What single voxels are asked for, as a job folder keeps it; nothing for a part alone."""
+    """Limits of single voxels for a job folder; nothing for a single part."""
     if target.limits is None:
         return {}
     fields = {name: getattr(target.limits, name) for name in LIMITS}
@@ -300,7 +300,7 @@ def operator_from(folder: Folder, device: Device, *, solved: bool = False) -> An
         return projection_from(inputs["geometry"], device, folder.array, solved=solved)
     except MemoryError as error:
         raise OutOfMemory(f"the light of {str(folder.path)!r} takes more memory than there is: {error}; check its "
-                          "manifest, or take a larger machine") from error  # fmt: skip
+                          "manifest, or use a larger machine") from error  # fmt: skip
 
 
 def save_plan(
@@ -400,7 +400,7 @@ IMPORTED: dict[str, Any] = {
     "seconds": 0.0,
     "window": -1.0,
 }
-"""What is known of light that nobody here solved for."""
+"""Known facts about patterns from other software."""
 
 
 @dataclass(frozen=True)
@@ -419,8 +419,8 @@ class RecordedMethod:
         return self.text.partition("(")[0]
 
     def steps(self, state: Any) -> Steps:
-        """Refuse to go on."""
-        raise BadInput(f"the plan is by {self.text}, of which its folder keeps the name alone; give a method, and the "
+        """Reject to go on."""
+        raise BadInput(f"the plan is by {self.text}, of which its folder keeps only the name; give a method, and the "
                        "plan's light as its start")  # fmt: skip
 
 

@@ -47,7 +47,7 @@ def check_complete(motion: object) -> None:
 
 
 def balance(motion: Turntable) -> np.ndarray | None:
-    """Factors (angles,) of filtered light that make Aᵀ · filter · A even over directions; None where all are 1."""
+    """Factors (angles,) of filtered light that make Aᵀ · filter · A even over directions; None if all are 1."""
     if motion.is_even:
         return None
     return directions(motion) * motion.angles / (0.5 * FULL_TURN) / motion.times**2

@@ -19,7 +19,7 @@ from vamgpu.web import WebGrid
 class Taps:
     """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
 
-    balance: what filtered light of each angle is multiplied by; None where angles are even and lit as long.
+    balance: what filtered light of each angle is multiplied by; None if angles are even and lit as long.
     """
 
     table: DeviceArray

@@ -25,12 +25,12 @@ class Recipe(Method):
     vessel in the operator needs none.
 
     Args:
-        background: Dose expected around the part over that of the part: room for light that should be negative.
+        background: Expected dose around the part, relative to that of the part; it makes room for negative light.
         most: Largest correction of a voxel in one pass.
-        diffusion: Of oxygen during the exposure; the target over its background is then deconvolved by it before the
-            first pass, and what is corrected and judged is the dose after diffusion (a plan's own window stays that of
-            the light alone). Light that is never negative need not reach what is deconvolved, so a print need not come
-            out better: compare both.
+        diffusion: Diffusion of oxygen during the exposure. The target with its background is deconvolved before the
+            first pass, and the dose after diffusion is corrected and judged (the plan's own window ignores diffusion).
+            Light cannot be negative and may not reach the deconvolved target, so the print is not always better:
+            compare both.
 
     Raises:
         BadInput: A value is out of its range.

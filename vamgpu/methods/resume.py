@@ -38,7 +38,7 @@ def memory_of(
 
 
 def _difference(plan: Plan, operator: Projector, target: Any, tolerances: Tolerances | None) -> str:
-    """What of a plan's task is not that of another, and what is, in words; empty where all is alike."""
+    """What of a plan's task is not that of another, and what is, in words; empty if all is alike."""
     for name in ("grid", "beam", "motion", "vessel"):
         before, now = (getattr(each, name, None) for each in (plan.operator, operator))
         alike = repr(before) == repr(now) if name == "vessel" else before == now  # fields of a medium know no ==

@@ -75,62 +75,62 @@ def optimize(
     critical_dose: float | str | None = None,
     absorption: float | str | None = None,
 ) -> Plan:
-    """Find light [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
+    """Find patterns [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    The plan holds the best light that the run evaluated, not its last; see `Plan`. Light sought on rings is judged by
-    rays through voxels at the end, the run's best and its last; what `Plan.history` tells of it is on rings.
+    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. On rings, the best and the last
+    patterns are judged at the end by rays through voxels; `Plan.history` has the values on rings.
 
     Args:
         operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`
-            stands for a `RingProjection` on its rings: the dose is asked for, and judged, on the target's voxels.
+            counts as a `RingProjection` on its rings: the dose is optimized and judged on the target's voxels.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
-        method: A name of `METHODS` in any case, an instance, or a `vamgpu.losses.Loss` that `Descent` lowers.
-        iterations: In all, those of ``resume`` included; None takes the method's own, or what ``evaluations`` allows.
-            0 makes the plan of the light that iterations begin with: ``start``, else filtered back projection.
-        tolerance: Stop once the loss has fallen below this share of the first one (0: only when nothing is left to
-            gain).
-        progress: A function gets every `Step`; True shows a bar with the time left, False none. By default a bar is
-            shown where somebody looks: on a terminal and in a notebook.
-        cancel: Asked before each iteration.
-        resume: A plan of the same operator and method to go on from; it stays as it is.
-        evaluations: Projector evaluations that may be spent in all, those of ``resume`` included: stop before the
-            iteration that would exceed them. Compares methods at equal cost. The first iteration is always made; what
-            every method spends alike before and after (see `Plan.evaluations`) is not counted.
-        start: Light to begin with, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should
-            get; scaled where the part gets less than half or more than twice that. Not with ``resume``, and not for
-            methods that begin with the target.
-        tolerances: How far machine and resin may be off: one light for all corners, with one threshold. Loss and window
-            are then those of all corners together; see `Tolerances` and `Plan.corners`.
-        exposure_limit: Time [s] that the light may last at most, until the dose midway between part and void is
-            ``critical_dose``. For "default" alone.
-        irradiance: Of a full-on pixel in air [mW/mm²], where there is a limit. Like the others also text with its unit.
-        critical_dose: From which resin is solid [mJ/mm³], where there is a limit.
-        absorption: Of the resin [1/mm], where there is a limit and the operator absorbs no light.
+        method: A name from `METHODS` in any case, an instance, or a `vamgpu.losses.Loss` that `Descent` minimizes.
+        iterations: Total number, including those of ``resume``; None for the method's own, or as ``evaluations``
+            allows. 0 returns the initial patterns: ``start``, otherwise filtered back projection.
+        tolerance: Stop when the loss has fallen below this share of the first one (0: only when no gain is left).
+        progress: A function that gets every `Step`; True shows a bar with the time left, False none. By default a bar
+            is shown on a terminal and in a notebook.
+        cancel: A function called before each iteration that returns whether to stop.
+        resume: A plan of the same operator and method to continue; it does not change.
+        evaluations: Limit of the total projector evaluations, including those of ``resume``: stop before the iteration
+            that would exceed it. Compares methods at equal cost. The first iteration is always made; evaluations that
+            all methods spend before and after (see `Plan.evaluations`) do not count.
+        start: Initial patterns, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should get;
+            scaled if the part gets less than half or more than twice that. Not with ``resume``, and not for methods
+            that start from the target.
+        tolerances: Tolerances of machine and resin: the same patterns for all corners, with one threshold. Loss and
+            window are then those of all corners together; see `Tolerances` and `Plan.corners`.
+        exposure_limit: Longest exposure [s], until the dose midway between part and void is ``critical_dose``. Only for
+            "default".
+        irradiance: Irradiance of a full-on pixel in air [mW/mm²], for a limit. Like the others, also text with its
+            unit.
+        critical_dose: Least dose that makes resin solid [mJ/mm³], for a limit.
+        absorption: Absorption of the resin [1/mm], for a limit if the operator absorbs no light.
 
     Returns:
-        The plan with the best light that the run evaluated.
+        The plan with the best patterns that the run evaluated.
 
     Raises:
-        BadInput: For a target, a method or a number that cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
+        BadInput: A target, a method or a number cannot be used (also as `ShapeMismatch`, `EmptyMesh`,
             `TargetTooLarge`).
-        BadInput: Full-on pixels everywhere would take longer than ``exposure_limit``; says what binds.
-        ToleranceError: A tolerance contradicts the print, or leaves a part of it without light; says which.
-        OutOfMemory: Where the device is too small.
-        Cancelled: When ``cancel`` says so or on Ctrl-C; carries the plan reached so far.
-        Diverged: When the loss is no finite number any more; carries the plan of the best light before.
+        BadInput: Full-on pixels everywhere would take longer than ``exposure_limit``.
+        ToleranceError: A tolerance contradicts the print, or leaves a part of it without light.
+        OutOfMemory: The device has too little memory.
+        Cancelled: ``cancel`` returned true, or Ctrl-C; carries the plan so far.
+        Diverged: The loss is no longer finite; carries the plan of the best patterns before.
 
     Warns:
-        DivergenceWarning: When more than half of what the loss had fallen is lost again, with the iteration from which
-            it rose. A loss that exceeds a thousand times its first value ends the run.
-        SamplingWarning: When voxels or angles are too coarse for the pixels; the plan's notes keep it.
-        ToleranceWarning: When the light found does not print at every corner, with the corners that hold it.
+        DivergenceWarning: The loss rose again by more than half of its decrease; names the iteration from which it
+            rose. A loss of more than a thousand times its first value ends the run.
+        SamplingWarning: Voxels or angles are too coarse for the pixels; also in the plan's notes.
+        ToleranceWarning: The patterns do not print at every corner; names the limiting corners.
     """
     if resume is not None and not isinstance(resume, Plan):
         raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
                        "vam.load(path) of one that was saved")  # fmt: skip
     check_tolerances(tolerances)
     if cancel is not None and not callable(cancel):
-        raise BadInput(f"cancel is {cancel!r}; expected a function that says whether to stop, or None")
+        raise BadInput(f"cancel is {cancel!r}; expected a function that returns whether to stop, or None")
     how = chosen(resume.method if resume is not None and method == "default" else method)
     limit = _limit(how, iterations, evaluations)
     brightest = ExposureLimit.of(exposure_limit, irradiance, critical_dose, absorption)
@@ -161,18 +161,18 @@ def optimize(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What light is sought on: operator, target and limits of its voxels, of all corners of tolerances."""
+    """The optimization problem: operator, target and limits of its voxels, for all corners of tolerances."""
 
     operator: Any
     target: DeviceArray
     limits: Limits | None
-    judge: OptimizerState | None  # on the voxels of the caller, where light is sought on others
-    finer: float = 1.0  # dose of a light on these voxels over that on the caller's
+    judge: OptimizerState | None  # on the caller's voxels, if the optimization uses different ones
+    finer: float = 1.0  # dose of the same light on these voxels over that on the caller's
     notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, posed: Any, target: Any, method: Method, tolerances: Tolerances | None) -> _Problem:
-        """That of a method: on voxels as fine as light for `SurfaceRamp`, where memory does."""
+        """The problem of a method: for `SurfaceRamp` on voxels finer than a pixel, if memory allows."""
         fractions, limits = fractions_of(posed, target), getattr(target, "limits", None)
         if limits is not None and (limits.weighted or limits.gray.any()):
             check_bodies(method, limits)
@@ -211,12 +211,12 @@ class _Problem:
         return cls(asked, stacked, limits, judge and OptimizerState(*judge, {}), finer, notes)
 
     def state(self, memory: dict[str, Any], method: Method) -> OptimizerState:
-        """A run on it."""
+        """The state of a run on it."""
         limits, criterion = self.limits, method.criterion
         if limits is not None and (limits.weighted or limits.gray.any()):
-            criterion = "loss"  # a window knows neither weights nor the upper end of a gray dose
+            criterion = "loss"  # a window ignores weights and the upper end of a gray dose
         state = OptimizerState(self.operator, self.target, memory, criterion, limits)
-        if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some of the part is as deep
+        if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some voxels are that deep
             state.margin = PIXEL_DEEP
         return state
 
@@ -230,18 +230,18 @@ def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | Non
 
 
 def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
-    """Refuse an exposure limit for a method that knows none, and for a run that dims no light."""
+    """Reject an exposure limit for a method without one, and for a run that dims no light."""
     if limit == 0:
         raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which dims no light; expected "
                        "iterations ≥ 1, or no limit")  # fmt: skip
     if not isinstance(method, SurfaceRamp):
-        raise BadInput(f'got exposure_limit with {method!r}; expected "default", which seeks light that is no brighter')
+        raise BadInput(f'got exposure_limit with {method!r}; expected "default", which limits the brightness')
 
 
 def _limit_light(
     state: OptimizerState, operator: Projector, limit: ExposureLimit, resume: Plan | None, finer: float
 ) -> None:
-    """Let a run find no light that lasts longer than it may. Raises `BadInput`."""
+    """Limit the brightness of a run's light to the exposure. Raises `BadInput`."""
     brightness = limit.brightness(operator)
     if resume is not None and state.memory.get("brightness") != brightness:
         raise BadInput(
@@ -256,9 +256,9 @@ def _limit_light(
 def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
     """Warn of a limit that leaves no window."""
     warnings.warn(
-        f"no light with a strict window was found within the exposure limit of {limit.seconds:.4g} s: the widest is "
-        f"{max(plan.window, -1.0):+.3f}; take more time, a brighter lamp or more iterations; without the limit the run "
-        "tells what the part itself allows",
+        f"no patterns with a strict window were found within the exposure limit, {limit.seconds:.4g} s: the widest is "
+        f"{max(plan.window, -1.0):+.3f}; use more time, a brighter lamp or more iterations; a run without the limit "
+        "shows what the part allows",
         OpticsWarning,
         stacklevel=3,
     )
@@ -404,7 +404,7 @@ class _Run:
         told = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
         if told.window <= 0.0:
             warnings.warn(
-                f"the light does not print at every corner of its tolerances: {told.statement()}; take smaller ones, "
+                f"the light does not print at every corner of its tolerances: {told.statement()}; use smaller ones, "
                 "or more iterations",
                 ToleranceWarning,
                 stacklevel=4,
@@ -447,6 +447,6 @@ def _count(iterations: int) -> int:
 
 
 def _where(operator: Projector) -> str:
-    """The voxels and the motion of an operator, in words; empty where it has none of the usual kind."""
+    """The voxels and the motion of an operator, in words; empty if it has none of the usual kind."""
     grid, motion = (getattr(operator, name, None) for name in ("grid", "motion"))
     return f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""

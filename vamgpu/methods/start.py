@@ -1,4 +1,4 @@
-"""A run that begins with light of the caller's."""
+"""A run that starts from the caller's light."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 
 SAME = 2.0
-"""Factor within which light counts as meant in units of the part's dose."""
+"""Factor within which light counts as in units of the part's dose."""
 
 
 def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
-    """Light [angle, r, z] of any library on an operator's device, maybe shared. Raises `BadInput`, `ShapeMismatch`."""
+    """Light [angle, r, z] of any library on an operator's device. Raises `BadInput`, `ShapeMismatch`."""
     light = getattr(light, "sinogram", light)
     require(operator.range, light, name)
     field = operator.device.field(light)
     if not isfinite(total(field)):
-        raise BadInput(f"{name} holds NaN or infinity; expected finite light ≥ 0: look where it was made")
+        raise BadInput(f"{name} holds NaN or infinity; expected finite light ≥ 0: check its source")
     least, greatest = extent(field)
     if not least >= 0.0:
         raise BadInput(f"{name} reaches from {least:g} to {greatest:g}; expected none below 0: clip it")
@@ -34,10 +34,10 @@ def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
 def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None, scale: float = 1.0) -> None:
     """Put light, times ``scale``, into the memory of a run as ``light``; half an evaluation.
 
-    That of None is filtered back projection, one evaluation.
+    If start is None, use filtered back projection; it takes one evaluation.
     """
     if resume is not None:
-        raise BadInput("got both resume and start; a resumed run goes on from its own light: leave one out")
+        raise BadInput("got both resume and start; a resumed run continues from its own light: leave one out")
     if not getattr(method, "takes_start", False):
         raise BadInput(
             f"{type(method).__name__} begins with the target, not with light; expected no start and iterations ≥ 1, or "
@@ -57,5 +57,5 @@ def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None
         state.scale(1.0 / level, light, light)
     state.memory.update({"light": light, "started": 1.0})
     window, _ = state.window(dose)
-    if method.criterion == "window":  # so that no worse light is returned
+    if method.criterion == "window":  # so that the run never returns worse light than its start
         state.offer(1.0 - window, window, 0)

@@ -1,8 +1,8 @@
-"""The default: thresholds that ramp across the surface of the part, on voxels finer than a pixel, lowered by L-BFGS.
+"""The default: thresholds that ramp across the surface of the part, on voxels finer than a pixel, optimized by L-BFGS.
 
-Two thresholds ask the dose to jump at the surface. Pixels of a width s cannot make it jump: light that tries costs
-window below the voxel, where nobody looked. So thresholds ramp from one pixel outside the surface to one inside. Voxels
-are three quarters of a pixel wide, so that what happens between pixels is seen.
+Two thresholds need a jump of the dose at the surface, which pixels of a width s cannot make: patterns that try it lose
+window below the voxel. So thresholds ramp from one pixel outside the surface to one inside. Voxels are three quarters
+of a pixel wide, so that the optimization includes the dose between pixels.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ FINE = 0.75
 """Width of a voxel over that of a pixel in the resin. Half as wide again gains 0.01 of the window half a pixel from the
 surface; voxels as wide as pixels lose 0.08 of it."""
 PIXEL_DEEP = 0.5 - 1e-6
-"""Of a target that ramps: with this margin voxels count from one width off the surface."""
+"""Margin of a target that ramps, at which voxels count from one width off the surface."""
 VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
 """Memory that it takes, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
 ABOVE = 2.0
-"""Pixels above and below the part that voxels reach."""
+"""Pixels above and below the part up to which there are voxels."""
 
 
 @dataclass(frozen=True)
@@ -59,21 +59,21 @@ class SurfaceRamp(ByPairs):
 
         minimize Σ e²/2 over voxels + Σ max(0, D − dark)²/2 over cells of all other resin,   0 ≤ g ≤ brightest · mean g₀
 
-    with e as of `vamgpu.losses.Ramp`, D = Aᵀg and g₀ the light that it begins with, filtered back projection. Cells of
-    all other resin lie beside the judged cylinder out to the wall of the vessel, and above and below it. `optimize`
-    finds the light on voxels three quarters of a pixel wide where the target's are wider. With tolerances the first sum
-    is over the voxels of every corner, the second over the cells of the nominal print, as often.
+    with e as in `vamgpu.losses.Ramp`, D = Aᵀg and g₀ the initial patterns, from filtered back projection. Cells of all
+    other resin are beside the judged cylinder out to the wall of the vessel, and above and below it. `optimize` uses
+    voxels three quarters of a pixel wide if the target's are wider. With tolerances the first sum is over the voxels of
+    every corner, and the second counts the cells of the nominal print once per corner.
 
     Args:
         outside: Greatest dose one ``width`` outside the surface, in units of the part's dose.
         inside: Least dose one ``width`` inside, in units of the part's dose.
         most: Greatest dose in the part, in units of the part's dose.
         dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
-        width: Of the ramp on either side of the surface [pixels in the resin].
-        brightest: Greatest light of a pixel over the mean of the first light; shortens the exposure.
-        history: Pairs of sinograms kept.
-        history_bytes: Memory they may take; None takes what the device gives. Fewer pairs than asked raise a
-            `MemoryNotice`.
+        width: Width of the ramp on either side of the surface [pixels in the resin].
+        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; shortens the exposure.
+        history: Pairs of sinograms that are kept.
+        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` says if fewer pairs
+            fit.
 
     Raises:
         BadInput: A value is out of its range.
@@ -100,7 +100,7 @@ class SurfaceRamp(ByPairs):
 
     @property
     def loss(self) -> Loss:
-        """That of voxels."""
+        """The loss of voxels."""
         return Ramp(self.outside, self.inside, self.most)
 
     @property
@@ -109,16 +109,16 @@ class SurfaceRamp(ByPairs):
         return 0.5 * (self.outside + self.inside)
 
     def steps(self, state: OptimizerState) -> Steps:
-        """As of `Method`.
+        """Steps of a run, as for `Method`.
 
         Args:
-            state: Of the run.
+            state: State of the run.
 
         Yields:
             Loss and strict window of the step, on its voxels.
 
         Raises:
-            NoLight: What it begins with is dark in all pixels whose rays meet the part.
+            NoLight: The initial patterns are dark in all pixels whose rays meet the part.
         """
         memory = state.memory
         state.lit = lit = lit_pixels(state.operator, state.target)
@@ -139,10 +139,10 @@ class SurfaceRamp(ByPairs):
 
 
 def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
-    """The projector on which light is found: voxels of three quarters of a pixel, some above and below the part.
+    """The projector of the optimization: voxels of three quarters of a pixel, some above and below the part.
 
     None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. With ``keep`` the
-    next call returns the same object, once, as its tables take seconds.
+    next call returns the same object, once, because its tables take seconds.
     """
     if (grid := fine_grid(operator)) is None:
         return None
@@ -159,7 +159,7 @@ _KEPT: WeakKeyDictionary[Any, Projection | RingProjection] = WeakKeyDictionary()
 
 
 def _on_rings(operator: Any, fine: Projection) -> Projection | RingProjection:
-    """Light on rings, where its operator is or where that is faster and fits into memory."""
+    """The projector on rings, if its operator is, or if that is faster and fits into memory."""
     if unsupported_reason(fine) or not (isinstance(operator, RingProjection) or prefers_rings(fine)):
         return fine
     try:
@@ -171,7 +171,7 @@ def _on_rings(operator: Any, fine: Projection) -> Projection | RingProjection:
 
 
 def finer_voxels(method: Any, operator: Any, target: Any) -> Grid | None:
-    """The voxels of `as_fine_as_light` where a method finds light on them; None where it keeps its operator's."""
+    """The voxels of `as_fine_as_light` if a method uses them; None if it keeps its operator's."""
     asks = isinstance(method, SurfaceRamp) and getattr(target, "limits", None) is None
     return fine_grid(operator) if asks else None
 
@@ -223,7 +223,7 @@ def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Resin beyond the judged cylinder, which is to stay dark: its cells, their weights by ring, the greatest dose."""
+    """Resin beyond the judged cylinder, which must stay dark: its cells, their weights by ring, the greatest dose."""
 
     resin: AllResin
     cells: tuple[DeviceArray, ...]
@@ -232,7 +232,7 @@ class Beside:
 
     @classmethod
     def of(cls, operator: Any, dark: float) -> Beside | None:
-        """That of a projector or of the nominal one of scenarios, whose number it counts; None where nothing tells."""
+        """The resin of a projector, or of the nominal one of scenarios, whose number it counts; None if unknown."""
         several = isinstance(operator, Scenarios)
         nominal, count = (operator.operators[0], len(operator)) if several else (operator, 1)
         if not isinstance(nominal, Projection | RingProjection):
@@ -253,7 +253,7 @@ class Beside:
         self.resin.expose(light, dose, self.cells)
 
     def value(self) -> float:
-        """The loss of the cells, whose doses become its derivatives."""
+        """The loss of the cells; its derivatives replace their doses."""
         value = 0.0
         for dose, weight in zip(self.cells, self.weights, strict=True):
             parts = parts_for(dark_loss, dose)

@@ -35,14 +35,14 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Corner:
-    """One way in which all tolerances are used up at once; all zero is nominal.
+    """One combination of extreme tolerances; all zero is nominal.
 
     Args:
-        axis: Of rotation, towards +r [mm].
+        axis: Displacement of the axis of rotation, towards +r [mm].
         spread: Standard deviation of the point spread [mm]; None for the beam's own.
         absorption: Share by which the resin absorbs more.
-        index: Of the resin, by so much greater.
-        wobble: Of the vial from its axis, along x and y [mm].
+        index: Increase of the resin's refractive index.
+        wobble: Displacement of the vial from its axis, along x and y [mm].
         dose: Share by which every dose is greater.
     """
 
@@ -75,7 +75,7 @@ class CornerDose:
     """What one light gives at a corner, in units of the light.
 
     Attributes:
-        name: Of the corner.
+        name: Name of the corner.
         least: Dose inside the part.
         leak: Greatest dose outside it.
         greatest: Dose anywhere.
@@ -88,7 +88,7 @@ class CornerDose:
 
     @property
     def window(self) -> float:
-        """Strict process window at this corner alone, with a threshold of its own; −1 where it is dark."""
+        """Strict process window at only this corner, with its own threshold; −1 if it is dark."""
         return (self.least - max(self.leak, 0.0)) / self.greatest if self.greatest > 0.0 else -1.0
 
 
@@ -137,23 +137,23 @@ class CornerDoses:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far a machine and its resin may be off: light is sought that prints wherever they are, with one threshold.
+    """How far a machine and its resin may deviate: the method finds patterns that print everywhere in this range.
 
-    Every tolerance goes to both of its ends, in all combinations; these corners, the middles of the faces between them
-    and the nominal print are scenarios: light for corners alone has a narrower window at other points of the box. Each
-    has an operator of its own, made anew with the beam, vessel or axis that it says; only a wobble moves images by
-    linear interpolation, and an axis where the light is not that of a `Projection` about a round vessel or in air.
+    One threshold holds for all scenarios: the corners, which combine both ends of every tolerance, the middles of the
+    faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
+    box. Each scenario has its own operator with its beam, vessel or axis. Linear interpolation moves images only for a
+    wobble, and for an axis unless the operator is a `Projection` of a round vessel or air.
 
     Args:
         axis: Place of the axis of rotation across the light, ± [mm].
-        spread: Least and greatest standard deviation of the point spread [mm]; None for the beam's alone.
-        absorption: Of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
-        dose: Of the whole exposure, ± a share of it.
+        spread: Least and greatest standard deviation of the point spread [mm]; None for only the beam's.
+        absorption: Absorption of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
+        dose: Dose of the whole exposure, ± a share of it.
         index: Refractive index of the resin, ±.
-        wobble: How far the vial stands off the axis, in any direction [mm]; four are looked at.
-        judged: "worst" for the least dose of any corner and the greatest of any; "mean + spread" for the mean dose of
-            all corners, and corners brought nearer to it by the square root of how many tolerances there are, which is
-            the standard deviation where each does alike.
+        wobble: Distance of the vial from the axis, in any direction [mm]; four directions are evaluated.
+        judged: "worst" for the least and the greatest dose of all corners; "mean + spread" for their mean dose, and
+            corners whose deviation from it is divided by √(number of tolerances), which is the standard deviation if
+            all tolerances have equal effects.
 
     Raises:
         ToleranceError: The least point spread exceeds the greatest.
@@ -196,7 +196,7 @@ class Tolerances:
                 adds, and the vial by its eccentricity.
             fill: Share of a pixel's area that is lit.
             reach: Of the part before and behind the axis [mm]: spreads measured farther away do not count.
-            followed: Whether frames follow the measured runout, as `vam print` moves them; its error alone is left.
+            followed: Whether frames follow the measured runout, as in `vam print`; then only its error remains.
             sure: Standard errors that a tolerance spans [1].
             more: Further tolerances, by name.
 
@@ -282,7 +282,7 @@ class Tolerances:
 
         Args:
             operator: The nominal projector.
-            light: Of its pixels [angle, r, z] ≥ 0, or a plan.
+            light: Light of its pixels [angle, r, z] ≥ 0, or a plan.
             target: A `Target`, or fractions [x, y, z].
 
         Returns:
@@ -330,7 +330,7 @@ def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray)
             raise ToleranceError(
                 blamed,
                 f"leaves part of the target dark ({corner}): even light gives its darkest voxel "
-                f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; take a smaller tolerance or a "
+                f"{found.least / max(found.greatest, 1e-30):.2g} of the greatest dose; use a smaller tolerance or a "
                 "beam of more pixels",
             )
 
@@ -388,7 +388,7 @@ def _projected(A: Projection, corner: Corner) -> Any:
                              "less: check its unit, mm")  # fmt: skip
     if corner.spread is not None:
         if A.footprint != "exact":
-            raise ToleranceError("spread", "has no meaning for footprint='joseph'; take footprint='exact'")
+            raise ToleranceError("spread", "has no meaning for footprint='joseph'; use footprint='exact'")
         beam = replace(beam, spread=corner.spread)
     if corner.absorption or corner.index:
         vessel = _resin(vessel, corner)

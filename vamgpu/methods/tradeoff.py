@@ -47,9 +47,9 @@ def pareto(
 
     Args:
         plan: By the default, without tolerances; its operator and target are those of all.
-        irradiance: Of a full-on pixel in air [mW/mm²], or text with its unit.
+        irradiance: Irradiance of a full-on pixel in air [mW/mm²], or text with its unit.
         critical_dose: From which resin is solid [mJ/mm³], or text with its unit.
-        absorption: Of the resin [1/mm], where the operator absorbs no light.
+        absorption: Absorption of the resin [1/mm], if the operator absorbs no light.
         evaluations: Projector evaluations of each light; by default those that the plan took, 100 at least.
         progress: Is told the share of the lights that are done.
 

@@ -1,4 +1,4 @@
-"""Contrast: the share of a dose, or of what the resin makes of it, that lies in the part."""
+"""Contrast: the share of a dose, or of the resin's response, that is in the part."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def contrast(
         raise ShapeMismatch(f"the response made {made.shape} of a dose of {values.shape}; expected the same shape")
     if not np.isfinite(made).all() or made.min() < 0:
         raise BadInput(
-            f"the response reaches from {made.min():g} to {made.max():g}; expected finite numbers ≥ 0, as doses are"
+            f"the response reaches from {made.min():g} to {made.max():g}; expected finite numbers ≥ 0, like doses"
         )
     return _share(float(made[part > 0].sum()), float(made.sum()))
 

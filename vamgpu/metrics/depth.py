@@ -1,4 +1,4 @@
-"""Signed depth of voxels' centers below the surface of a part, from the fractions of the voxels alone.
+"""Signed depth of voxels' centers below the surface of a part, only from the fractions of the voxels.
 
 A voxel that is partly filled says where the surface cuts it: at the plane, square to the local gradient, that fills as
 much of a cube (as volume-of-fluid codes do: D. L. Youngs, Numerical Methods for Fluid Dynamics (1982) 273). Every
@@ -80,7 +80,7 @@ def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
 
 
 def _box(values: Array, span: int) -> tuple[slice, slice, slice] | None:
-    """The part's bounding box, ``span`` voxels wider; None where the part is not."""
+    """The part's bounding box, ``span`` voxels wider; None if the part is not."""
     filled = values > _FULL
     if not filled.any():
         return None

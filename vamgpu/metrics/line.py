@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Line(NamedTuple):
-    """One number with its name and what it means."""
+    """One number with its name and meaning."""
 
     name: str
     value: str

@@ -22,7 +22,7 @@ FORMED = 0.5
 
 @dataclass(frozen=True)
 class Merit:
-    """Which half disks a print holds. spokes, gaps: one boolean each, True where it is connected to the disk."""
+    """Half disks of a print. spokes, gaps: one boolean each, True if it is connected to the disk."""
 
     spokes: tuple[bool, ...]
     gaps: tuple[bool, ...]
@@ -50,14 +50,14 @@ def merit(
     pixel: float = 0.067,
     half_disk_radius: float = 1.0,
 ) -> Merit:
-    """Judge a print of `exposure_disk`: connected components of what is solid, the disk's own the one at the axis.
+    """Judge a print of `exposure_disk` by connected components of solid voxels; the disk's is the one at the axis.
 
     A half disk counts as connected if at least half of it is solid and part of the component of the disk.
 
     Args:
         printed: Boolean [x, y] or [x, y, z]; voxels that share a face are connected.
-        pitch: Of the voxels [mm].
-        diameter: Of the disk [mm].
+        pitch: Pitch of the voxels [mm].
+        diameter: Diameter of the disk [mm].
         pixel: Width of a pixel [mm].
         half_disk_radius: Radius of the half disks [mm].
 
@@ -65,7 +65,7 @@ def merit(
         The half disks that are connected.
 
     Raises:
-        BadInput: The shape is another, or the middle of the disk is not solid.
+        BadInput: The shape is wrong, or the middle of the disk is not solid.
     """
     from scipy.ndimage import label
 

@@ -18,7 +18,7 @@ from vamgpu.geometry import centers, counts, positive
 Array = npt.NDArray[np.float64]
 
 ANGLES = 1801
-"""Directions of a cumulative point spread, unless told otherwise."""
+"""Directions of a cumulative point spread, by default."""
 
 
 def steepest(ratio: float) -> float:

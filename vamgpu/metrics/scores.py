@@ -31,7 +31,7 @@ class Scores:
         least_in, greatest_in, greatest_out, peak: Least and greatest dose in the part, greatest out of it, and greatest
             of all.
         total_in: Σ dose over the part.
-        in_voxels, out_voxels: How many were judged.
+        in_voxels, out_voxels: Numbers of judged voxels.
         missing: In the part but not printed.
         excess: Printed but out of the part.
     """
@@ -114,7 +114,7 @@ def _voxels(parts: Parts) -> tuple[int, int]:
     if not found[IN]:
         raise BadInput(
             f"no voxel within {parts.reach:g} voxels of the axis is in the part (fraction ≥ {parts.level:g}); "
-            "center the target on the axis or choose a finer pitch"
+            "center the target on the axis or use a finer pitch"
         )
     return int(found[OUT]), int(found[IN])
 

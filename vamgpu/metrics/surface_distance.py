@@ -22,7 +22,7 @@ from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.targets.solid import Solid
 
 POINTS = 20_000
-"""Points drawn on a print's surface, unless told otherwise."""
+"""Points drawn on a print's surface, by default."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class SurfaceDistance:
 
     points: Array  # (n, 3) [mm], where the alignment put them
     distance: Array  # (n,) [mm]
-    alignment: Alignment | None  # None where none was wanted
+    alignment: Alignment | None  # None if none was wanted
 
     @property
     def mean(self) -> float:

@@ -1,4 +1,4 @@
-"""A print judged against the mesh it was made from: distances of surfaces, walls, bodies, holes."""
+"""A print judged against its mesh: distances of surfaces, walls, bodies, holes."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from vamgpu.targets.solid import Solid
 SAMPLES = 10_000
 """Points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
 _DENSE = 300_000
-"""Points on each surface, at most, among which the greatest distances are looked for."""
+"""Most points on each surface in the search for the greatest distances."""
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
-"""Pieces of triangles that a point is compared with, at most: enough for all but points as far from all of a part."""
+"""Most pieces of triangles that a point is compared with: enough except for points equally far from a whole part."""
 _WIDEST = 4.0
-"""Voxels of the part; what is thicker is no wall."""
+"""In voxels of the part; anything thicker does not count as a wall."""
 
 
 @dataclass(frozen=True)
 class WallChanges:
-    """Walls of a part that its print has and has not, by thickness [mm]; NaN where there are none of a kind."""
+    """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none of a kind."""
 
-    # A wall is thinner than four of the part's voxels. It is lost where the dose in its middle stays below the
-    # threshold. A sharp edge is a wall too, and ends thin.
+    # A wall is thinner than four of the part's voxels. It is lost if the dose in its middle stays below the threshold.
+    # A sharp edge also counts as a wall, which tapers to zero thickness.
 
     share_lost: float  # of the area of all walls, 0..1
     thinnest_lost: float
@@ -55,16 +55,15 @@ class WallChanges:
 class SurfaceJudgement:
     """Differences of a print from its part in space."""
 
-    # Distances are signed, > 0 where the print is too thick. Those of the print's surface from the part and those of
-    # the part's surface from the print count alike: without the second a fin that is missing would not show. All are
-    # NaN where nothing prints.
+    # Distances are signed, > 0 where the print is too thick. They are measured from print to part and from part to
+    # print: without the second, a missing fin would not show. All are NaN if nothing prints.
 
-    distances: Array = field(repr=False)  # of points of the print's surface, then of as many of the part's, (2 n,) [mm]
-    greatest_excess: float  # farthest that the print is too thick [mm], ≥ 0
-    greatest_lack: float  # farthest that it is too thin, or that a part of it is missing [mm], ≥ 0
+    distances: Array = field(repr=False)  # of n points of the print's surface, then of n of the part's, (2 n,) [mm]
+    greatest_excess: float  # greatest distance by which the print is too thick [mm], ≥ 0
+    greatest_lack: float  # greatest distance by which it is too thin or missing [mm], ≥ 0
     walls: WallChanges  # which walls of the part were lost
     changes: BodyChanges  # which bodies, holes and cavities were lost, joined or gained
-    unjudged: Unjudged  # what was too thin for the part's voxels
+    unjudged: Unjudged  # features too thin for the part's voxels
 
     @property
     def mean(self) -> float:
@@ -103,18 +102,16 @@ class SurfaceJudgement:
             thick = "" if self.unjudged.thickness is None else f", up to {length(self.unjudged.thickness)} thick"
             thin = f"{len(self.unjudged.regions)}, {self.unjudged.volume:.3g} mm³{thick}"
         return (
-            Line(
-                "surface distance, mean", length(self.mean, "+"), "of print and part, > 0 where the print is too thick"
-            ),
+            Line("surface distance, mean", length(self.mean, "+"), "print to part, > 0 where the print is too thick"),
             Line("surface distance, RMS", length(self.rms), "both ways: print to part, and part to print"),
-            Line("surface distance, 95 %", length(self.p95), "95 % of both surfaces lie closer"),
-            Line("surface distance, greatest", greatest, "farthest too thick, farthest too thin or missing"),
-            Line("walls lost", lost, "thinnest and thickest whose middle did not print, share of all walls' area"),
-            Line("thinnest wall printed", length(w.thinnest_printed), "along the normal of its surface"),
-            Line("bodies changed", bodies, "lost + merged + broken + extra, of the bodies of the part"),
+            Line("surface distance, 95 %", length(self.p95), "95 % of both surfaces are closer"),
+            Line("surface distance, greatest", greatest, "most too thick, most too thin or missing"),
+            Line("walls lost", lost, "thinnest and thickest whose middle did not print, and their share of wall area"),
+            Line("thinnest wall printed", length(w.thinnest_printed), "measured along the normal of its surface"),
+            Line("bodies changed", bodies, "lost + merged + broken + extra, of the part's bodies"),
             Line("holes changed", f"{c.holes_closed} + {c.holes_opened} of {c.holes}", "through holes closed + opened"),
             Line("cavities changed", f"{c.cavities_filled} + {c.cavities_extra} of {c.cavities}", "filled + extra"),
-            Line("too thin to be judged", thin, "parts of the target that fill no voxel to a half"),
+            Line("too thin to be judged", thin, "parts of the target that do not fill half of any voxel"),
         )
 
 
@@ -123,9 +120,9 @@ def judge_surface(
     solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
-    # Distances are those between the triangles of both surfaces, no sample of them. Bodies, holes and cavities are
-    # those of voxels of the dose's grid: what is thinner than these is not compared, and `unjudged` tells of what is
-    # thinner than the part's.
+    # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities
+    # are those of voxels of the dose's grid: anything thinner is not compared. `unjudged` reports what is thinner than
+    # the part's voxels.
     # dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
@@ -140,7 +137,7 @@ def judge_surface(
         return TriangleSearch(found, 0.5 * around.pitch) if len(found) else None
 
     with warnings.catch_warnings():
-        if solid is None:  # a surface of voxels, which nobody drew and nobody can mend
+        if solid is None:  # a surface made from voxels, which the user cannot repair
             warnings.simplefilter("ignore", MeshWarning)
         printed, near, own, there = together(
             triangles,
@@ -176,7 +173,7 @@ def judge_surface(
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
-    """Bodies on voxels, those of one body of the mesh together: where a wall is thin, voxels break it."""
+    """Bodies on voxels, merged if they belong to one body of the mesh: voxels can break a thin wall."""
     if found.bodies < 2:
         return found
     number = bodies(part.faces, len(part.vertices))
@@ -200,7 +197,7 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
 def _walls(
     near: Nearest, points: Array, face: npt.NDArray[np.int64], around: PrintedField, widest: float
 ) -> WallChanges:
-    """Thickness of the part at points of its surface, split by whether its middle prints there."""
+    """Thickness of the part at points of its surface, divided by whether its middle prints there."""
     found = walls(near.search, points, near.normals[face], widest)
     printed = around.printed(found.center)
     lost, kept = found.thickness[found.is_wall & ~printed], found.thickness[found.is_wall & printed]
@@ -225,7 +222,7 @@ def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) 
 
 
 def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:
-    """The points that may be farthest from a surface, of those where the print is too thick and of the others."""
+    """The points that may be farthest from a surface, for points where the print is too thick and for the others."""
     low, high = search.bounds(points)
     chosen = []
     for side in (np.flatnonzero(thick), np.flatnonzero(~thick)):

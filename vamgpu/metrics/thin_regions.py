@@ -1,4 +1,4 @@
-"""Parts of a target that are too thin for its voxels: no voxel stands for them, so none can print wrong."""
+"""Parts of a target that are too thin for its voxels, so that no score counts them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from vamgpu.metrics.walls import walls
 from vamgpu.targets.solid import Solid
 
 IN_THE_PART = 0.5
-"""Filled share from which a voxel counts as in the part, as in `Parts`."""
+"""Least filled share at which a voxel counts as in the part, as in `Parts`."""
 _PER_VOXEL_FACE, _LEAST, _MOST = 2.0, 5_000, 400_000
 """Points looked at on the surface: for each voxel face, at least, at most."""
 _WIDEST = 2.0
 """Voxels; walls as thick as this are shown, whatever their place."""
 _SMALLEST = 0.5
-"""Voxels; regions that hold less would not fill a voxel even if they lay in one."""
+"""Least volume of a region, in voxels; a smaller one would not fill half of a voxel."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class ThinRegion:
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]  # corners of the box around it [mm]
-    volume: float  # what fills its voxels [mm³]
-    thickness: float | None  # its greatest wall thickness [mm]; None where voxels alone, no mesh, tell of it
+    volume: float  # filled volume of its voxels [mm³]
+    thickness: float | None  # its greatest wall thickness [mm]; None without a mesh
 
     @property
     def center(self) -> tuple[float, float, float]:
@@ -43,7 +43,7 @@ class ThinRegion:
 
 @dataclass(frozen=True)
 class Unjudged:
-    """All that is too thin to be judged on a grid, the largest region first; false where there is none."""
+    """All that is too thin to be judged on a grid, the largest region first; false if there is none."""
 
     regions: tuple[ThinRegion, ...]
     pitch: float  # of the grid [mm]
@@ -58,33 +58,33 @@ class Unjudged:
 
     @property
     def thickness(self) -> float | None:
-        """Greatest wall thickness of all regions [mm]; None where there are none, or no mesh tells of it."""
+        """Greatest wall thickness of all regions [mm]; None without regions or without a mesh."""
         return max((region.thickness for region in self.regions if region.thickness is not None), default=None)
 
     def reason(self) -> str:
-        """One sentence: what was not judged, where, and what to do; empty where everything was."""
+        """One sentence: what was not judged, where, and what to do; empty if everything was judged."""
         return f"{self.found()} and could not be judged; use smaller voxels or thicker walls" if self.regions else ""
 
     def found(self) -> str:
-        """Features that were not judged, and where; empty where there are none."""
+        """Features that were not judged, and where; empty if there are none."""
         if not self.regions:
             return ""
         first = self.regions[0]
         thick = "" if self.thickness is None else f", up to {1e3 * self.thickness:.0f} µm thick"
         where = ", ".join(f"{value:.2f}" for value in first.center)
-        number = f"{len(self.regions)} part{'s' if len(self.regions) > 1 else ''} of the target"
+        number, do = (f"{len(self.regions)} parts", "do") if len(self.regions) > 1 else ("1 part", "does")
         return (
-            f"{number} ({self.volume:.3g} mm³{thick}; the largest about ({where}) mm) filled no voxel of "
-            f"{1e3 * self.pitch:.0f} µm to a half"
+            f"{number} of the target ({self.volume:.3g} mm³{thick}; the largest near ({where}) mm) {do} not fill half "
+            f"of any {1e3 * self.pitch:.0f} µm voxel"
         )
 
 
 def unjudged(fraction: npt.ArrayLike, grid: Grid, solid: Solid | None = None) -> Unjudged:
-    """Find what the voxels of a target do not show."""
-    # With a mesh: walls whose middle has no voxel of the part around it, because walls thinner than about a voxel fill
-    # none to a half. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no neighbor
-    # in the part, which thin walls leave behind in the fractions. A thin wall less than a voxel beside a thick one is
-    # found by neither.
+    """Find features that the voxels of a target do not show."""
+    # With a mesh: walls with no voxel of the part around their middle, because walls thinner than about a voxel do not
+    # fill half of any. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no
+    # neighbor in the part, which thin walls leave in the fractions. Neither finds a thin wall less than a voxel from a
+    # thick one.
     # fraction [x, y, z]
     part = np.asarray(fraction)
     if part.shape != grid.shape:
@@ -101,7 +101,7 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
     a, b, c = np.moveaxis(corners[face], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    # Half a voxel below the surface of a part thick enough, every voxel is filled to a half: the others are looked at.
+    # Half a voxel below the surface of a thick part, every voxel is at least half filled: only the others are searched.
     doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
     if not doubtful.any():
         return []

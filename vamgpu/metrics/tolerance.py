@@ -1,7 +1,7 @@
-"""The process window as a function of the tolerance that a print is allowed.
+"""The process window as a function of the tolerance of a print.
 
 W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose. W(0) judges
-every point of the resin; W at a tolerance does not ask what happens nearer to the surface than that.
+every point of the resin; W at a tolerance ignores points nearer to the surface.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ Depth = Callable[[Array, Array, Array], Array]
 WIDEST = 2.0
 """Tolerances are drawn from 0 to this many voxels."""
 BINS = 128
-"""Steps of the curve; an even number puts half a voxel on one of them."""
+"""Steps of the curve; an even number puts half a voxel on a step."""
 VOXELS, SLICES = 1 << 24, (16, 64)
-"""Voxels that a thread judges at once, and fewest and most slices: depths are looked for beyond either side of them."""
+"""Voxels that a thread judges at once, and fewest and most slices: depths also need slices on either side of them."""
 BESIDE, MEMORY = 24, 1 << 32
-"""Bytes that the depth of a voxel takes while it is found, and that all threads take."""
+"""Bytes that computing the depth takes per voxel, and limit of all threads."""
 _ROUNDING = 1e-4
-"""Voxels by which a depth may miss a step and still count as being there."""
+"""Voxels by which a depth may miss a step and still count for it."""
 
 
 class Slab(Protocol):
@@ -52,26 +52,26 @@ class Slab(Protocol):
 
 
 class Part(Protocol):
-    """A part that can be asked for its fractions on other voxels; a `Target` is one."""
+    """A part that gives its fractions on other voxels; a `Target` is one."""
 
     def resampled(self, grid: Grid, shift: tuple[float, float, float] = ...) -> Any:
-        """Field [x, y, z] with the filled part of every voxel of ``grid`` once its middle is moved by ``shift``."""
+        """Filled share of every voxel of ``grid`` [x, y, z], with its middle moved by ``shift``."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ToleranceWindow:
-    """The process window over the tolerance."""
+    """The process window against the tolerance."""
 
     distance: Array  # the tolerances [mm], from 0 to two voxels or farther, even steps
-    least_in: Array  # least dose at least that deep in the part; infinite where no voxel is
-    greatest_out: Array  # greatest dose at least that far outside; 0 where no voxel is
+    least_in: Array  # least dose at least that deep in the part; infinite if no voxel is that deep
+    greatest_out: Array  # greatest dose at least that far outside; 0 if no voxel is that far
     judged: Array  # share of the part's volume that is at least that deep, 0..1
     peak: float  # greatest dose of all
 
     @property
     def window(self) -> Array:
-        """W at every tolerance; NaN where nothing of the part lies that deep."""
+        """W at every tolerance; NaN if no voxel of the part is that deep."""
         least = np.where(np.isfinite(self.least_in), self.least_in, np.nan)
         return (least - self.greatest_out) / (self.peak or 1.0)
 
@@ -81,7 +81,7 @@ class ToleranceWindow:
 
     def limits(self, distance: float) -> tuple[float, float]:
         """Least dose in the part and greatest outside at a tolerance [mm]. Raises `BadInput` beyond the last."""
-        # Of a part that is nowhere so deep, the least dose is that of its deepest voxels.
+        # If no voxel is that deep, the least dose is that of the deepest voxels.
         step, deepest = self._step(distance), int(np.flatnonzero(self.judged)[-1])
         return float(self.least_in[min(step, deepest)]), float(self.greatest_out[step])
 
@@ -105,7 +105,7 @@ def tolerance_window(
     bins: int = BINS,
     reach: float | None = None,
 ) -> ToleranceWindow:
-    """Judge a dose that comes slab by slab; memory is that of a slab and a few of its slices."""
+    """Judge a dose slab by slab; memory is that of a slab and a few of its slices."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
     tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
@@ -129,11 +129,11 @@ _Piece = tuple[Slab, Array, slice]
 
 
 def _pieces(slabs: Iterable[Slab]) -> Iterator[_Piece]:
-    """Slabs, their doses and some of their slices at once."""
+    """Slabs, their doses and a few of their slices at a time."""
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
-            raise BadInput(f"a slab's dose has shape {dose.shape}; expected one voxel a place of its axes, [x, y, z]")
+            raise BadInput(f"a slab's dose has shape {dose.shape}; expected the lengths of its axes, [x, y, z]")
         each = int(np.clip(VOXELS // (len(slab.x) * len(slab.y)), *SLICES))
         for first in range(0, len(slab.z), each):
             yield slab, dose, slice(first, min(first + each, len(slab.z)))
@@ -150,13 +150,13 @@ class _Tally:
         self.peak = 0.0
 
     def add(self, dose: Array, depth: Array, disc: npt.NDArray[np.bool_] | None) -> None:
-        """Count doses [x, y, z] at depths [mm], NaN where nothing is asked; disc: columns [x, y] that count, or all."""
+        """Count doses [x, y, z] at depths [mm], NaN without limits; disc: columns [x, y] that count, None for all."""
         if not np.isfinite(dose).all():
             raise BadInput("a slab's dose holds NaN or infinity; expected finite numbers")
         if disc is not None:
             dose, depth = dose[disc], depth[disc]
         known = ~np.isnan(depth)
-        if not known.all():  # nothing is asked there
+        if not known.all():
             dose, depth = dose[known], depth[known]
         self.peak = max(self.peak, float(dose.max(initial=0.0)))
         far = self.width * self.bins
@@ -171,13 +171,13 @@ class _Tally:
                 self.count[-1] += np.count_nonzero(beyond)
 
     def take(self, other: _Tally) -> None:
-        """Count what another one has counted."""
+        """Add the counts of another one."""
         self.least, self.greatest = np.minimum(self.least, other.least), np.maximum(self.greatest, other.greatest)
         self.count, self.peak = self.count + other.count, max(self.peak, other.peak)
 
     def result(self) -> ToleranceWindow:
         if not self.count.any():
-            raise BadInput("no voxel of the part is among the slabs; expected a dose of the resin that holds the part")
+            raise BadInput("the slabs contain no voxel of the part; expected the dose of the resin around the part")
         deeper = np.cumsum(self.count[::-1])[::-1]
         return ToleranceWindow(
             distance=np.arange(self.bins + 1) * self.width,
@@ -190,7 +190,7 @@ class _Tally:
 
 # ---- where the surface is -------------------------------------------------------------------------------------------
 def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | None = None) -> Depth:
-    """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm] wherever it is asked."""
+    """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm]."""
     # pitch [mm]; voxel [mm]; reach [mm]
     reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
     halo = ceil(reach) + 2
@@ -210,7 +210,7 @@ def _middle(axis: Array) -> float:
 
 def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False, reach: float | None = None) -> Depth:
     """Depths from the fractions of the part's own voxels, interpolated linearly between their centers."""
-    # Midway between two surfaces that is up to half a voxel less than the true depth.
+    # Midway between two surfaces the depth is up to half a voxel less than the true one.
     # fraction [x, y, z]; reach [mm]
     reach = (WIDEST if reach is None else reach / grid.pitch) + 1.0
     margin = ceil(reach) + 1

@@ -1,4 +1,4 @@
-"""Process windows: how far the dose of the part stays above the dose of everything else."""
+"""Process windows: the margin of the part's dose above all other dose."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class RayBundle:
 
         Args:
             beam: Its pixels.
-            distance: Of the sources from the axis [mm].
+            distance: Distance of the sources from the axis [mm].
 
         Returns:
             One ray a pixel.
@@ -90,9 +90,9 @@ class RayBundle:
 
         Args:
             beam: Its pixels.
-            half_angle: Of the cone [rad]; directions fill its disc as a sunflower's seeds do.
+            half_angle: Half angle of the cone [rad]; directions fill its disc as a sunflower's seeds do.
             rays: Rays of a pixel.
-            focus: Where it is sharpest, downstream of the axis [mm].
+            focus: Position of the focus, downstream of the axis [mm].
             level: Spread the rays on a level line instead.
 
         Returns:

@@ -43,23 +43,24 @@ def capped(values: DeviceArray, most: float) -> DeviceArray:
 
 
 def inherit(operator: LinearOperator, source: LinearOperator) -> None:
-    """Give ``operator`` the geometry of ``source``, as far as that has one."""
+    """Give ``operator`` the geometry of ``source``, as far as it has one."""
     for name in GEOMETRY:
         if hasattr(source, name):
             setattr(operator, name, getattr(source, name))
 
 
 def same_device(first: LinearOperator, second: LinearOperator) -> None:
-    """Raise `DeviceError` unless both operators live on one device."""
+    """Raise `DeviceError` unless both operators are on one device."""
     if first.device is not second.device:
-        raise DeviceError(f"{first!r} lives on {first.device}, {second!r} on {second.device}; build both on one device")
+        raise DeviceError(f"{first!r} is on {first.device}, {second!r} on {second.device}; build both on one device")
 
 
 @final
 class Composed(Derived):
     """outer ∘ inner, with the geometry of the one that has it.
 
-    inner: is applied first.  outer: to what it gives.  Raises `ShapeMismatch`, `DeviceError`.
+    inner: the operator applied first.  outer: the operator applied to its result.  Raises `ShapeMismatch`,
+    `DeviceError`.
     """
 
     outer: LinearOperator
@@ -97,7 +98,7 @@ class Composed(Derived):
 class Sum(Derived):
     """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
 
-    terms: operators between the same spaces.  weights: one a term, 1 where none are given.
+    terms: operators between the same spaces.  weights: one per term, 1 if none are given.
     Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
     """
 

@@ -1,4 +1,4 @@
-"""Depth of focus: light that is blurred by how far it is from the focus."""
+"""Depth of focus: light that is blurred according to its distance from the focus."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ says; the gap grows with the square of the exponent."""
 class Defocus:
     """The width of one pixel's light at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
 
-    That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 wider than in focus. A
-    projector's two numbers rarely agree with an ideal Gaussian; `quality` gives the difference.
+    That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 times as wide as in focus.
+    A projector's two numbers rarely match an ideal Gaussian; `quality` gives the difference.
 
     Args:
         fwhm: Full width at half maximum of one pixel's light in focus, in the plane of the beam's pixels [mm].
-        depth_of_focus: Length of the light's way over which it stays below √2·fwhm, in the resin [mm].
-        focus: Where the light is in focus, downstream of the axis [mm]: a number, or a function of the columns' offsets
-            [mm] for a focus that a lens curves.
+        depth_of_focus: Length along the light over which it is narrower than √2·fwhm, in the resin [mm].
+        focus: Position of the focus downstream of the axis [mm]: a number, or a function of the columns' offsets [mm]
+            for a curved focus.
 
     Raises:
         BadInput: A width or a depth is not above 0.
@@ -59,7 +59,7 @@ class Defocus:
         """Full width at half maximum at some depths.
 
         Args:
-            depth: Before or behind the focus [mm].
+            depth: Distance before or behind the focus [mm].
 
         Returns:
             FWHM [mm], (...,) as ``depth``.
@@ -71,7 +71,7 @@ class Defocus:
 
         Args:
             u: Offsets of the columns [mm], (...,).
-            depth: Downstream of the axis [mm], (...,).
+            depth: Distance downstream of the axis [mm], (...,).
 
         Returns:
             σ² [mm²], (...,).
@@ -83,7 +83,7 @@ class Defocus:
         """Beam quality M²: 1 for an ideal Gaussian beam of this width.
 
         Args:
-            wavelength: Of the light [mm].
+            wavelength: Wavelength of the light [mm].
 
         Returns:
             M², dimensionless.
@@ -94,7 +94,7 @@ class Defocus:
 
 @dataclass(frozen=True, eq=False)
 class WeightedVessel(Vessel):
-    """A vessel of whose light a share counts, which depends on the place: share(u, across, along)."""
+    """A vessel whose light counts by a share that depends on the place: share(u, across, along)."""
 
     vessel: Vessel
     share: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -140,18 +140,18 @@ class _WeightedRows:
 class Defocused(Derived):
     """A projector whose light widens away from the focus, across columns and across rows.
 
-    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, with straight lines between
-    nodes, and Bₖ blurs by that variance. So a pixel's light is as wide as ``defocus`` says at every depth, its
-    interpolation between pixels included (where that alone is wider, light stays that wide). Depths are counted along
-    the rays from where they pass the axis. A projection costs as many as there are nodes.
+    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, linearly between nodes, and
+    Bₖ blurs by that variance. So a pixel's light has the width of ``defocus`` at every depth, including its
+    interpolation between pixels (light is never narrower than that). Depths are counted along the rays from the axis. A
+    projection costs one per node.
 
     Args:
         operator: A `Projection`, a `RingProjection` or an `Oblique`.
         defocus: Width of its light at every depth.
-        tolerance: Largest share by which the FWHM may miss the formula between nodes.
+        tolerance: Largest relative deviation of the FWHM from the formula between nodes.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
     """
 
     domain: Space

@@ -72,7 +72,7 @@ class GramInverse:
 
     @staticmethod
     def unsupported_reason(operator: Any) -> str:
-        """Why there is no inverse of a projector, or of scenarios of some; empty where there is one."""
+        """Why there is no inverse of a projector, or of scenarios of some; empty if there is one."""
         for each in operator.operators if isinstance(operator, Scenarios) else (operator,):
             if isinstance(each, RingProjection):
                 continue
@@ -105,7 +105,7 @@ class GramInverse:
 
 
 def _members(operator: Any) -> list[tuple[float, Any]]:
-    """Projectors, and how often the blur of each counts at most."""
+    """Projectors, each with an upper bound of the weight of its blur."""
     if not isinstance(operator, Scenarios):
         return [(1.0, operator)]
     shares = np.abs(operator.mix)  # |Σ m d|² ≤ Σ|m| · Σ|m| d²

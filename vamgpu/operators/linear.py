@@ -25,7 +25,7 @@ class LinearOperator(ABC):
     Attributes:
         domain: Space of what it takes.
         range: Space of what it gives.
-        device: Where it computes.
+        device: The device of its arrays.
     """
 
     domain: Space
@@ -225,7 +225,7 @@ class LinearOperator(ABC):
         """Test the transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖) for signed normals x and y, sums in float64.
 
         Args:
-            seed: Of the random numbers.
+            seed: Seed of the random numbers.
 
         Returns:
             The relative gap, 0 for an exact transpose.

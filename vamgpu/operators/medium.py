@@ -1,4 +1,4 @@
-"""The medium that turns with the resin: an index of refraction, an extinction, opaque inserts."""
+"""The medium that turns with the resin: a refractive index, an extinction, opaque inserts."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ FINE = 2.0**17
 
 @dataclass(frozen=True, eq=False)
 class CoRotatingMedium:
-    """A medium that turns with the resin: fields on voxels, [x, y] where nothing depends on z, else [x, y, z].
+    """A medium that turns with the resin: fields on voxels, [x, y] if nothing depends on z, otherwise [x, y, z].
 
     Args:
-        index: Refractive index, [x, y] or [x, y, z]; None where it does not change.
+        index: Refractive index, [x, y] or [x, y, z]; None if it is uniform.
         extinction: Absorbed share per length [1/mm], natural logarithm, [x, y] or [x, y, z], or one number for all
-            voxels; None where nothing is absorbed.
-        opaque: Share of every voxel in which an insert stops the light, 0..1, or booleans, [x, y] or [x, y, z]; light
-            ends where the interpolated share passes 0.45, of booleans 0.4. Voxels from one half on get no dose.
-        bath: Refractive index beyond the grid; None takes the median of the index on the grid's faces, or 1.
+            voxels; None if nothing is absorbed.
+        opaque: Share of every voxel that an opaque insert fills, 0..1, or booleans, [x, y] or [x, y, z]; light ends
+            where the interpolated share passes 0.45, or 0.4 for booleans. Voxels of one half or more get no dose.
+        bath: Refractive index beyond the grid; None for the median of the index on the grid's faces, or 1.
 
     Raises:
         BadInput: A value is not finite or out of its range.

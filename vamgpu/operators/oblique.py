@@ -51,11 +51,11 @@ class Oblique(LinearOperator):
         beam: Pixels; ``fill`` and ``spread`` must be left out.
         motion: Angles of the turntable.
         light: A `Cone`, an `Inclined`, or any vessel (None for air), whose rows are level.
-        wobble: Where the axis stands at each angle; the light and all vessels stay where they are.
-        device: A name or a device; the best one here by default.
+        wobble: Position of the axis at each angle; the light and all vessels do not move.
+        device: A name or a device; the best available one by default.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
         DeviceError: There is no such device.
     """
 
@@ -101,7 +101,7 @@ class Oblique(LinearOperator):
         far = float(np.abs(self._places).max(initial=0.0)) * self.grid.pitch
         half = 0.5 * self.beam.pixels[0] * self.beam.pitch
         if far >= half:
-            raise BadInput(f"the axis wanders {far:.4g} mm off, beyond the beam of {half:.4g} mm either side; "
+            raise BadInput(f"the axis moves {far:.4g} mm off, beyond the beam of {half:.4g} mm either side; "
                            "expected less: check the wobble's unit, mm")  # fmt: skip
 
     def _tabulated(self, plane: Vessel) -> dict[str, Any]:

@@ -57,11 +57,11 @@ class PolarGrid:
     ``[t, band.cell + q · band.rings + j − band.begin]``.
 
     Args:
-        rings: Rings, a multiple of eight.
+        rings: Number of rings, a multiple of eight.
         slices: Voxels along z, an even number.
         pitch: Width of a ring [mm].
         angles: Even angles of the turntable, two or more.
-        height: Of a slice [mm]; None for that of the width.
+        height: Height of a slice [mm]; None for the ring width.
 
     Raises:
         BadInput: A value is out of its range.
@@ -79,11 +79,11 @@ class PolarGrid:
         check(self)
         if self.rings % ROWS:
             more = -(-self.rings // ROWS) * ROWS
-            raise BadInput(f"PolarGrid rings is {self.rings}; expected a multiple of {ROWS}: take {more}")
+            raise BadInput(f"PolarGrid rings is {self.rings}; expected a multiple of {ROWS}: use {more}")
         if self.angles < 2:
             raise BadInput(f"PolarGrid angles is {self.angles}; expected 2 or more, even over a full turn")
         if self.slices % 2:
-            raise BadInput(f"PolarGrid slices is {self.slices}; expected an even number: take {self.slices + 1}")
+            raise BadInput(f"PolarGrid slices is {self.slices}; expected an even number: use {self.slices + 1}")
 
     @cached_property
     def bands(self) -> tuple[RingBand, ...]:

@@ -42,13 +42,13 @@ class Projection(LinearOperator):
         beam: Pixels, with their fill factor and point spread.
         motion: Angles of the turntable.
         vessel: For example a `Vial`; None for straight light.
-        device: A name or a device; the best one here by default.
+        device: A name or a device; the best available one by default.
         footprint: "exact", or "joseph" for straight rays interpolated between voxels as tomography packages do: no
             fill factor, no point spread, columns as wide as voxels, and a container at rest while a frame is lit
             (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982)).
 
     Raises:
-        BadInput: An argument is of another kind, or Joseph's rays do not fit the geometry.
+        BadInput: An argument is of another type, or Joseph's rays do not fit the geometry.
         DeviceError: There is no such device.
     """
 
@@ -99,10 +99,10 @@ class Projection(LinearOperator):
         if self.vessel is not None or abs(beam.pitch / grid.pitch - 1.0) > 1e-6:
             raise BadInput(f"got footprint='joseph' with {self.vessel!r}, pixels of {beam.pitch:g} mm and voxels of "
                            f"{grid.pitch:g} mm; Joseph's rays are straight and as far apart as voxels: leave the "
-                           "vessel out and make the pitches equal, or take footprint='exact'")  # fmt: skip
+                           "vessel out and make the pitches equal, or use footprint='exact'")  # fmt: skip
         if beam.fill != 1.0 or beam.spread:
             raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays know no fill factor and no point "
-                           "spread: give neither, or take footprint='exact'")  # fmt: skip
+                           "spread: give neither, or use footprint='exact'")  # fmt: skip
 
     def _turn(self, motion: Turntable) -> None:
         """Be a projection at these angles."""
@@ -165,7 +165,7 @@ class Projection(LinearOperator):
             self.device.launch(back_footprint, **fields, **self._light)
 
     def of_poses(self, chosen: Sequence[int]) -> Projection:
-        """This projection at some of its angles; all that does not depend on them is shared.
+        """This projection at some of its angles; everything that does not depend on them is shared.
 
         Args:
             chosen: Numbers of the angles, in order.
@@ -174,17 +174,17 @@ class Projection(LinearOperator):
             The projection, whose light is [chosen angle, r, z].
 
         Raises:
-            BadInput: Angles are lit for times of their own, which are shares of a whole turn's.
+            BadInput: The angles have unequal dwell times, which are relative to a whole turn.
         """
         if self.motion.dwell is not None:
-            raise BadInput(f"got {self.motion} angles; expected angles that are lit as long")
+            raise BadInput(f"got {self.motion} angles; expected angles of equal dwell")
         return self.turned(self.motion.chosen(chosen))
 
     def turned(self, motion: Turntable) -> Projection:
-        """This projection at other angles of the same turn; all that does not depend on them is shared.
+        """This projection at other angles of the same turn; everything that does not depend on them is shared.
 
         Args:
-            motion: The angles, of no longer arcs than its own.
+            motion: The angles, whose arcs are no longer than its own.
 
         Returns:
             The projection.
@@ -200,7 +200,7 @@ class Projection(LinearOperator):
         return self._rows.weights
 
     def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
-        """Dose of some slices, of which each has its own light: none lights another.
+        """Dose of some slices, each from its own light only.
 
         Args:
             light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.

@@ -33,7 +33,7 @@ def projector(
         beam: Pixels, with their fill factor and point spread.
         motion: Angles of the turntable.
         vessel: For example a `Vial`; None for straight light.
-        device: A name or a device; the best one here by default.
+        device: A name or a device; the best available one by default.
         algorithm: "rays" for a `Projection`, by rays through each voxel; "rings" for a `RingProjection`, by Fourier
             transforms over even angles; "auto" for rings where they support the geometry, were measured to be faster
             and fit into memory, else rays.
@@ -42,7 +42,7 @@ def projector(
         The projector.
 
     Raises:
-        BadInput: An argument is of another kind, or "rings" do not support the geometry.
+        BadInput: An argument is of another type, or "rings" do not support the geometry.
         DeviceError: There is no such device.
         OutOfMemory: The tables of "rings" do not fit into memory.
     """

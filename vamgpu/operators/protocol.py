@@ -18,7 +18,7 @@ class Operator(Protocol):
     Attributes:
         domain: Space of volumes; its ``shape`` is that of the grid, [x, y, z].
         range: Space of light; its ``shape`` is [angle, r, z].
-        device: Where its arrays live.
+        device: The device of its arrays.
         grid: The `Grid` or `WebGrid` of the volume.
         beam: The `Beam`, whose pixels are [r, z].
         motion: The `Turntable` or the web's motion, whose poses are the angles.

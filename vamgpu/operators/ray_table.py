@@ -234,12 +234,12 @@ class _Rays:
 
 
 def max_chord_deviation(p: np.ndarray, angle: np.ndarray, radius: float) -> float:
-    """Distance [voxels], along a row of voxels, by which chords leave the space between the first and the last."""
+    """Greatest distance [voxels], along a row of voxels, of chords from the space between the first and the last."""
     reach = np.sqrt(np.maximum(radius**2 - p**2, 0.0))
     along = np.linspace(-1.0, 1.0, 33)[:, None] * reach
     x, y = -p * np.sin(angle) - along * np.cos(angle), p * np.cos(angle) - along * np.sin(angle)
     first, last = (y * np.cos(angle[i]) - x * np.sin(angle[i]) - p[i] for i in (0, -1))
-    # a row crosses the first chord at 45 degrees or more, and the last at as many less as they are turned
+    # a row crosses the first chord at 45 degrees or more; for the last chord, subtract the angle between the two
     aslant = np.cos(0.25 * np.pi + np.abs(angle[-1] - angle[0]))
     beyond = np.minimum(np.sqrt(2.0) * np.abs(first), np.abs(last) / aslant)
     return float(beyond[first * last > 0.0].max(initial=0.0))

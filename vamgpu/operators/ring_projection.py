@@ -50,28 +50,27 @@ THICK = 64
 
 @final
 class RingProjection(LinearOperator):
-    """A `Projection` at even angles in another way: by Fourier transforms over the angles, on rings about the axis.
+    """A `Projection` at even angles, computed by Fourier transforms over the angles, on rings about the axis.
 
-    Takes the place of a `Projection` wherever one is taken, in a vial too, and gives the same dose within 0.002 of the
-    greatest (root mean square; 0.02 anywhere), of light with a point spread and but for two voxels along the rim of
-    resin that is lit: the mean over voxels, or over parts of them as wide as columns are in the resin, about points of
-    rings 0.75 voxels or 0.6 columns wide, by cubic splines through them at the voxels within the cylinder that every
-    angle lights. Voxels beyond it count as unlit. Its
-    transpose is exact. Prints are judged by rays of their own, as those of ``direct``. The fields that it works in are
-    kept: three on rings, each 1.4 times a volume and more, and three of light; of as many slices at once as keep them
-    below a gigabyte on processors, eight on GPUs.
+    It replaces a `Projection` everywhere, also in a vial, and gives the same dose within 0.002 of the greatest (root
+    mean square; 0.02 anywhere), for light with a point spread and except for two voxels along the rim of the lit resin.
+    Dose is the mean over voxels, or over parts of them as wide as columns in the resin, about points of rings 0.75
+    voxels or 0.6 columns wide; cubic splines interpolate it at the voxels within the cylinder that every angle lights.
+    Voxels beyond it count as unlit. Its transpose is exact. Prints are judged by independent rays, as for ``direct``.
+    Its work fields are kept: three on rings, each at least 1.4 times a volume, and three of light, of so many slices at
+    a time that they stay below one gigabyte on processors and eight on GPUs.
 
     Args:
         grid: Voxels of the volume, an even number along z.
         beam: Pixels, with their fill factor and point spread.
         motion: Angles of the turntable, even over a full turn.
         vessel: For example a `Vial`; None for straight light.
-        device: A name or a device; the best one here by default.
-        rings: Those to compute on, of the voxels' height; by default as wide as said above.
-        tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
+        device: A name or a device; the best available one by default.
+        rings: The rings, of the voxels' height; by default of the width above.
+        tf32: Use eleven bits of each number in products, as for `SpectralProjection`.
 
     Raises:
-        BadInput: An argument is of another kind, or rings do not take it; says what does.
+        BadInput: An argument is of another type, or rings do not support it.
         DeviceError: There is no such device.
     """
 
@@ -98,7 +97,7 @@ class RingProjection(LinearOperator):
         require_kinds("RingProjection(grid, beam, motion)", (grid, Grid), (beam, Beam), (motion, Turntable))
         why = _unsupported(grid, motion)
         if why:
-            raise BadInput(f"rings do not take it: {why}; use Projection, which takes the same arguments")
+            raise BadInput(f"rings do not support this: {why}; use Projection, which takes the same arguments")
         self.grid, self.beam, self.motion, self.vessel, self.tf32 = grid, beam, motion, vessel, tf32
         width = _width(grid, beam, vessel)
         self.rings = _rings(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
@@ -131,19 +130,19 @@ class RingProjection(LinearOperator):
 
         Args:
             A: The projection.
-            width: Of rings over that of voxels; wider ones are faster, and less exact. By default 0.75, or 0.6 of a
-                column of light in the resin where that is less.
-            tf32: Let products take eleven bits of each number, as of `SpectralProjection`.
+            width: Width of rings over that of voxels; wider ones are faster, and less exact. By default 0.75, or 0.6 of
+                a column of light in the resin if that is less.
+            tf32: Use eleven bits of each number in products, as for `SpectralProjection`.
 
         Returns:
             The same on rings; ``direct`` of it is ``A``.
 
         Raises:
-            BadInput: Rings do not take it.
+            BadInput: Rings do not support it.
         """
         why = unsupported_reason(A)
         if why:
-            raise BadInput(f"rings do not take {A!r}: {why}; use that operator itself")
+            raise BadInput(f"rings do not support {A!r}: {why}; use that operator itself")
         if width is None:
             width = _width(A.grid, A.beam, A.vessel)
         if not NARROWEST <= positive("width", width) <= WIDEST:
@@ -154,10 +153,10 @@ class RingProjection(LinearOperator):
         return found
 
     def raised(self, height: float) -> RingProjection:
-        """The same for light that lies higher, by the same tables; its ``direct`` is that of light which does not.
+        """The same for light that is higher, with the same tables; its ``direct`` is not moved.
 
         Args:
-            height: By which it does [mm].
+            height: Distance by which it is higher [mm].
 
         Returns:
             The operator.
@@ -170,7 +169,7 @@ class RingProjection(LinearOperator):
 
     @cached_property
     def direct(self) -> Projection:
-        """The same light by rays through each voxel."""
+        """The same operator by rays through each voxel."""
         return Projection(self.grid, self.beam, self.motion, self.vessel, self.device)
 
     def described(self) -> dict[str, Any]:
@@ -192,7 +191,7 @@ class RingProjection(LinearOperator):
         self.transposed_with(y, out, ())
 
     def takes_with(self, cells: PolarGrid) -> bool:
-        """Whether light that is transformed once serves cells of the same slices, too.
+        """Whether light that is transformed once also serves cells of the same slices.
 
         Args:
             cells: The cells.
@@ -282,7 +281,7 @@ class RingProjection(LinearOperator):
 
 
 def unsupported_reason(A: Any) -> str:
-    """Why rings cannot take the place of an operator; empty where they can."""
+    """Why rings cannot replace an operator; empty if they can."""
     if isinstance(A, RingProjection):
         return "it is on rings already; RingProjection.of(A.direct, width=…) makes others"
     if not isinstance(A, Projection):
@@ -304,7 +303,7 @@ def prefers_rings(A: Any) -> bool:
 
 
 def uneven_reason(motion: Turntable) -> str:
-    """Why the light of one pose, turned, is not that of all angles; empty where it is."""
+    """Why the light of one pose, turned, is not that of all angles; empty if it is."""
     even = motion.is_even and motion.angles >= 2
     return "" if even else f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
 
@@ -348,7 +347,7 @@ def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
 
 def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
     if not isinstance(rings, PolarGrid):
-        raise BadInput(f"got {rings!r} as rings; expected a PolarGrid, or None for rings as wide as light asks for")
+        raise BadInput(f"got {rings!r} as rings; expected a PolarGrid, or None for rings as wide as light needs")
     if (rings.slices, rings.angles) != (grid.shape[2], motion.angles):
         raise BadInput(f"got {rings!r} for {grid!r} at {motion}; expected rings of the same angles and slices")
     if abs(rings.slice_pitch / grid.pitch - 1) > 1e-9:

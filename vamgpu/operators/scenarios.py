@@ -22,10 +22,10 @@ from vamgpu.operators.space import Space, VolumeSpace
 
 @final
 class Scenarios(Derived):
-    """One light, the dose in every scenario: volumes stand one above the other, [x, y, scenario · z]."""
+    """Doses of the same light in every scenario: volumes are stacked, [x, y, scenario · z]."""
 
-    # Dose s is Σ_t mix[s, t] times the dose of operator t, of which the first is nominal. A volume that is 0 in all
-    # that an operator has a share in costs no projection by it. Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    # Dose s is Σ_t mix[s, t] times the dose of operator t; the first is nominal. An operator is not evaluated if the
+    # volumes of all its scenarios are zero. Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
 
     domain: Space
     range: Space

@@ -1,4 +1,4 @@
-"""Images that are moved: an axis that wobbles together with its vessel, and tiles of a beam that is moved along z."""
+"""Moved images: an axis that wobbles with its vessel, and tiles of a beam that moves along z."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vamgpu.schema.quantities import Count, Place
 
 
 class Shift:
-    """Moves images by parts of a pixel, there and back, by linear interpolation."""
+    """Moves images by fractions of a pixel, there and back, by linear interpolation."""
 
     # moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
     # middle.  source, moved: shapes (columns, rows) of the images.
@@ -58,14 +58,14 @@ def _check_projector(operator: Any, name: str) -> None:
 
 @final
 class Wobbled(Derived):
-    """A projector whose axis, with its vessel, stands elsewhere at every angle: its images move along r.
+    """A projector whose axis moves with its vessel from angle to angle: its images move along r.
 
-    Only `Wobble.across` moves them, by parts of a pixel: parallel light is the same all along its way. For light that
-    is not, give the wobble to `Oblique`, which also has no need to interpolate.
+    Only `Wobble.across` moves them, by fractions of a pixel: parallel light is the same all along its path. For other
+    light, give the wobble to `Oblique`, which also needs no interpolation.
 
     Args:
         operator: Any projector to [angle, r, z].
-        wobble: Places of the axis.
+        wobble: Positions of the axis.
 
     Raises:
         BadInput: The axis leaves the beam.
@@ -86,7 +86,7 @@ class Wobbled(Derived):
         beam, poses = images.beam, images.shape[0]
         across, half = wobble.places(poses)[:, 0], 0.5 * beam.pixels[0] * beam.pitch
         if np.abs(across).max() >= half:
-            raise BadInput(f"the axis wanders {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
+            raise BadInput(f"the axis moves {np.abs(across).max():.4g} mm off, beyond the beam of {half:.4g} mm "
                            "either side; expected less: check the wobble's unit, mm")  # fmt: skip
         moves = np.stack([-across / beam.pitch, np.zeros(poses)], axis=1)
         self._shift = Shift(self.device, moves, beam.pixels, beam.pixels)
@@ -123,15 +123,15 @@ class TiledSpace:
 
 @final
 class Tiles(Derived):
-    """A volume taller than the beam, exposed in turns with the beam at several heights; range [tile·angle, r, row].
+    """A volume taller than the beam, exposed in turn with the beam at several heights; range [tile·angle, r, row].
 
-    Optimize with the tall projector, then `split` its light: tiles overlap with complementary weights, so that their
-    dose is that of the tall light and a beam set down a little off leaves no seam. Or optimize the tiles themselves.
+    Optimize with the tall projector, then `split` its light: tiles overlap with complementary weights, so that they
+    give the dose of the tall light, and a slightly misplaced beam leaves no seam. Or optimize the tiles themselves.
 
     Args:
         operator: A projector whose tall beam covers the volume.
-        rows: Of the machine's beam.
-        overlap: Rows that neighbors share at least.
+        rows: Rows of the machine's beam.
+        overlap: Fewest rows that neighbors share.
         centers: Middles of the tiles along z [mm], in their order, (tiles,); None for even ones at whole rows.
 
     Raises:
@@ -189,7 +189,7 @@ class Tiles(Derived):
         """Share the light of the tall beam between tiles: ``T(split(light))`` is the tall light's dose.
 
         Args:
-            light: Of the tall beam, [angle, r, z].
+            light: Light of the tall beam, [angle, r, z].
 
         Returns:
             Light of the tiles, [tile·angle, r, row]; NumPy for NumPy.

@@ -45,26 +45,26 @@ class SpectralProjection(LinearOperator):
     ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the mean, over
     cell j, of the light that the box of pixel i sends, blurred by the beam's point spread, × pitch² / pixel pitch, as
     of a voxel of a box; multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction,
-    absorption and the point spread are in the light of one pose, and cost nothing.
+    absorption and the point spread are in the light of one angle, and cost nothing.
 
     Args:
         grid: Rings of the volume, made for the angles.
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
-        device: A name or a device; the best one here by default.
-        square: Side [mm] of squares about the middles of the cells, over which doses are means in place of the cells;
-            ``pitch`` above is theirs then.
-        faint: Share of the greatest entry of its table up to which those of outermost columns count as none.
-        tf32: Let products take eleven bits of each number (TensorFloat-32) where a device has units for that: NVIDIA's
-            in OpenCL. Elsewhere it changes nothing.
-        motion: Whose angles are those of the grid, and how long each is lit while it turns; None for a turntable that
-            turns all the time.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which are no doses, but make them between cells;
-            with a square alone.
-        tiles: What the light of one pose leaves in every eight rings, where it is not what the vessel illuminates.
+        device: A name or a device; the best available one by default.
+        square: Side [mm] of squares about the middles of the cells, over which doses are means instead of over cells;
+            ``pitch`` above is then theirs.
+        faint: Share of the greatest entry of its table up to which entries of the outermost columns count as zero.
+        tf32: Use eleven bits of each number in products (TensorFloat-32) on devices with units for them: NVIDIA's in
+            OpenCL. It has no effect on other devices.
+        motion: Turntable of the grid's angles, and the share of the steps that is lit; None for one that turns all the
+            time.
+        splines: Give coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only with
+            a square.
+        tiles: Dose of the light of one angle in every eight rings, if it is not that of the vessel.
 
     Raises:
-        BadInput: An argument is of another kind, or no light reaches a ring.
+        BadInput: An argument is of another type, or no light reaches a ring.
         DeviceError: There is no such device.
     """
 

@@ -1,4 +1,4 @@
-"""Projection through fields that the resin carries: every ray traced anew at every pose."""
+"""Projection through fields that the resin carries: every ray is traced at every angle."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 SCRATCH = 64 << 20
 """Bytes of the table that poses are traced into at once."""
 WHOLE = 1 << 24
-"""Float32 tells whole numbers apart up to here."""
+"""Float32 represents all whole numbers up to here."""
 BLOCK = 1 << 24
 """Columns of a matrix that are read together."""
 PLANES, POSES = 32, 45
 """Planes of voxels, and poses, whose entries are gathered together, so that neighbors find them in the cache."""
 PATIENCE = 8
-"""A ray is lost that has not left after the way through this many grids."""
+"""A ray counts as trapped after a path through this many grids."""
 
 
 @final
@@ -53,14 +53,14 @@ class TracedProjection(LinearOperator):
         grid: Voxels of the volume.
         beam: Pixels; ``fill`` and ``spread`` must be left out.
         motion: Angles of the turntable.
-        medium: What turns with the resin; None for a clear one.
+        medium: Medium that turns with the resin; None for a clear one.
         rays: Rays of every pixel; None for parallel light.
-        device: A name or a device; the best one here by default.
-        step: Of a ray [voxels], at most 0.5 past thin inserts.
-        most_steps: After which a ray counts as caught; by default those of 8 ways through the grid.
+        device: A name or a device; the best available one by default.
+        step: Step of a ray [voxels], at most 0.5 for thin inserts.
+        most_steps: Steps after which a ray counts as trapped; by default enough to cross the grid 8 times.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range, or a ray never leaves.
+        BadInput: An argument is of another type or out of its range, or a ray never leaves.
         ShapeMismatch: The medium or the rays were made for another geometry.
         DeviceError: There is no such device, or it has too little memory.
     """

@@ -1,4 +1,4 @@
-"""Light on a moving web: the projection of a flat film at every pose, and its transpose, the dose of those poses."""
+"""Light on a moving web: the projection of a flat film at every angle, and its transpose, the dose."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 
 @final
 class WebProjection(LinearOperator):
-    """The light of one pose at every pose of a web that moves past it.
+    """The light of one angle at every position of a web that moves past it.
 
     ``A(web)`` is the light [pose, r, z] of a web [l, rho, z]: g[pose, r, z] = Σ over the window of
     P[r, rho, l]·f[l + start + pose·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count
     as nothing; a window that begins between two columns interpolates linearly, and light is the mean over the film's
-    way while a pose is lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing",
+    motion while a frame is lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing",
     section S2, is never made: memory is that of f and g, and with steps between columns that of one more g. A pixel is
-    as the `Propagation` says, without point spread.
+    that of the `Propagation`, without point spread.
 
     Args:
         grid: The web.
-        beam: The light; it must leave ``fill`` and ``spread`` out.
+        beam: The beam, without ``fill`` and ``spread``.
         wrap: The machine that moves the web.
-        device: A name or a device; the best one here by default.
-        poses: How many poses; by default all that see any of the web.
-        start: Where the first window begins [columns]; by default the first that sees any of the web.
+        device: A name or a device; the best available one by default.
+        poses: Number of angles; by default all that light any of the web.
+        start: Start of the first window [columns]; by default the first that lights any of the web.
 
     Attributes:
         light: The `Propagation` of one pose.
         motion: The `WebMotion`: poses, and step and start in columns.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
         ShapeMismatch: The light was made for another geometry.
         SkippedColumns: Some columns are never lit.
         DeviceError: There is no such device.
@@ -89,10 +89,10 @@ class WebProjection(LinearOperator):
 
         Args:
             grid: The web.
-            light: Of one pose.
+            light: Light of one pose.
             step: From pose to pose [columns].
             beam: The light's pixels; by default each row of light is a slice.
-            device: A name or a device; the best one here by default.
+            device: A name or a device; the best available one by default.
             poses: As for `WebProjection`.
             start: As for `WebProjection` [columns].
 

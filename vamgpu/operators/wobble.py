@@ -1,4 +1,4 @@
-"""Where the axis of rotation stands at every pose."""
+"""Position of the axis of rotation at every angle."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from vamgpu.schema.quantities import Place
 
 @dataclass(frozen=True, init=False, eq=False)
 class Wobble:
-    """The place of the axis at every angle, in the laboratory.
+    """The position of the axis at every angle, in the laboratory.
 
-    Parallel light in air is the same all along its way, so only ``across`` matters to it; ``along`` counts where light
+    Parallel light in air is the same all along its path, so only ``across`` matters for it; ``along`` counts if light
     spreads, is absorbed or casts shadows.
 
     Args:
-        across: Across the light, towards +r [mm]; one number, or one for every angle, (angles,).
-        along: Along the light [mm]; one number, or one for every angle, (angles,).
+        across: Position across the light, towards +r [mm]; one number, or one for every angle, (angles,).
+        along: Position along the light [mm]; one number, or one for every angle, (angles,).
 
     Raises:
         BadInput: A number is not finite.
@@ -44,30 +44,30 @@ class Wobble:
 
     @staticmethod
     def circle(radius: float, phase: float, motion: Turntable) -> Wobble:
-        """An axis that runs round once a turn: the part was not centered on the turntable.
+        """An axis on a circle, once per turn: the part was not centered on the turntable.
 
         Args:
-            radius: Distance from the table's center of the point that carries the axis [mm].
-            phase: Direction of that point from x [rad].
+            radius: Distance of the axis from the table's center [mm].
+            phase: Direction of the axis from the table's center, measured from x [rad].
             motion: Angles of the turntable.
 
         Returns:
-            The places of the axis.
+            The positions of the axis.
         """
         turn = motion.poses - phase
         return Wobble(-radius * np.sin(turn), -radius * np.cos(turn))
 
     def places(self, poses: int) -> np.ndarray:
-        """Where the axis stands at every angle.
+        """Positions of the axis at every angle.
 
         Args:
-            poses: How many angles there are.
+            poses: Number of angles.
 
         Returns:
             Across and along [mm], (poses, 2).
 
         Raises:
-            BadInput: The wobble is that of another number of angles.
+            BadInput: The wobble has another number of angles.
         """
         for name, values in (("across", self.across), ("along", self.along)):
             if values.ndim and len(values) != poses:

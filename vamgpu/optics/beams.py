@@ -1,7 +1,7 @@
-"""Beams that are not the collimated, centered ideal: each wraps a round vessel, or plain air, with another ray map.
+"""Beams other than the collimated, centered one: each wraps a round vessel, or air, with another ray map.
 
-Everything here stands still in the laboratory, so one map of one pose describes it. `Misaligned` and `Fan` turn rays
-in the plane across the axis only and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
+They are fixed in the laboratory, so one map of one angle describes them. `Misaligned` and `Fan` turn rays only in the
+plane across the axis and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vamgpu.schema.quantities import Far, Place, Turn
 
 MOST_STEPS = 60
 STEP_DONE = 1e-9
-"""Share of the farthest point's distance that a column may still move by when the search for it ends."""
+"""Change of a column, relative to the distance of the farthest point, at which the search for it ends."""
 
 
 class Wrapper(Vessel):
@@ -45,7 +45,7 @@ class Wrapper(Vessel):
         return self.inner.lit_radius
 
     def check_fits(self, radius: float) -> None:
-        """Check a target of a radius [mm] against the other vessel, where that has limits."""
+        """Check a target of a radius [mm] against the other vessel, if that has limits."""
         check = getattr(self.vessel, "check_fits", None)
         if check is not None:
             check(radius)
@@ -57,8 +57,9 @@ class Misaligned(Wrapper):
 
     Args:
         vessel: A round vessel about the axis, or None for air.
-        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
-        tilt: Turn of the light about the axis, in the plane [rad]: light travels towards -(cos, sin) of angle + tilt.
+        offset: Distance of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Rotation of the light about the axis, in the plane [rad]: light travels towards -(cos, sin) of angle +
+            tilt.
 
     Raises:
         BadInput: A value is not finite, or the vessel is not round.
@@ -81,7 +82,7 @@ class Misaligned(Wrapper):
         """Check a target against the vessel; in air everything fits before the pupil.
 
         Args:
-            radius: Of the target [mm].
+            radius: Radius of the target [mm].
 
         Raises:
             BadInput: The target reaches the pupil.
@@ -121,7 +122,7 @@ class Misaligned(Wrapper):
             Columns u [mm], (...,), and weights, (...,), as for `Vessel`.
 
         Raises:
-            BadInput: The projector is nearer than a point.
+            BadInput: A point is behind the pupil of the projector.
         """
         x, y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         farthest = float(np.hypot(x, y).max(initial=0.0))
@@ -162,16 +163,16 @@ class Misaligned(Wrapper):
 
 @dataclass(frozen=True)
 class Fan(Misaligned):
-    """Light that spreads in the plane from a pupil, as behind a lens that is not telecentric; rows stay level.
+    """Light that spreads in the plane from a pupil, for a lens that is not telecentric; rows stay level.
 
-    Column u is counted on the axis' plane: in air it lights X = u (1 + Y / throw) and its irradiance falls as
-    1 / distance. For rows that spread as well see `Cone`.
+    Columns u are counted in the plane of the axis: in air one lights X = u (1 + Y / throw) and its irradiance falls as
+    1 / distance. If rows also spread, see `Cone`.
 
     Args:
         vessel: as for `Misaligned`.
         offset: as for `Misaligned` [mm].
         tilt: as for `Misaligned` [rad].
-        throw: Distance of the pupil from the axis, seen from the resin's surroundings [mm].
+        throw: Distance of the pupil from the axis in the medium around the vessel [mm].
 
     Raises:
         BadInput: The throw is not above 0, or as short as the vessel's radius.
@@ -206,7 +207,7 @@ def _too_short(throw: float, reach: float) -> BadInput:
 
 
 def _check_round(vessel: Any, name: str) -> None:
-    """Refuse a vessel that rays from another direction would find changed."""
+    """Reject a vessel that is not the same from every direction."""
     if vessel is not None and not isinstance(vessel, Vessel):
         raise BadInput(f"{name} got {vessel!r} as vessel; expected a vessel, or None for air")
     if (

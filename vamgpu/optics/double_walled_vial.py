@@ -18,9 +18,9 @@ from vamgpu.schema.quantities import Absorption, Index, Thickness
 class DoubleWalledVial(Vial):
     """A round vial of resin inside a round wall, with a liquid between the two walls.
 
-    From the outside in: bath, wall, liquid, inner wall, resin; all concentric. Light refracts and loses its Fresnel
-    share at every face, as in `Vial`, and the walls and the liquid absorb. A layer of thickness 0 is not there: with
-    gap and inner_wall 0 this is the `Vial`.
+    From the outside in: bath, wall, liquid, inner wall, resin; all concentric. Light refracts at every face with
+    Fresnel's loss, as in `Vial`, and the walls and the liquid absorb. A layer of thickness 0 has no effect: with gap
+    and inner_wall 0 this is the `Vial`.
 
     Args:
         radius: Outer radius of the outer wall [mm].
@@ -29,13 +29,13 @@ class DoubleWalledVial(Vial):
         gap: Thickness of the liquid between the walls [mm].
         liquid_index: Refractive index of the liquid.
         inner_wall: Thickness of the inner wall [mm].
-        inner_wall_index: Refractive index of the inner wall; None for that of the outer one.
-        wall_absorption: Of both walls, natural logarithm [1/mm].
-        liquid_absorption: Of the liquid, natural logarithm [1/mm].
+        inner_wall_index: Refractive index of the inner wall; None for that of the outer wall.
+        wall_absorption: Absorption of both walls, natural logarithm [1/mm].
+        liquid_absorption: Absorption of the liquid, natural logarithm [1/mm].
         resin_index: Refractive index of the resin.
         bath_index: Refractive index around the vial.
-        absorption: Of the resin, natural logarithm [1/mm].
-        polarization: Of the light, as for `Vial`.
+        absorption: Absorption of the resin, natural logarithm [1/mm].
+        polarization: Polarization of the light, as for `Vial`.
 
     Raises:
         BadInput: As `Vial`, or the layers leave no room for resin.
@@ -64,7 +64,7 @@ class DoubleWalledVial(Vial):
 
     @property
     def _layers(self) -> list[tuple[float, float, float]]:
-        """(outer radius [mm], refractive index, absorption [1/mm]) of what surrounds the resin, from the outside in."""
+        """(outer radius [mm], refractive index, absorption [1/mm]) of the layers around the resin, outermost first."""
         inner_index = self.wall_index if self.inner_wall_index is None else self.inner_wall_index
         inner_wall = self.radius - self.wall - self.gap
         layers = (

@@ -1,4 +1,4 @@
-"""A film of resin on a web, as light meets it."""
+"""A film of resin on a web, for light."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length
 
 NEGLIGIBLE = 0.05
-"""Share of the light below which it is left out of a window (Toombs et al., S11)."""
+"""Share of the light below which it does not count for a window (Toombs et al., S11)."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """A film that absorbs, in a bath, with or without a clear substrate on the side of the light.
+    """An absorbing film in a bath, with or without a clear substrate on the side of the light.
 
-    A substrate between resin and roller sees no light: add its thickness to the roller's radius.
+    Light does not reach a substrate between resin and roller: add its thickness to the roller's radius.
 
     Args:
-        thickness: Of the resin [mm].
+        thickness: Thickness of the resin [mm].
         resin_index: Refractive index of the resin.
         bath_index: Refractive index of the bath.
-        absorption: Of the resin, natural logarithm [1/mm]; 0 for resin that only passes light on.
+        absorption: Absorption of the resin, natural logarithm [1/mm]; 0 for clear resin.
         substrate: Thickness [mm] and index of a clear sheet between bath and resin.
 
     Raises:
@@ -69,10 +69,10 @@ class Film:
         return 2.0 * asin(min(1.0, self.ratio)) if self.ratio < 1 else pi
 
     def faces(self, radius: float) -> tuple[Face, ...]:
-        """The faces that light crosses where the film is wrapped about a roller.
+        """The faces that light crosses if the film is wrapped about a roller.
 
         Args:
-            radius: Of the roller [mm].
+            radius: Radius of the roller [mm].
 
         Returns:
             The faces from the outside in.
@@ -97,12 +97,12 @@ def _sheet(value: object) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Angles to the normal of the film, both sides together [rad].
+    """Range of angles to the normal of the film, both sides together [rad].
 
-    outer: of light that has just crossed the outer face, 2·asin(m) (Toombs et al., S11).  inner: of light that comes to
-    the roller; the normal turns as a ray goes inwards, so that this is more.  limit: largest gain.  clipped: angle of
-    incidence in the bath from which on 1/T is above the limit.  lost: part of ``outer`` that is so clipped.
-    lost_incidence: the same as a range of angles of incidence.
+    outer: for light behind the outer face, 2·asin(m) (Toombs et al., S11).  inner: for light at the roller; it is more,
+    because the normal turns as a ray goes inwards.  limit: largest gain.  clipped: angle of incidence in the bath above
+    which 1/T exceeds the limit.  lost: part of ``outer`` that is clipped.  lost_incidence: the same as a range of
+    angles of incidence.
     """
 
     outer: float

@@ -20,13 +20,13 @@ from vamgpu.optics.vial import LARGEST_DENSITY
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Quantity, Thickness, VesselRadius
 
-SETTLED = 1e-9  # of the radius: how well the ends of rays are known
-TANGENT = 1e-4  # cosine of refraction below which the end of a ray is too sensitive for that
+SETTLED = 1e-9  # accuracy of the ends of rays, relative to the radius
+TANGENT = 1e-4  # cosine of refraction below which the end of a ray is too sensitive for this accuracy
 
 
 @dataclass(frozen=True)
 class GradedVial(Vessel):
-    """A round vial of resin of index n(X, Y), in a frame that stands still while the resin turns, or round about z.
+    """A round vial of resin of index n(X, Y), which stands still while the resin turns or is symmetric about z.
 
     Frame and columns are those of `Vial`: X counts the beam's columns, light comes along +Y. Fresnel loss and Snell's
     law at both faces take the index where a ray meets them; between the faces d²R/dt² = ½∇n² is marched. Parts that
@@ -39,10 +39,10 @@ class GradedVial(Vessel):
         resin: n² over the whole resin; its own region does not matter.
         wall_index: Refractive index of the wall.
         bath_index: Refractive index around the vial.
-        absorption: Of the resin, natural logarithm [1/mm].
-        rays: Rays that are traced; everything between them is by cubic splines.
-        rows: Places kept of each ray.
-        polarization: Of the light, as for `Vial`.
+        absorption: Absorption of the resin, natural logarithm [1/mm].
+        rays: Number of traced rays; values between them are interpolated by cubic splines.
+        rows: Number of points stored along each ray.
+        polarization: Polarization of the light, as for `Vial`.
 
     Raises:
         BadInput: A value is out of its range.

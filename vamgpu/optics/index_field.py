@@ -85,7 +85,7 @@ class IndexField(Protocol):
 
     @property
     def region(self) -> Region:
-        """Where rays are marched."""
+        """Region in which rays are marched."""
         ...
 
     def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
@@ -95,10 +95,10 @@ class IndexField(Protocol):
 
 @dataclass(frozen=True)
 class FormulaField:
-    """n² = P(s)/Q(s) with s = a·x² + b·y² + c·z², P and Q cubic at most; lengths in mm.
+    """n² = P(s)/Q(s) with s = a·x² + b·y² + c·z², P and Q at most cubic; lengths in mm.
 
     weights: a, b, c.  above, below: coefficients of P and Q from the constant up.
-    region: where it is looked at.  Raises `BadInput`.
+    region: region in which it is evaluated.  Raises `BadInput`.
     """
 
     weights: tuple[float, float, float]
@@ -113,7 +113,7 @@ class FormulaField:
 
     @cached_property
     def table(self) -> Floats:
-        """As `march_formula` takes it, (12,)."""
+        """The table of `march_formula`, (12,)."""
         table = np.zeros(12)
         table[:3], table[3 : 3 + len(self.above)], table[7 : 7 + len(self.below)] = self.weights, self.above, self.below
         return table
@@ -140,15 +140,16 @@ def _round(cylinder: bool) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class GridField:
-    """n² by cubic B-splines on a grid in x and y, or in x, y and z; Python makes it, job folders keep it.
+    """n² by cubic B-splines on a grid in x and y, or in x, y and z; made in Python, stored in job folders.
 
     ∇n² is exactly the slope of n².
 
     Args:
-        coefficients: Of the splines, (nx + 2, ny + 2) or (nx + 2, ny + 2, nz + 2): one more on every side than samples.
+        coefficients: Coefficients of the splines, (nx + 2, ny + 2) or (nx + 2, ny + 2, nz + 2): one more on every side
+            than samples.
         corner: Place of the first sample [mm].
-        pitch: Of the samples [mm].
-        region: Where the field holds.
+        pitch: Pitch of the samples [mm].
+        region: Region in which the field holds.
     """
 
     coefficients: Floats

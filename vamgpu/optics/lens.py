@@ -24,18 +24,18 @@ DIOPTER = 1e-3
 
 @dataclass(frozen=True)
 class TunableLens:
-    """Two relays with a tunable lens, and the number of focus planes it steps through at every pose.
+    """Two relays with a tunable lens, and the number of focus planes that it steps through at every angle.
 
     Defaults are the lenses of J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", table S1,
     in air.
 
     Args:
         focal: Focal lengths of L1 to L4 [mm].
-        offset: Focal length of the fixed lens at the tunable one [mm], < 0 where it diverges.
+        offset: Focal length of the fixed lens at the tunable one [mm], < 0 if it diverges.
         powers: Lowest and highest power of the tunable lens [dpt].
         index: Refractive index beyond the last window.
-        air: Way from L4 to the last window [mm].
-        bins: Depth bins, thus focus planes.
+        air: Distance from L4 to the last window [mm].
+        bins: Number of depth bins, and of focus planes.
         quantum: Smallest step of the power that the driver can set [dpt]; 0 for none.
         settle: Time from one power to the next [s].
 
@@ -78,7 +78,7 @@ class TunableLens:
         """Ray transfer matrix from L1 to L4, both included (S1).
 
         Args:
-            power: Of the tunable lens [dpt].
+            power: Power of the tunable lens [dpt].
 
         Returns:
             The matrix (2, 2) on (height [mm], angle [rad]).

@@ -138,7 +138,7 @@ def march(
         until: ∫ds/n [mm] at which rays stop; without it they must leave the region.
         scheme: "sharma" (fourth order), "leapfrog" (second, symplectic) or "yoshida" (fourth, symplectic).
         halvings: of the first step that are tried to reach the tolerance.
-        rows: of the path kept of each ray, equally spaced in ∫ds/n; 1 keeps the start alone.
+        rows: of the path kept of each ray, equally spaced in ∫ds/n; 1 keeps only the start.
 
     Raises:
         BadInput: values that cannot be used.

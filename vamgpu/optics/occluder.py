@@ -23,8 +23,8 @@ class Occluded(Wrapper):
         vessel: Any vessel, a `Fan` too, or None for air.
         across: Laboratory X of the rod [mm].
         along: Laboratory Y of the rod [mm].
-        radius: Of the rod [mm].
-        transmittance: What passes it, a share of the light.
+        radius: Radius of the rod [mm].
+        transmittance: Share of the light that passes it.
 
     Raises:
         BadInput: A value is out of its range.

@@ -181,7 +181,7 @@ class OuterResin(LinearOperator):
 
 
 def _between(motion: Turntable, columns: int, device: Device, count: int) -> tuple[_Sparse, _Sparse] | None:
-    """Tables from light of even angles to that of a turntable's, and back; None where they are the same."""
+    """Tables from light of even angles to that of a turntable's, and back; None if they are the same."""
     if motion.is_even and count == motion.angles:
         return None
     angle = np.arange(motion.angles)

@@ -1,7 +1,7 @@
 """Beams whose light also moves along the axis of rotation: each has a plane, which is a vessel, and rows.
 
-`Oblique` projects them. Both are for light that runs straight in the resin: air, or a vat whose liquid matches it. A
-round vial bends rising light out of the plane as well as in it.
+`Oblique` projects them. Both are for light that is straight in the resin: air, or a vat whose liquid matches it. A
+round vial also bends rising light out of the plane.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ STEEPEST = np.radians(80.0)
 
 @dataclass(frozen=True, init=False)
 class Cone:
-    """A fan whose rows spread as its columns do: all light comes from one pupil, irradiance falls as 1 / distance².
+    """A fan whose rows spread like its columns: all light comes from one pupil, irradiance falls as 1 / distance².
 
-    The pupil is level with the middle row. That a row at the height w runs (w / throw)² / 2 longer than the middle one
-    is not counted. ``plane`` is the `Fan`.
+    The pupil is level with the middle row. The path of a row at the height w is longer by (w / throw)² / 2, which is
+    ignored. ``plane`` is the `Fan`.
 
     Args:
         vessel: A `Vat` with a radius, or None for air.
         throw: Distance of the pupil from the axis [mm].
-        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
-        tilt: Turn of the light about the axis, in the plane [rad].
+        offset: Distance of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Rotation of the light about the axis, in the plane [rad].
 
     Raises:
         BadInput: As `Fan`, and for a vessel that bends light.
@@ -56,7 +56,7 @@ class Cone:
         return {name: getattr(self.plane, name) for name in ("vessel", "throw", "offset", "tilt")}
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
 
         Args:
             across: Laboratory X [mm], (...,).
@@ -72,19 +72,19 @@ class Cone:
 
 @dataclass(frozen=True, init=False)
 class Inclined:
-    """Parallel light that climbs: it rises towards +z by ``elevation`` on its way through the resin (laminography).
+    """Parallel light that rises towards +z at an angle ``elevation`` through the resin (laminography).
 
-    Rows are counted across the light, so a point sees the row z·cos ψ − Y·sin ψ. Rays are 1 / cos ψ longer in the
-    resin than in the plane, and absorbed accordingly.
+    Rows are counted across the light: the row z·cos ψ − Y·sin ψ lights a point. Rays in the resin are 1 / cos ψ times
+    as long as in the plane, and absorbed accordingly.
 
     Args:
         vessel: A `Vat`, or None for air.
-        elevation: ψ in the resin [rad].
-        offset: Of the axis of rotation from the middle of the columns, towards +r [mm].
-        tilt: Turn of the light about the axis, in the plane [rad].
+        elevation: Angle ψ in the resin [rad].
+        offset: Distance of the axis of rotation from the middle of the columns, towards +r [mm].
+        tilt: Rotation of the light about the axis, in the plane [rad].
 
     Raises:
-        BadInput: The elevation exceeds 80 degrees, the vessel bends light, or `Misaligned` refuses it.
+        BadInput: The elevation exceeds 80 degrees, the vessel bends light, or as `Misaligned`.
     """
 
     plane: Vessel
@@ -107,15 +107,15 @@ class Inclined:
             object.__setattr__(self, name, value)
 
     def described(self) -> dict[str, Any]:
-        """Describe the constructor's arguments: ``plane`` has the absorption of the longer way.
+        """Return the constructor's arguments; the absorption stored in ``plane`` includes the longer path.
 
         Returns:
-            Its arguments by name.
+            The arguments by name.
         """
         return self._given  # type: ignore[attr-defined]
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where the rays through some places stand among the rows; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
 
         Args:
             across: Laboratory X [mm], (...,).

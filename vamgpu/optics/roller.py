@@ -40,31 +40,31 @@ class Roller:
     the bath, or at the end of one of the two legs in which the web comes and goes.
 
     Args:
-        radius: Of the roller [mm].
+        radius: Radius of the roller [mm].
         film: The film around it.
-        step: Turn from one pose to the next [rad].
+        step: Rotation from one angle to the next [rad].
         legs: Length of each leg in the window [mm]; None for the depth in which light falls to 5 %.
-        reflectivity: Of the roller, a share of the light, specular.
-        compensation: Largest factor by which columns make up for Fresnel's loss, as `gain` says; None for none. It
-            counts as light of the beam: a projector whose columns are equally bright must show frames times `gain`.
-        divergence: Half angle of the fan of light that each column is in the bath [rad], even in its sine, about the
-            point where the column is in focus.
-        planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it: each column is
-            in focus at the one nearest to where it meets the middle of the film, as `vamgpu.FocusMasks` shows it. None
-            for light that is in focus there itself.
-        lit_share: Share of each step during which its frame is lit while the film moves, half of it before the pose; 0
-            for a film that stands still while it is lit. Beside a lens, each focus plane has its part of that.
+        reflectivity: Share of the light that the roller reflects, specular.
+        compensation: Largest factor by which columns compensate Fresnel's loss, as `gain` gives it; None for none. It
+            is part of the beam: a projector with equally bright columns must show frames multiplied by `gain`.
+        divergence: Half angle of the fan of light of each column in the bath [rad], uniform in its sine, centered where
+            the column is in focus.
+        planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it. Each column is
+            in focus at the plane nearest to where it meets the middle of the film, as in `vamgpu.FocusMasks`. None:
+            each column is in focus exactly there.
+        lit_share: Share of each step during which its frame is lit while the film moves, half of it before the angle; 0
+            for a film that stands still while it is lit. With a lens, the focus planes divide this time.
         neutral: Depth of the line that bending does not stretch, as a share of the thickness from the roller.
-        rays: Rays across the width of a column; a voxel whose walls run along the light knows its share of a column to
-            one ray.
+        rays: Rays across the width of a column; if the walls of a voxel are parallel to the light, its share of a
+            column is accurate to one ray.
         fan: Rays across the fan of a column.
-        index: Of the resin where it changes from place to place: rays are then marched through the film, on a device
-            where it is a field. Coverage, gain and aperture keep to the film's own.
-        polarization: Of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
-        core: Index of a clear roller, which light passes through, and the bath behind it, to come back into the film;
-            None for one that light ends at, or is reflected by.
-        volume: What energy is counted per: the "flat" film, so that none of it is lost in laying the film flat, or the
-            "bent" one, as where the light is; they differ by the radius over that of the neutral line.
+        index: Refractive index of the resin if it varies in space: rays are marched through the film, on a device if
+            the index is a field. Coverage, gain and aperture still use the index of the film.
+        polarization: Polarization of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
+        core: Index of a transparent roller: light passes through it and the bath behind it, and re-enters the film.
+            None for a roller that absorbs or reflects light.
+        volume: Volume by which absorbed energy is divided: that of the "flat" film, which conserves energy when the
+            film is laid flat, or that of the "bent" film; they differ by the radius over that of the neutral line.
 
     Raises:
         BadInput: A value is out of its range.
@@ -202,7 +202,7 @@ class Roller:
         """The widest beam whose columns all meet the film.
 
         Args:
-            pitch: Of its pixels [mm].
+            pitch: Pitch of its pixels [mm].
             rows: How many rows it has.
 
         Returns:
@@ -241,7 +241,7 @@ class Roller:
             u: Offsets of the columns [mm], (...,).
             angle: Lean towards +x in the bath [rad], (...,), broadcast with ``u``.
             leg: Length of each leg [mm]; by default the roller's.
-            device: Marches rays through a field of the index; a name or a device, the best one here by default.
+            device: Marches rays through a field of the index; a name or a device, the best available one by default.
 
         Returns:
             The rays, flattened.
@@ -287,12 +287,12 @@ class Roller:
         return Propagation(shape, r, rho, l, weight, map.middle, self.lit_share * self.advance / grid.edges[0])
 
     def _power(self, beam: Beam, rays: int) -> Floats:
-        """Power of one of so many rays of each column."""
+        """Power of one of ``rays`` rays of each column."""
         columns = self._columns(beam)
         return (np.ones(columns.size) if self.compensation is None else self.gain(columns)) / rays
 
     def _dense(self, map: WrapMap, grid: WebGrid, rho: np.ndarray, l: np.ndarray) -> Floats | float:  # noqa: E741
-        """Factor from energy of voxels to the energy per volume asked for."""
+        """Factor from the energy of voxels to the energy per `volume`."""
         if self.volume == "flat":
             return 1.0
         return 1.0 / map.jacobian((l + 0.5) * grid.edges[0], (rho + 0.5) * grid.edges[1])
@@ -315,12 +315,12 @@ class Roller:
             raise RayError(
                 f"{lost} of {columns.size} columns, out to {widest:.5g} mm, are totally reflected: from "
                 f"index {self.film.bath_index:g} into {self.film.resin_index:g} light enters a film of "
-                f"radius {self.outer:.5g} mm out to {reach:.5g} mm only; take at most {fits} columns of "
+                f"radius {self.outer:.5g} mm out to {reach:.5g} mm only; use at most {fits} columns of "
                 f"{beam.pitch:g} mm, or a bath of lower index"
             )
         raise BadInput(
             f"{lost} of {columns.size} columns, out to {widest:.5g} mm, miss the film, which reaches to "
-            f"{reach:.5g} mm; expected columns that meet it; take at most {fits} columns of {beam.pitch:g} mm"
+            f"{reach:.5g} mm; expected columns that meet it; use at most {fits} columns of {beam.pitch:g} mm"
         )
 
     def _layers(self, leg: float) -> Layers:

@@ -15,18 +15,18 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
 NUDGE = 1e-4
-"""Half the way [mm] over which a slope of the index is taken."""
+"""Half the distance [mm] of the difference that gives a slope of the index."""
 
 
 @dataclass(frozen=True)
 class FilmIndex:
-    """Index of the resin at wrapped places, fixed in the laboratory as one pose needs it.
+    """Refractive index of the resin on the wrapped film, in the laboratory frame of one angle.
 
     Args:
         index: A medium in x and y [mm], with the roller's axis at (0, 0): a formula, a grid or a function with a
-            region, all of which are marched on a device; or a plain function of arrays x and y, traced in NumPy and
-            asked up to `NUDGE` outside the film too. Folders keep formulas and grids.
-        stride: Longest straight piece [mm]; its errors fall with its square.
+            region, all marched on a device; or a plain function of arrays x and y, traced in NumPy and evaluated up to
+            `NUDGE` mm outside the film. Job folders store only formulas and grids.
+        stride: Longest straight piece [mm]; errors fall with its square.
 
     Raises:
         BadInput: A value is out of its range, or the medium depends on z.
@@ -48,7 +48,7 @@ class FilmIndex:
 
     @property
     def medium(self) -> IndexField | None:
-        """The field as the marching kernels take it; None for a plain function."""
+        """The field for the marching kernels; None for a plain function."""
         return self.index if isinstance(self.index, (FormulaField, GridField, FunctionField)) else None
 
     def check_reach(self, outer: float, leg: float) -> None:

@@ -102,11 +102,11 @@ class Traced:
 def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: str | Device | None = None) -> Traced:
     """Follow rays that come through (x, y) [mm] along the unit directions (dx, dy), dy > 0, from the bath.
 
-    Snell's law and Fresnel's transmittance of s and of p light at every face; a face that reflects totally does so,
-    what a face reflects in part is dropped. A ray that meets the roller ends there, or goes on with the roller's
-    reflectivity. A field of the index is marched on ``device``, the best one here by default.
+    Snell's law and Fresnel's transmittance of s and of p light at every face; total reflection is traced, partial
+    reflection is ignored. A ray that meets the roller ends there, or continues with the roller's reflectivity. A field
+    of the index is marched on ``device``, by default the best available one.
 
-    Raises `RayError`: a ray meets more than `MOST_FACES` faces and still runs.
+    Raises `RayError`: a ray meets more than `MOST_FACES` faces without an end.
     """
     field, marcher = layers.field, None
     if field is not None and field.medium is not None:
@@ -132,7 +132,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     else:
         raise RayError(
             f"{rays['ray'].size} rays still run in the film after {MOST_FACES} faces; expected rays that "
-            f"leave: shorten the straight runs of {layers.leg:g} mm, or take a thicker film than "
+            f"leave: shorten the straight runs of {layers.leg:g} mm, or use a thicker film than "
             f"{layers.outer - layers.inner:g} mm"
         )
     return Traced(_joined(pieces), share, length, end)

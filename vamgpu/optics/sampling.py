@@ -1,4 +1,4 @@
-"""Resolution of light in the resin, and the voxels and angles it asks for."""
+"""Resolution of light in the resin, and the voxels and angles that it needs."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ MOVED = 4.0
 one pixel from its surface, +0.12, with 180 angles, from one to the next of which its rim moves by 5.8 pixels, as with
 1,080; with 120 angles (8.6 pixels) +0.115, with 90 +0.08."""
 RESTING = 0.5
-"""Share of a step that counts at least, of a container that rests while a frame is lit."""
+"""Least share of a step that counts, for a container that rests while a frame is lit."""
 WHOLE = 60
-"""Divisor of a number of angles: steps are whole parts of a degree, and transforms over them are fast."""
+"""Divisor of the number of angles: steps are whole fractions of a degree, and transforms over angles are fast."""
 COARSER = 1.02
-"""Width of voxels over that of a pixel in the resin from which on they count as wider."""
+"""Ratio of the widths of a voxel and a pixel in the resin above which voxels count as wider."""
 
 
 def resin_pixel(beam: Beam, vessel: Any = None) -> tuple[float, float]:
-    """Tell how large a pixel is in the resin, at the axis: refraction narrows columns, not rows.
+    """Size of a pixel in the resin, at the axis: refraction narrows columns, not rows.
 
     Args:
         beam: The pixels.
-        vessel: What the light goes through, as a projector takes it; None for air.
+        vessel: The vessel that the light passes, as for a projector; None for air.
 
     Returns:
         Width across the light and height along z [mm].
 
     Raises:
-        BadInput: The light does not come to the axis.
+        BadInput: The light does not reach the axis.
     """
-    light = getattr(vessel, "plane", vessel) or OpenAir()  # light that rises has a vessel for its plane
+    light = getattr(vessel, "plane", vessel) or OpenAir()  # rising light has a vessel for its plane
     middle = float(light.illuminate(np.zeros(1), np.zeros(1))[0][0])
     edges = light.chords(middle + 0.5 * beam.pitch * np.array([-1.0, 1.0])).p
-    rows: Any = getattr(vessel, "rows", None)  # a number where a vessel is graded, no map of its rows
+    rows: Any = getattr(vessel, "rows", None)  # a number if a vessel is graded, otherwise a map of rows
     stretch = 1.0
     if rows is not None and not isinstance(rows, int):
         stretch = float(np.ravel(rows(np.zeros(1), np.zeros(1))[1])[0])
@@ -47,7 +47,7 @@ def resin_pixel(beam: Beam, vessel: Any = None) -> tuple[float, float]:
 
 
 def more_angles(motion: Turntable, width: float, radius: float) -> int:
-    """Angles that do for a part of a radius [mm] in pixels of a width [mm]; 0 where those of the motion do."""
+    """Angles that a part of a radius [mm] needs for pixels of a width [mm]; 0 if those of the motion are enough."""
     turned = radius * float(max(motion.arcs.max(), RESTING * motion.steps.max()))
     if motion.angles < 2 or turned <= COARSER * MOVED * width:
         return 0
@@ -55,23 +55,23 @@ def more_angles(motion: Turntable, width: float, radius: float) -> int:
 
 
 def enough_angles(beam: Beam, vessel: Any, radius: float | str, lit_share: float = 1.0) -> int:
-    """Tell how many even angles of a turn do for a part: so many that no point of it moves farther than four pixels.
+    """Number of even angles of a turn at which no point of a part moves farther than four pixels.
 
-    What counts is how far the farthest point turns while a frame is lit, or half of its way to the next angle where
-    that is more, against the width of a pixel in the resin. Light that is found with the motion in its operator needs
-    no more: see `MOVED`.
+    The distance that counts is that by which the farthest point moves while a frame is lit, or half of its distance to
+    the next angle if that is more, relative to the width of a pixel in the resin. Patterns that are optimized with the
+    motion in the operator need no more: see `MOVED`.
 
     Args:
         beam: The pixels.
-        vessel: What the light goes through, as a projector takes it; None for air.
-        radius: Of the part about the axis [mm], or text with its unit.
-        lit_share: Share of each step during which its frame is lit, 0 to 1, as of `Turntable`.
+        vessel: The vessel that the light passes, as for a projector; None for air.
+        radius: Radius of the part about the axis [mm], or text with its unit.
+        lit_share: Share of each step during which its frame is lit, 0 to 1, as for `Turntable`.
 
     Returns:
         A multiple of 60.
 
     Raises:
-        BadInput: The radius is not above 0, or the light does not come to the axis.
+        BadInput: The radius is not above 0, or the light does not reach the axis.
     """
     way = FULL_TURN * positive("radius [mm]", measured("radius", radius, Length)) * max(lit_share, RESTING)
     return _whole(way / (MOVED * resin_pixel(beam, vessel)[0]))
@@ -93,8 +93,8 @@ def sampling_notes(operator: Any, radius: float) -> tuple[str, ...]:
     found, least = [], width if beam.flat else min(width, height)
     if grid.pitch > COARSER * least:
         found.append(
-            f"voxels of {1e3 * grid.pitch:.3g} µm are wider than a pixel is in the resin, {1e3 * least:.3g} µm: light "
-            "is sought for their means, and what it does within them is not seen; take voxels of at most a pixel "
+            f"voxels of {1e3 * grid.pitch:.3g} µm are wider than a pixel in the resin, {1e3 * least:.3g} µm: only "
+            "their mean dose is optimized, and the dose within them is unknown; use voxels of at most a pixel "
             "(vam.resin_pixel)"
         )
     if enough := more_angles(motion, width, radius):

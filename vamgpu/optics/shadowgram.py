@@ -24,9 +24,8 @@ MARGIN = 2
 class Camera:
     """A camera behind a telecentric lens, centered on the axis; lengths as in the resin. Raises `BadInput`."""
 
-    # pixels: across (X) and up (z).  pitch: of a pixel [mm].  focus: how far behind the axis the plane lies that the
-    # lens images sharply [mm]; in focus at the print its shadow vanishes.  aperture: sine of the steepest ray that the
-    # lens accepts.
+    # pixels: across (X) and up (z).  pitch: of a pixel [mm].  focus: distance of the focal plane behind the axis [mm];
+    # if it is at the print, the shadow vanishes.  aperture: sine of the steepest ray that the lens accepts.
 
     pixels: tuple[int, int]
     pitch: Length
@@ -40,10 +39,10 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Shadowgram:
-    """A camera image (pixels across, pixels up), over that without a print, and the rays it is made of."""
+    """A camera image (pixels across, pixels up), relative to that without a print, and its rays."""
 
-    # light: all that was sent, in pixels without a print.  lost: what missed the camera or its aperture: image.sum() +
-    # lost is light.  start: X and z of the rays in front of the print [mm], (rays, 2).  deflection: dX/dY and dz/dY
+    # light: all light sent, in pixels without a print.  lost: light that missed the camera or its aperture: image.sum()
+    # + lost = light.  start: X and z of the rays in front of the print [mm], (rays, 2).  deflection: dX/dY and dz/dY
     # behind it, (rays, 2).
 
     image: Floats
@@ -74,7 +73,7 @@ def shadowgram(
 
     Args:
         field: Index in the print's own frame; resin_index at the cylinder's border.
-        camera: Across a field of x and y alone, only its middle row of pixels is meaningful: give it one.
+        camera: The camera; for a field of only x and y, give it one row of pixels.
         resin_index: Refractive index around the cylinder.
         pose: Angle θ of the print [rad].
         rays: Rays per pixel and axis.
@@ -85,7 +84,7 @@ def shadowgram(
         The image and the rays it is made of.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
         RayError: A ray never leaves.
     """
     if not isinstance(field, GridField):

@@ -23,28 +23,29 @@ from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickn
 class SquareBath(Vessel):
     """A round vial that turns in a square bath of liquid; the bath stands still, and light enters by one flat window.
 
-    The liquid is what the vial has around it, its bath_index. Parallel light stays parallel behind a flat window: at
-    right angles it goes straight on, through a window tilted by τ it turns by τ − asin(sin τ · front_index /
-    liquid index) and grows narrower. Both faces of the window cost their Fresnel share, window and liquid absorb. What
-    enters by another side is not counted: the beam is to be no wider than the window.
+    The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window: at right
+    angles it continues straight; a window tilted by τ turns it by τ − asin(sin τ · front_index / liquid index) and
+    makes it narrower. Both faces of the window have Fresnel's loss, window and liquid absorb. Light through another
+    side is
+    ignored: the beam must not be wider than the window.
 
-    A square vial that turns with the part is none of these: its light comes by two faces at once, so that two rays
-    meet in most points, in other places at every angle. `TracedProjection` follows them, with the index of the square
-    as ``CoRotatingMedium(index=…)``. A square vat full of resin that stands still is a `Vat`.
+    This is not for a square vial that turns with the part: its light enters through two faces at once, so two rays meet
+    in most points, which differ at every angle. `TracedProjection` traces them, with the index of the square as
+    ``CoRotatingMedium(index=…)``. For a square vat full of resin that stands still use `Vat`.
 
     Args:
         vessel: the round vial; its bath_index is that of the liquid.
-        width: inside of the bath [mm].
+        width: inner width of the bath [mm].
         wall: thickness of the window [mm].
         wall_index: refractive index of the window.
         front_index: refractive index in front of the window, where the columns of the beam are counted.
-        tilt: turn of the bath against the light, about the axis [rad].
-        wall_absorption: of the window, natural logarithm [1/mm].
-        liquid_absorption: of the liquid, natural logarithm [1/mm].
+        tilt: rotation of the bath relative to the light, about the axis [rad].
+        wall_absorption: absorption of the window, natural logarithm [1/mm].
+        liquid_absorption: absorption of the liquid, natural logarithm [1/mm].
 
     Raises:
-        BadInput: a value is not finite, negative, an index is below 1, the vial does not fit into the bath, or no light
-            gets through a window so tilted.
+        BadInput: a value is not finite or negative, an index is below 1, the vial does not fit into the bath, or no
+            light passes the tilted window.
     """
 
     vessel: Vial | DoubleWalledVial
@@ -74,7 +75,7 @@ class SquareBath(Vessel):
 
     @property
     def is_round(self) -> bool:
-        """Never: light from another direction meets its window otherwise."""
+        """Always False: the window differs for light from another direction."""
         return False
 
     @property
@@ -89,7 +90,7 @@ class SquareBath(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light from the window reaches at every pose [mm]."""
+        """Radius that light from the window reaches at every angle [mm]."""
         return self._lit_radius
 
     @cached_property
@@ -165,7 +166,7 @@ class SquareBath(Vessel):
         return np.where((u >= low) & (u <= high), left, 0.0)
 
     def _path(self, q: Floats) -> Floats:
-        """Way through the liquid from the window to the vial [mm]."""
+        """Path length in the liquid from the window to the vial [mm]."""
         sine, cosine, half = self._sines[2], self._cosines[2], 0.5 * self.width
         place = (q - half * sine) / cosine  # along the window, where the ray leaves it
         start, radius = place * sine - half * cosine, self.vessel.radius
@@ -196,11 +197,11 @@ class SquareBath(Vessel):
         """Check that a target can be printed, as `Vial.check_fits` does.
 
         Args:
-            radius: Of the target about the axis [mm].
+            radius: Radius of the target about the axis [mm].
 
         Raises:
             BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds what light reaches at every angle.
+            TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
             OpticsWarning: Vial, window or liquid leave less than 0.8 of the light.
@@ -209,14 +210,14 @@ class SquareBath(Vessel):
         if radius > self.lit_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but light from the window {self.width:g} mm wide "
-                f"reaches {self.lit_radius:.4g} mm; scale or center the target, take a wider bath, or tilt it less"
+                f"reaches {self.lit_radius:.4g} mm; scale or center the target, use a wider bath, or tilt it less"
             )
         slope, offset = self._line
         left = float(self._share(np.array([-offset / slope]), np.zeros(1))[0])
         if left < LOW_TRANSMITTANCE:
             warnings.warn(
-                f"window and liquid leave {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; allow a longer "
-                "exposure, or take a clearer liquid",
+                f"window and liquid leave {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; use a longer "
+                "exposure, or a clearer liquid",
                 OpticsWarning,
                 stacklevel=2,
             )

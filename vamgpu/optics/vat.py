@@ -20,19 +20,20 @@ from vamgpu.schema.quantities import Absorption, Index, Length
 class Vat(Vessel):
     """A square or rectangular vat, lit at right angles through a flat window, that stands still while the part turns.
 
-    The resin fills the vat or, where a radius is given, a round vessel in the middle of a clear liquid of the same
-    index. Rays run straight along +Y of the laboratory frame (see `Vial`): the chord of column u is X = u. The indices
-    set the loss at the two faces of the window and nothing else; all equal, the default, means no loss.
+    The resin fills the vat or, if a radius is given, a round vessel in the middle of a clear liquid of the same index.
+    Rays are straight along +Y of the laboratory frame (see `Vial`): the chord of column u is X = u. The indices only
+    set the loss at the two faces of the window; if all are equal, the default, there is no loss.
 
     Args:
-        width: Inside of the vat across the beam [mm].
-        depth: Inside of the vat along the beam [mm]; None for a square vat.
-        radius: Of the round volume of resin [mm]; None where the resin fills the vat.
-        absorption: Of the resin, natural logarithm [1/mm].
+        width: Inner width of the vat across the beam [mm].
+        depth: Inner width of the vat along the beam [mm]; None for a square vat.
+        radius: Radius of the round volume of resin [mm]; None if the resin fills the vat.
+        absorption: Absorption of the resin, natural logarithm [1/mm].
         resin_index: Refractive index of the resin and of the liquid that matches it.
         wall_index: Refractive index of the window.
         bath_index: Refractive index in front of the window.
-        polarization: Of the light, as for `Vial`; s and p light lose the same at right angles, so it changes nothing.
+        polarization: Polarization of the light, as for `Vial`; it has no effect, because s and p light lose the same at
+            right angles.
 
     Raises:
         BadInput: A value is out of its range, or the round volume exceeds the vat.
@@ -113,7 +114,7 @@ class Vat(Vessel):
         """Check that a target of this radius about the axis can be printed.
 
         Args:
-            radius: Of the target [mm].
+            radius: Radius of the target [mm].
 
         Raises:
             BadInput: The radius is not a finite number above 0.
@@ -126,7 +127,7 @@ class Vat(Vessel):
         if radius > self.printable_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
-                f"vat is {self.printable_radius:.4g} mm; scale or center the target, or take a "
+                f"vat is {self.printable_radius:.4g} mm; scale or center the target, or use a "
                 "larger vat"
             )
         if self.window_transmittance < LOW_TRANSMITTANCE:

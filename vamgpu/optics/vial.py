@@ -32,8 +32,8 @@ class Vial(Vessel):
 
     Laboratory frame: a voxel at (x, y) seen at the angle θ lies at X = y·cos θ − x·sin θ, the direction in which the
     beam's columns are counted, and Y = −(x·cos θ + y·sin θ), along which light travels. A column at offset u in the
-    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. The deviation d(u) has the sign of u, rays
-    converge, where the resin is denser than the bath: the chord's direction (−sin d, cos d) leans towards the axis.
+    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. If the resin is denser than the bath, the
+    deviation d(u) has the sign of u and rays converge: the chord's direction (−sin d, cos d) leans towards the axis.
 
     Layers by Snell's invariant index · distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
     absorption in the resin from the inner face on.
@@ -44,9 +44,9 @@ class Vial(Vessel):
         resin_index: Refractive index of the resin.
         wall_index: Refractive index of the wall.
         bath_index: Refractive index around the vial, in which the columns of the beam are counted.
-        absorption: Of the resin, natural logarithm [1/mm].
-        polarization: Of the light: "none", unpolarized; "s", its field along the axis of the vial; "p", across it.
-            Unpolarized light loses the mean of what s and p light lose, each at all faces (`transmittance`).
+        absorption: Absorption of the resin, natural logarithm [1/mm].
+        polarization: Polarization of the light: "none", unpolarized; "s", its field along the axis of the vial; "p",
+            across it. Unpolarized light has the mean of the s and p losses over all faces (`transmittance`).
 
     Raises:
         BadInput: A value is out of its range, or the wall leaves no room for resin.
@@ -107,11 +107,11 @@ class Vial(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light reaches at every pose [mm]: less than printable_radius where the wall reflects totally."""
+        """Radius that light reaches at every angle [mm]: less than printable_radius if the wall reflects totally."""
         return min(self.printable_radius, self.aperture * self.bath_index / self.resin_index)
 
     def transmitted(self, u: Floats) -> Floats:
-        """Tell what share of the power of columns reaches the resin, where one does.
+        """Share of the power of columns that reaches the resin, for columns that do.
 
         Args:
             u: Offsets of the columns, [...] [mm].
@@ -196,11 +196,11 @@ class Vial(Vessel):
         """Check that a target of this radius about the axis can be printed.
 
         Args:
-            radius: Of the target [mm].
+            radius: Radius of the target [mm].
 
         Raises:
             BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds what light reaches at every angle.
+            TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
             OpticsWarning: Within the radius the faces transmit less than 0.8.
@@ -211,13 +211,13 @@ class Vial(Vessel):
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "
                 f"{self.printable_radius:.4g} mm, the smaller of its inner radius {self.inner_radius:.4g} mm and "
                 f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; "
-                "scale or center the target, take a wider vial, or bring the bath's index closer to the resin's"
+                "scale or center the target, use a wider vial, or bring the bath's index closer to the resin's"
             )
         if radius > self.lit_radius:
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but beyond {self.lit_radius:.4g} mm the "
                 f"{self.barrier} of index {min(face.inner_index for face in self.faces):g} keeps the light out of the "
-                f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or take a "
+                f"resin of index {self.resin_index:g} by total reflection; scale or center the target, or use a "
                 f"{self.barrier} of higher index"
             )
         dim = self._radius_of_low_transmittance(radius)

@@ -1,4 +1,4 @@
-"""The greatest dose that scores do not judge: beside, above and below their cylinder."""
+"""The greatest dose beyond the judged cylinder: beside, above and below it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from vamgpu.metrics.thin_regions import IN_THE_PART
 
 @dataclass(frozen=True)
 class Outer:
-    """The greatest dose beside, above and below the cylinder that is judged, a pixel or more from the part.
+    """The greatest dose beside, above and below the judged cylinder, a pixel or more from the part.
 
-    dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: of the voxel [mm]: the part's,
-    or wider beyond the corners of the grid where the resin reaches much farther.  radius: how far from the axis was
-    looked [mm]: to the inner wall, else to the corners of the grid.
+    dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: width of the voxel [mm]: the
+    part's, or wider beyond the corners of the grid if the resin reaches much farther.  radius: greatest distance from
+    the axis that was searched [mm]: to the inner wall, otherwise to the corners of the grid.
     """
 
     dose: float
@@ -45,7 +45,7 @@ def corner_of(grid: Grid) -> float:
 
 
 class Around:
-    """Resin within a pixel of the voxels of a part: its surface, which may be off by as much on every side."""
+    """Resin within a pixel of the voxels of a part: its surface may deviate by a pixel on every side."""
 
     def __init__(self, fraction: np.ndarray, grid: Grid, pixel: float) -> None:
         # fraction [x, y, z] of the grid; pixel [mm]
@@ -60,7 +60,7 @@ class Around:
         self._tree = KDTree(np.stack([x[i], y[j], z[k]], axis=1))
 
     def leave_out(self, beyond: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:
-        """Clear what of a mask beyond the judged cylinder is such resin."""
+        """Clear such resin from a mask of voxels beyond the judged cylinder."""
         # beyond [column, column, z]; x, y [column, column] [mm]; z [mm]
         i, j, k = np.nonzero(beyond & (np.hypot(x, y) <= self._far)[:, :, None] & (np.abs(z) <= self._high))
         points = np.stack([x[i, j], y[i, j], z[k]], axis=1)

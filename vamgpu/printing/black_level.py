@@ -14,7 +14,7 @@ from vamgpu.printing.placement import Placement
 
 
 def no_light(plan: Any, settings: Placement) -> NoLight:
-    """The error that tells why no pixel of a plan's frames has light above 0."""
+    """The error that explains why no pixel of a plan's frames has light above 0."""
     light = plan.sinogram
     low, high = extent(light, lower=-inf, upper=inf)
     if high > 0.0:
@@ -32,19 +32,19 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
     if operator is not None and not _lights_anything(operator, light):
         return NoLight(
             "the plan is dark everywhere, and so is the grid under light from every column: the columns of the beam "
-            "miss it, or the resin absorbs all light before; widen the beam, or take less absorber"
+            "miss it, or the resin absorbs all light before; widen the beam, or use less absorber"
         )
     method, steps = getattr(plan, "method", None), len(getattr(plan, "history", ()))
     name = getattr(method, "name", type(method).__name__)
     who = f"{name} found no light in {steps} iterations" if steps else "whatever made it found no light"
     return NoLight(
         f"the plan is dark everywhere though its columns reach the grid: {who}; expected some light above 0: look "
-        "whether the target is empty where it was solved for, then try another method"
+        "whether the target is empty if it was solved for, then try another method"
     )
 
 
 def check_dose(light: DeviceArray, parts: Parts) -> None:
-    """Refuse frames that print nothing, rather than to judge them."""
+    """Reject frames that print nothing."""
     # light [angle, r, z]
     everywhere = {"lower": -inf, "upper": inf}
     if extent(parts.dose, parts.target, **everywhere, reach=parts.reach or 0.0)[1] > 0.0:

@@ -1,4 +1,4 @@
-"""A dose judged by what single voxels are asked for, and what every body of a scene got."""
+"""A dose judged by the limits of single voxels, and the dose of every body of a scene."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ class BodyDose:
     """The dose of a body."""
 
     name: str
-    role: str  # what is asked of it
-    asked: str  # the same in words
+    role: str
+    asked: str  # its required dose, in words
     voxels: int
     least: float
     mean: float
     greatest: float  # dose over the threshold of the print
-    wrong: int  # voxels that get another dose than asked
+    wrong: int  # voxels that get the wrong dose
 
     def __str__(self) -> str:
         dose = f"dose {self.least:.3f} … {self.mean:.3f} … {self.greatest:.3f} of the threshold"
         return f"{self.name} ({self.role}): {self.asked}; {dose}; {self.wrong:,} of {self.voxels:,} voxels wrong"
 
     def line(self) -> Line:
-        """As a row of a report."""
+        """The dose as a row of a report."""
         value = f"{self.least:.3f} … {self.greatest:.3f}, {self.wrong:,} wrong"
-        return Line(f"{self.role} {self.name!r}", value, f"{self.asked}; least and greatest dose over the threshold")
+        return Line(f"{self.role} {self.name!r}", value, f"{self.asked}; least and greatest dose / threshold")
 
 
 def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None) -> Parts:
-    """A dose over the limits of its voxels, and their classes: what scores are made of."""
+    """A dose relative to the limits of its voxels, and their classes: the input of scores."""
     # dose [x, y, z]; fraction [x, y, z]
     if limits is None:
         return Parts(dose, fraction)
@@ -52,7 +52,7 @@ def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None
 def body_doses(
     dose: np.ndarray, fraction: np.ndarray, limits: Limits, threshold: float, grid: Grid
 ) -> tuple[BodyDose, ...]:
-    """The doses of all bodies that are asked for anything."""
+    """The doses of all bodies with requirements."""
     # dose [x, y, z]; fraction [x, y, z]
     judged = limits.judged & grid.cylinder()[:, :, None]
     inside = fraction >= 0.5
@@ -70,7 +70,7 @@ def body_doses(
 
 
 def _judged(body: BodyRequirement, dose: np.ndarray, usual: float) -> tuple[int, str]:
-    """Voxels that are wrong, and what is asked; dose: over the threshold.  usual: mean of what is printed."""
+    """Number of wrong voxels, and the required dose in words; dose: over the threshold.  usual: mean printed dose."""
     if body.role == "print":
         return int((dose < 1.0).sum()), "at least the threshold"
     if body.role == "keep out":

@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from vamgpu.printing.judgement import Judgement
     from vamgpu.printing.proof import Proof
 
-EVALUATIONS = "take more evaluations"
-CONVERGED = "more evaluations hardly change this light: take smaller pixels, or another method"
-BOUNDED = "no light does much better here: take smaller pixels, or a larger part"
-THIN = "thicken what is thinner than two pixels, or take smaller pixels"
-NARROW = "widen gaps that are narrower than two pixels, or take smaller pixels"
+EVALUATIONS = "use more evaluations"
+CONVERGED = "more evaluations hardly improve these patterns: use smaller pixels, or another method"
+BOUNDED = "no patterns do much better here: use smaller pixels, or a larger part"
+THIN = "thicken features thinner than two pixels, or use smaller pixels"
+NARROW = "widen gaps narrower than two pixels, or use smaller pixels"
 REACHED = 0.98
-"""Share of the widest window from which on no other light does much better."""
+"""Share of the widest window above which no other patterns do much better."""
 TAIL, STILL = 0.25, 0.02
-"""Last part of a run, and the share of its loss that a run loses there which still improves."""
+"""Final fraction of a run, and the relative drop in loss over it above which a run is still improving."""
 LOST = 0.05
-"""Share of the area of walls whose loss shows in 95 % of the surface."""
+"""Share of lost wall area above which the distance of 95 % of the surface shows it."""
 
 
 class Causes:
-    """Causes of the faults of one print; each is checked when a remedy asks for it."""
+    """Causes of the faults of one print; each is checked when a remedy needs it."""
 
     proof: Proof
     judgement: Judgement
@@ -43,7 +43,7 @@ class Causes:
         self.proof, self.judgement = proof, judgement
 
     def body(self, kind: str, number: int) -> str:
-        """Remedy for so many changes of a kind: narrow features make them where a pixel off the surface does, too."""
+        """Remedy for changes of a kind; features are narrow if moving the surface by a pixel makes the same changes."""
         found = []
         explained = 0
         for moved, remedy in zip(self._surfaces_moved, (THIN, NARROW), strict=True):
@@ -54,21 +54,21 @@ class Causes:
 
     @cached_property
     def light(self) -> str:
-        """Remedy for light that could be better: more bits, more angles, more evaluations, or none of these."""
+        """Remedy for patterns that could be better: more bits, more angles, more evaluations, or none of these."""
         enough, few = self._more_angles, getattr(self.proof.frames, "bits", 8) < 8
-        return "; ".join(["take frames of 8 bits"] * few + [f"take {enough:,} angles"] * (enough > 0)
+        return "; ".join(["use 8-bit frames"] * few + [f"use {enough:,} angles"] * (enough > 0)
                          + [self._evaluations])  # fmt: skip
 
     @property
     def rough(self) -> str:
-        """Remedy for a rough surface: walls thinner than two pixels that did not print are told beside the light."""
+        """Remedy for a rough surface; it also names walls thinner than two pixels if they did not print."""
         walls = self.judgement.surface.walls
         thin = walls.share_lost >= LOST and walls.thinnest_lost < 2.0 * self.judgement.pixel
         return f"{self.light}; {THIN}" if thin else self.light
 
     @property
     def deep(self) -> str:
-        """Remedy where no exposure prints what lies deep: a part that is nowhere so deep is thin."""
+        """Remedy if no exposure prints the deep voxels correctly. A part without deep voxels counts as thin."""
         thin = not self.judgement.over_tolerance.judged_at(self.judgement.deep)
         return f"{self.light}; {THIN}" if thin else self.light
 
@@ -82,7 +82,7 @@ class Causes:
 
     @property
     def _more_angles(self) -> int:
-        """Angles that would do for the part; 0 where there are enough, or nothing tells."""
+        """Number of angles that the part needs; 0 if there are enough, or if the number is unknown."""
         A, target = self.proof.operator, self.proof.target
         radius = radius_of(A, target, target)
         try:
@@ -92,7 +92,7 @@ class Causes:
 
     @cached_property
     def _surfaces_moved(self) -> tuple[BodyChanges, BodyChanges]:
-        """Bodies that change where the surface lies a pixel farther inside, and outside."""
+        """Bodies that change if the surface moves a pixel inward, and outward."""
         grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
         reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
         depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)
@@ -102,7 +102,7 @@ class Causes:
 
 
 def converged(history: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether the last quarter of a run lowered its loss by less than 2 %; False where nobody knows."""
+    """Whether the last quarter of a run lowered its loss by less than 2 %; False if unknown."""
     loss = [float(step["loss"]) for step in history if step.get("loss") is not None]
     if len(loss) < 4 or not np.isfinite(loss).all():
         return False

@@ -23,12 +23,12 @@ ABSCISSA = {
     "evaluations": "projector evaluations",
     "iteration": "iteration",
 }
-"""Fields of a history it may be plotted over, best first, and their labels."""
+"""Fields of a history for the horizontal axis, best first, and their labels."""
 ORDINATE = {"loss": "loss", "window": "strict window"}
 
 
 def histogram_chart(found: Histogram, scores: Scores) -> str:
-    """Voxels in and out of the part over dose, with the threshold and what lies between part and rest."""
+    """Voxels in and out of the part against dose, with the threshold and the window or overlap."""
     peak = scores.peak or 1.0
     edges = found.edges / peak
 
@@ -41,14 +41,14 @@ def histogram_chart(found: Histogram, scores: Scores) -> str:
         name = "process window" if good else "overlap"
         axis.axvspan(low, high, color=GOOD if good else WARN, alpha=0.12, lw=0, label=name)
         axis.axvline(scores.threshold / peak, color=INK, lw=1.2, ls=(0, (4, 3)), label="threshold")
-        axis.set(yscale="log", xlim=(0, 1), ylim=(0.5, None), xlabel="dose over its greatest", ylabel="voxels")
+        axis.set(yscale="log", xlim=(0, 1), ylim=(0.5, None), xlabel="dose / greatest dose", ylabel="voxels")
         above(axis, 4)
 
     return svg(draw, WIDE, 3.4)
 
 
 def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> str:
-    """Windows and wrong voxels of every slice over its height [mm], on one scale."""
+    """Windows and wrong voxels of every slice against its height [mm], on one scale."""
 
     def draw(*axes: Any) -> None:
         axes[0].axhline(0, color=INK, lw=0.8)
@@ -67,7 +67,7 @@ def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> s
 
 
 def tolerance_chart(found: ToleranceWindow, pixel: float) -> str:
-    """The window over the tolerance [µm], a pixel [mm] marked, and how much of the part it judges."""
+    """The window against the tolerance [µm], a pixel [mm] marked, and the share of the part that it judges."""
     distance, window, marked = 1e3 * found.distance, found.window, 1e3 * pixel
     at_pixel = found.at(pixel) if marked <= distance[-1] else np.nan
 
@@ -90,7 +90,7 @@ def tolerance_chart(found: ToleranceWindow, pixel: float) -> str:
 
 
 def convergence_chart(history: Sequence[Any]) -> str | None:
-    """Loss, and the process window where it was recorded, over projector evaluations; None without a history."""
+    """Loss, and the process window if recorded, against projector evaluations; None without a history."""
     table = columns(history)
     over = next((name for name in ABSCISSA if name in table), None)
     shown = [name for name in ORDINATE if name in table and np.isfinite(table[name]).any()]
@@ -125,7 +125,7 @@ def pareto_chart(points: Sequence[Any]) -> str:
 
 
 def columns(history: Sequence[Any]) -> dict[str, np.ndarray]:
-    """Numeric fields of a history's records, by name; what a record lacks is NaN."""
+    """Numeric fields of a history's records, by name; NaN if a record lacks one."""
     rows = [_fields(record) for record in history]
     names = dict.fromkeys(name for row in rows for name, value in row.items() if isinstance(value, Real))
     return {name: np.array([_number(row.get(name)) for row in rows]) for name in names}

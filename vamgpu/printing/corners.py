@@ -17,7 +17,7 @@ from vamgpu.printing.simulate import ShownLight
 
 def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerances) -> CornerDoses:
     """Doses of frames at every corner, for arguments as of `simulate`. Raises `ToleranceError`, `BadInput`."""
-    # By rays traced for each corner where its operator is a `Projection`, else by the operator itself.
+    # From rays traced for each corner if its operator is a `Projection`, otherwise from the operator itself.
     A = direct(A)
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)

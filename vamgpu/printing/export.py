@@ -1,4 +1,4 @@
-"""Frames as images and films that other programs read; lossless but for films that any player decodes."""
+"""Frames as images and videos for other programs; lossless except for videos that any player decodes."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ BLOCK = 1 << 25
 
 @dataclass(frozen=True)
 class Canvas:
-    """The picture that a projector is handed, and where frames lie on it; what they leave is black.
+    """The image for a projector, and the position of the frames on it; the rest is black.
 
     Args:
-        size: Columns and rows; None takes those of the frames.
-        offset: Columns to the right and rows upwards by which the frames' middle is off that of the canvas.
-        rotation: Of the frames, counterclockwise [deg]. Quarter turns keep every level; others spread light over
-            neighboring pixels, in linear interpolation of the light and not of its levels.
-        flip_r: Mirror the frames left to right, beside what they are already.
-        flip_z: Mirror them top to bottom.
-        repeats: How often the turn is shown.
+        size: Columns and rows; None for those of the frames.
+        offset: Columns to the right and rows upwards from the middle of the canvas to that of the frames.
+        rotation: Rotation of the frames, counterclockwise [deg]. Quarter turns keep every level; others interpolate the
+            light (not the levels) linearly between neighboring pixels.
+        flip_r: Mirror the frames left to right, in addition to their own flip.
+        flip_z: Mirror the frames top to bottom, in addition to their own flip.
+        repeats: Number of times that the turn is shown.
 
     Raises:
         BadInput: A value is out of its range.
@@ -66,7 +66,7 @@ class Canvas:
         object.__setattr__(self, "offset", (right, up))
 
     def images(self, frames: Frames) -> Iterator[np.ndarray]:
-        """The pictures, uint8 [row, column], of ``repeats`` turns. Raises `BadInput`, `ShapeMismatch`."""
+        """The images, uint8 [row, column], of ``repeats`` turns. Raises `BadInput`, `ShapeMismatch`."""
         each = max(BLOCK // max(frames.shape[1] * frames.shape[2], 1), 1)
         for _ in range(self.repeats):
             for first in range(0, frames.shape[0], each):
@@ -79,8 +79,8 @@ class Canvas:
         if self.rotation % 90 == 0:
             return np.rot90(levels, round(self.rotation / 90))
         if frames.bits == 1:
-            raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, for a "
-                           "mirror is on or off: export 8 bits")  # fmt: skip
+            raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, because "
+                           "a mirror is only on or off: export 8 bits")  # fmt: skip
         from scipy.ndimage import rotate
 
         light = np.pad(frames.gray(levels) - frames.gray.black, 1)  # so that no pixel at the rim is lost
@@ -96,7 +96,7 @@ class Canvas:
         if top < 0 or left < 0 or top + levels.shape[0] > rows or left + levels.shape[1] > columns:
             raise BadInput(
                 f"frames of {levels.shape[1]} × {levels.shape[0]} pixels, {self.offset} off the middle, do not fit a "
-                f"canvas of {columns} × {rows}; expected all of them on it: take a smaller offset or a larger canvas"
+                f"canvas of {columns} × {rows}; expected all of them on it: use a smaller offset or a larger canvas"
             )
         canvas = np.zeros((rows, columns), np.uint8)
         canvas[top : top + levels.shape[0], left : left + levels.shape[1]] = levels
@@ -109,29 +109,29 @@ def export(
 ) -> Path:  # fmt: skip
     """Write frames in the format that the path's ending names.
 
-    No ending: a folder of PNG images ``frame_0000.png``… and ``frames.json``; ``.tif``, ``.tiff``: one page a frame;
-    ``.npz``: the bytes, the light of the levels and the settings; ``.mp4``: lossless H.264 in gray, or a film that any
-    player decodes. Frames of 1 bit become black and white. All appear whole or not at all.
+    No ending: a folder of PNG images ``frame_0000.png``… and ``frames.json``; ``.tif``, ``.tiff``: one page per frame;
+    ``.npz``: the bytes, the light of the levels and the settings; ``.mp4``: lossless H.264 in gray, or a video that any
+    player decodes. Frames of 1 bit become black and white. Files are written atomically.
 
     Args:
         frames: The frames.
-        path: The file or the new folder, in a folder that is there.
-        fps: Frames per second of a film [Hz].
-        overwrite: Whether a file may be replaced; a folder never is.
-        canvas: Where frames lie on a larger picture, and how often they are shown; not for ``.npz``.
-        players: Write a film in yuv420p, which projectors and common players decode, at levels from 16 to 235 and an
-            even size; levels come back within a few.
+        path: The file or the new folder, in an existing folder.
+        fps: Frames per second of a video [Hz].
+        overwrite: Whether to replace a file; folders are never replaced.
+        canvas: Position of the frames on a larger image, and number of repeats; not for ``.npz``.
+        players: Write a video in yuv420p, which projectors and common players decode, at levels from 16 to 235 and an
+            even size; levels change by a few.
 
     Returns:
         The path.
 
     Raises:
-        BadInput: The ending is unknown, a number out of its range, or the frames do not fit the canvas.
-        StorageError: Something is in the way, its folder is missing, or it cannot be written.
+        BadInput: The ending is unknown, a number is out of its range, or the frames do not fit the canvas.
+        StorageError: The path exists, its folder is missing, or it cannot be written.
     """
     place = as_path(path)
     if not hasattr(frames, "images"):
-        raise BadInput(f"got a {type(frames).__name__} to export; expected frames: those of vam.pack(plan)")
+        raise BadInput(f"got a {type(frames).__name__} to export; expected the frames of vam.pack(plan)")
     writer = FORMATS.get(place.suffix.lower())
     if writer is None:
         raise BadInput(f"cannot export {place.name!r}: expected .tif, .tiff, .npz, .mp4, or no ending for a PNG folder")
@@ -139,9 +139,9 @@ def export(
         raise StorageError(f"{str(path)!r} is a folder, which is never replaced; remove it or choose another path")
     check_folder(place)
     if canvas is not None and writer is _npz:
-        raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a film with it")
+        raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a video with it")
     if players and writer is not _mp4:
-        raise BadInput(f"players read films, and {place.name!r} is none; expected a path ending in .mp4")
+        raise BadInput(f"players read videos, not {place.name!r}; expected a path ending in .mp4")
     shown = _Shown(frames, canvas, positive("frames per second", fps), players)
     with replacing(place, overwrite=overwrite) as draft:
         writer(shown, draft)
@@ -150,7 +150,7 @@ def export(
 
 @dataclass(frozen=True)
 class _Shown:
-    """Frames to export, where they lie, and how a film shows them."""
+    """Frames to export, their position, and the settings of a video."""
 
     frames: Frames
     canvas: Canvas | None
@@ -167,7 +167,7 @@ class _Shown:
 
     @property
     def description(self) -> dict[str, Any]:
-        """Metadata of the images, by which `vam import` reads them."""
+        """Metadata of the images, for `vam import`."""
         beside: dict[str, Any] = {} if self.canvas is None else {"canvas": self.canvas}
         if self.frames.flat_field is not None:
             beside["flat_field"] = "made up for in the levels, and kept nowhere here"

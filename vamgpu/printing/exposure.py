@@ -14,18 +14,18 @@ from vamgpu.schema.quantities import Dose, Irradiance, measured
 from vamgpu.units import mJ_cm3, mW_cm2
 
 USUAL = 40.0
-"""Speed of a vial [deg/s] where nobody says another."""
+"""Default speed of a vial [deg/s]."""
 
 
 @dataclass(frozen=True)
 class ExposureTimes:
-    """Predicted times [s] for a projector and a resin that never forgets a dose."""
+    """Predicted times [s] for a projector and a resin that adds up all dose."""
 
-    # overcure_onset: until the first voxel out of it is; later than ``complete`` where the strict window is positive.
+    # overcure_onset: until the first voxel outside is solid; later than ``complete`` if the strict window is positive.
 
     irradiance: float  # of a full-on pixel in air [mW/mm²]
-    critical_dose: float  # from which resin is solid [mJ/mm³]
-    seconds: float  # until the threshold of the scores reaches the critical dose, when the light should go out
+    critical_dose: float  # least dose that makes resin solid [mJ/mm³]
+    seconds: float  # until resin at the threshold gets the critical dose, when the light should go off
     complete: float  # until the last voxel of the part is solid
     overcure_onset: float
     energy: float  # light sent until ``seconds`` [mJ]
@@ -37,7 +37,7 @@ class ExposureTimes:
 
     @property
     def given(self) -> str:
-        """Irradiance and critical dose as laboratories write them."""
+        """Irradiance and critical dose in usual units."""
         return f"{self.irradiance / mW_cm2:g} mW/cm² full-on and {self.critical_dose / mJ_cm3:g} mJ/cm³"
 
 
@@ -47,9 +47,9 @@ UNITS = {
 }
 """Kind, usual unit, its value in mW, mJ and mm, and the unit of plain numbers."""
 DAY = 86_400.0
-"""Exposure [s] beyond which nothing is printed: prints by tomography take seconds to minutes."""
+"""Longest exposure [s] that is accepted: tomographic prints take seconds to minutes."""
 ODD = 10.0
-"""mW/mm² and mJ/mm³ from which on a number was hardly meant so: 1 W/cm², 10 J/cm³."""
+"""Least mW/mm² and mJ/mm³ that suggest a wrong unit: 1 W/cm², 10 J/cm³."""
 
 
 def expose(
@@ -69,7 +69,7 @@ def expose(
     unit = irradiance / positive("light of a full-on pixel", full)
     rate = dose_unit(A, 1.0 / A.motion.angles, unit=unit, absorption=absorption)
     if scores.threshold <= 0:
-        raise BadInput("the frames send no light into the part; pack a plan that does")
+        raise BadInput("the frames send no light into the part; pack another plan")
     seconds = wanted / (scores.threshold * rate)
     found = ExposureTimes(
         irradiance=irradiance,
@@ -81,14 +81,14 @@ def expose(
     )
     if seconds > DAY:
         raise BadInput(
-            f"the exposure would take {seconds:.3g} s, {seconds / DAY:.3g} days, at {found.given}; expected a day at "
-            'most: check these two and their units, or give the part more light (frames of 8 bits, or dither="fit")'
+            f"the exposure would take {seconds:.3g} s, {seconds / DAY:.3g} days, at {found.given}; expected at most a "
+            'day: check both values and their units, or send the part more light (8-bit frames, or dither="fit")'
         )
     return found
 
 
 def _given(name: str, value: float | str) -> float:
-    """``value``, or what text with its unit says; else `BadInput` that tells it in the unit that laboratories use."""
+    """``value`` as a number, or parsed from text with a unit. Raises `BadInput` with the value in the usual unit."""
     kind, unit, factor, own = UNITS[name]
     usual = unit.replace("_", "/")
     if isinstance(value, str):

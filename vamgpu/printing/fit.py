@@ -61,30 +61,30 @@ Packed = Callable[[DeviceArray, float | None, str], Frames]
 
 
 def check_fit(bits: int, shift: tuple[float, float]) -> None:
-    """Raise `BadInput` unless pixels of these bits, moved by ``shift``, can be chosen by their dose."""
+    """Raise `BadInput` unless pixels of ``bits``, moved by ``shift``, can be chosen by their dose."""
     if bits == 1 and any(moved % 1 for moved in shift):
-        raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: take those, 8 bits, or '
+        raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: use those, 8 bits, or '
                        'dither="error-diffusion"')  # fmt: skip
 
 
 def check_dose(operator: Any, target: Any, bits: int = 1) -> None:
     """Raise `BadInput` unless pixels can be chosen by the dose that an operator makes for a target."""
-    other = 'take dither="error-diffusion"'
+    other = 'use dither="error-diffusion"'
     if bits == 1 and not isinstance(direct(operator), Projection):
         raise BadInput(f'dither="fit" got light of {operator!r}; expected that of a Projection or a RingProjection: '
                        f"{other}")  # fmt: skip
     if not isinstance(getattr(operator, "grid", None), Grid):
         raise BadInput(f'dither="fit" got light of {operator!r}; expected an operator on a Grid: {other}')
     if target is None:
-        raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), whose window is to be '
-                       f"kept, or target= beside light of your own: {other}")  # fmt: skip
+        raise BadInput('dither="fit" got light without a target; expected a plan of optimize(), or target= for '
+                       f"your own patterns: {other}")  # fmt: skip
     if getattr(target, "limits", None) is not None:
-        raise BadInput(f'dither="fit" got {target.name!r}, whose voxels have limits of their own; expected a part '
+        raise BadInput(f'dither="fit" got {target.name!r}, whose voxels have their own limits; expected a part '
                        f"without bodies: {other}")  # fmt: skip
 
 
 def rounds_of(plan: Any) -> int:
-    """Rounds for the 8-bit pixels of a plan: 0 after too few evaluations, or where no dose is known."""
+    """Rounds for the 8-bit pixels of a plan: 0 after too few evaluations, or if no dose is known."""
     known = isinstance(plan, Plan) and plan.target is not None and getattr(plan.target, "limits", None) is None
     if not known or plan.tolerances is not None or not isinstance(plan.operator.grid, Grid):
         return 0
@@ -92,9 +92,9 @@ def rounds_of(plan: Any) -> int:
 
 
 def stepped(plan: Any, frames: Frames, packed: Callable[[DeviceArray], Frames], rounds: int) -> tuple[Any, ...]:
-    """Frames of 8 bits whose dose has the window of the plan's light, or nearly."""
-    # In each round some pixels are asked for a level more, or less, where voxels that miss the window of the plan's
-    # light come nearer to it; which ones is spread evenly over light. Works by the plan's own operator, of any kind.
+    """Frames of 8 bits whose dose has nearly the window of the plan."""
+    # In each round some pixels get a level more or less, if voxels that miss the window of the plan then come nearer to
+    # it; these pixels are spread evenly. It uses the plan's own operator, of any type.
     A, device, asked = plan.operator, plan.sinogram.device, plan.sinogram
     fit = _Fit(A, on_device(A, plan.target), asked)
     prices = {name: device.empty(A.domain.shape) for name in ("brighter", "darker")}
@@ -121,7 +121,7 @@ def stepped(plan: Any, frames: Frames, packed: Callable[[DeviceArray], Frames], 
 
 
 def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, float]:
-    """Frames of 1 bit whose dose has nearly the window of the plan's light, or a wider one."""
+    """Frames of 1 bit whose dose has nearly the window of the plan, or a wider one."""
     A, light = direct(plan.operator), plan.sinogram
     fit = _Fit(A, fractions_of(A, plan.target), light)
     if (settled := _settled(fit, plan.operator, packed, scale)) is not None:
@@ -133,15 +133,15 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     rounded = packed(light, scale, "round")
     plain = fit.window_of(rounded)
     if plain >= window:
-        warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, choosing pixels by their "
-                      f"dose {window:+.3f}; the frames are rounded: take more angles, or 8 bits",
+        warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, and pixels chosen by dose "
+                      f"keep {window:+.3f}; the frames are rounded: use more angles, or 8 bits",
                       PackWarning, stacklevel=5)  # fmt: skip
         return rounded, plain
     return packed(lit, frames.scale, "round"), window
 
 
 def _settled(fit: _Fit, operator: Any, packed: Packed, scale: float | None) -> Frames | None:
-    """Frames whose light was driven to its ends; None where it cannot be, or the device lacks the memory."""
+    """Frames whose light was driven to its ends; None if it cannot be, or the device lacks the memory."""
     try:
         found = _Settled(fit, TwoLevels(operator, fit.target, fit.light), packed)
         return found.best(scale) if found.levels.possible else None
@@ -284,7 +284,7 @@ class _Flips:
         return (lit * self.step).astype(np.float32)
 
     def swept(self, order: np.ndarray) -> _Flips:
-        """Ask every pixel once, groups of angles in an order."""
+        """Consider every pixel once, by groups of angles in an order."""
         fit, launch = self.fit, self.device.launch
         prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share

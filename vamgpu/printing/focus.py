@@ -1,7 +1,7 @@
-"""Frames for a focus that follows a roller: every column of a pattern is shown while the lens focuses on its film.
+"""Frames for a focus that follows a roller: each column of a pattern is shown while the lens focuses on its film.
 
-The film's middle lies at depth −√(r²−x²) from the roller's axis, against the light. A pattern is cut by columns into
-one frame for each focus plane of the lens, and those are shown one after the other at each angle.
+The film's middle is at depth −√(r²−x²) from the roller's axis, against the light. A pattern is divided by columns into
+one frame for each focus plane of the lens; these are shown one after the other at each angle.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", Fig. 4 and sections S4 and S14.
 """
@@ -31,7 +31,7 @@ class FocusMasks:
     Args:
         columns, pitch: Columns of the beam, and their pitch [mm].
         midline: Radius [mm] of the film's middle about the roller's axis.
-        planes: Depths [mm] of the focus planes along the light from the axis, rising, thus the outermost first.
+        planes: Depths [mm] of the focus planes along the light from the axis, rising, so the outermost is first.
 
     Raises:
         BadInput: A value is out of its range.
@@ -53,13 +53,13 @@ class FocusMasks:
 
     @classmethod
     def around(cls, beam: Beam, radius: float, thickness: float, bins: int = 3) -> FocusMasks:
-        """Planes that make the largest defocus of any column as small as ``bins`` of them can.
+        """The ``bins`` planes that make the largest defocus of any column as small as possible.
 
         Args:
             beam: The beam.
-            radius: Of the roller [mm].
-            thickness: Of the film on it [mm].
-            bins: How many focus planes.
+            radius: Radius of the roller [mm].
+            thickness: Thickness of the film on it [mm].
+            bins: Number of focus planes.
 
         Returns:
             The masks.
@@ -89,7 +89,7 @@ class FocusMasks:
         return len(self.planes)
 
     def depth(self, x: ArrayLike) -> np.ndarray:
-        """Tell the depth of the film's middle.
+        """Depth of the film's middle.
 
         Args:
             x: Offsets from the axis [mm], (...).
@@ -100,7 +100,7 @@ class FocusMasks:
         return midline_depth(x, self.midline)
 
     def bin(self, x: ArrayLike) -> np.ndarray:
-        """Find the plane nearest to the film's middle, the outer one of two alike.
+        """Find the plane nearest to the film's middle, the outer one of two at the same distance.
 
         Args:
             x: Offsets from the axis [mm], (...).
@@ -118,7 +118,7 @@ class FocusMasks:
 
     @cached_property
     def masks(self) -> np.ndarray:
-        """Which columns of the beam each plane shows, bool (bins, columns); True once in every column."""
+        """Columns of the beam that each plane shows, bool (bins, columns); True once in every column."""
         return self.bin(self.x) == np.arange(self.bins)[:, None]
 
     @cached_property
@@ -127,7 +127,7 @@ class FocusMasks:
         return np.abs(self.depth(self.x) - np.array(self.planes)[self.bin(self.x)])
 
     def of_frames(self, frames: Frames) -> np.ndarray:
-        """Tell which columns of a frame each plane shows, flips and shift taken into account.
+        """Columns of a frame that each plane shows, including flips and shift.
 
         Args:
             frames: The frames.
@@ -176,7 +176,7 @@ def split(shown: Fields, masks: FocusMasks) -> tuple[Fields, ...]:
 
 
 def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:
-    """Which plane every slot shows, int (angles, bins), in the order they are shown."""
+    """The plane that every slot shows, int (angles, bins), in the order in which they are shown."""
     # turning: every other angle in reverse order, so that the lens moves one time less an angle and never flies back.
     angles, bins = counts("angles and bins", (angles, bins), 2)
     order = np.tile(np.arange(bins), (angles, 1))

@@ -1,4 +1,4 @@
-"""Frames in job folders: everything `simulate` and a projector need, and where it came from."""
+"""Frames in job folders: everything `simulate` and a projector need, and its origin."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def save_frames(
     details: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> Folder:
-    """Write frames to a job folder: Zarr arrays, one chunk a frame, and ``manifest.json``."""
-    # Frames of a plan are kept as its plain light, float32, and how it was packed beside it: a machine that is known
-    # makes frames of the light itself. Others are kept as their bytes.
-    # inputs: what the job was asked for, kept in the manifest; by default geometry, target and record of the frames'
-    # plan. arrays: others to keep beside the frames. details: of those.
+    """Write frames to a job folder: Zarr arrays, one chunk per frame, and ``manifest.json``."""
+    # Frames of a plan are stored as its patterns, float32, and the packing settings, so that a calibrated machine can
+    # pack the patterns itself. Other frames are stored as bytes.
+    # inputs: settings of the job, kept in the manifest; by default geometry, target and record of the frames' plan.
+    # arrays: further arrays to store. details: of those.
     plan, own = frames.plan, {}
     known: dict[str, Any] = {}
     told: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
@@ -45,7 +45,7 @@ def save_frames(
         if "geometry" not in (inputs or {}) and getattr(plan, "operator", None) is not None:
             try:
                 known, own = inputs_of(plan)
-            except BadInput as error:  # they can be printed, if not proven
+            except BadInput as error:  # they can be printed, but not proved
                 known = {"undescribed": str(error)}
         if isinstance(plan, Plan):
             noun, own_arrays = method_described(plan.method)
@@ -70,12 +70,12 @@ def save_frames(
 
 
 def load_frames(path: str | Path, device: str | Device | None = None) -> Frames:
-    """Frames of a job folder, proven by their hashes, on a device. Raises `StorageError`."""
+    """Frames of a job folder, verified by their hashes, on a device. Raises `StorageError`."""
     return frames_of(Folder.open(path), open_device(device))
 
 
 def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
-    """Frames of an open job folder; its light is packed as it was, or as `pack` does where nobody did yet."""
+    """Frames of an open job folder; patterns are packed with stored settings, or with the defaults of `pack`."""
     name, flat = str(folder.path), None
     stored = folder.record("frames")
     packed = stored.dtype == "uint8"
@@ -102,7 +102,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
         source = plan or Solved(sinogram_from(folder, place), None)
         how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "quantile", "dither")} | known
         if settings.dither == FIT:
-            how["dither"] = "round"  # the light is what the chosen pixels are rounded from
+            how["dither"] = "round"  # the patterns round to the chosen pixels
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
         return replace(made, settings=settings, motion=motion, packed=(made.images, source))
     except BadInput as error:
@@ -110,7 +110,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
 
 
 def describe(frames: Frames) -> dict[str, Any]:
-    """Plain values that, with the bytes, tell the light of frames."""
+    """Plain values that, with the bytes, define the light of frames."""
     angles, rows, columns = frames.shape
     poses = {} if frames.motion is None else {"turntable": described(frames.motion)}
     return {

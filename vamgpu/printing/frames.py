@@ -1,4 +1,4 @@
-"""Frames: what a projector is handed, and the light its mirrors make of it."""
+"""Frames: the bytes for a projector, and the light that its mirrors make from them."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ class Frames:
     """One frame for each angle. Row 0 shows the largest z, column 0 the smallest r, before the flips of ``settings``.
 
     Args:
-        images: Table uint8 on a device, [angle, row, column] where ``bits`` is 8 and [angle, row, ⌈columns / 8⌉] where
-            it is 1, the leftmost column in the highest bit.
-        bits: Of a pixel, 8 or 1.
+        images: Table uint8 on a device, [angle, row, column] if ``bits`` is 8, and [angle, row, ⌈columns / 8⌉] if it is
+            1, the leftmost column in the highest bit.
+        bits: Bits per pixel, 8 or 1.
         gray: Light of the levels.
         scale: Irradiance of a full-on pixel, in the plan's units.
-        columns: Pixels a row.
-        settings: How frames are flipped and shifted.
-        flat_field: Relative brightness [row, column] of full-on mirrors, the brightest 1; None where all are alike.
-        motion: The angles that frames are for, once for each tile; None where nobody said, or of a web.
-        packed: The very bytes [angle, row, column] that were made of a plan, and that plan; see `plan`.
+        columns: Pixels per row.
+        settings: Flips and shift of the frames.
+        flat_field: Relative brightness [row, column] of full-on mirrors, the brightest 1; None if all are alike.
+        motion: The angles of the frames, once for each tile; None if unknown, or for a web.
+        packed: The bytes [angle, row, column] that were packed from a plan, and that plan; see `plan`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -75,7 +75,7 @@ class Frames:
 
         Args:
             images: Bytes as for `Frames.images`, uint8 [angle, row, column].
-            device: Where to compute; the best device here by default.
+            device: A name or a device; the best available device by default.
             **fields: The other fields of the class.
 
         Returns:
@@ -95,9 +95,9 @@ class Frames:
 
     @property
     def plan(self) -> Any:
-        """The plan that was packed, or its light and operator; None for frames of bytes, and for bytes changed since.
+        """The plan that was packed, or its light and operator; None for frames of bytes or changed bytes.
 
-        It holds the plain light that a job folder keeps, and that another machine's frames are made of.
+        It holds the patterns for a job folder, from which frames for another machine are packed.
         """
         return self.packed[1] if self.packed is not None and self.packed[0] is self.images else None
 
@@ -108,7 +108,7 @@ class Frames:
 
     @property
     def device(self) -> Device:
-        """Where the bytes are."""
+        """The device of the bytes."""
         return self.images.device
 
     def __repr__(self) -> str:
@@ -130,7 +130,7 @@ class Frames:
         """Copy the bytes to another device.
 
         Args:
-            device: Where to compute; the best device here by default.
+            device: A name or a device; the best available device by default.
 
         Returns:
             The same frames there.
@@ -142,20 +142,20 @@ class Frames:
         return replace(self, images=images, packed=None if self.plan is None else (images, self.plan))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write a job folder that `vamgpu.load` reads, and that ``vam print`` takes.
+        """Write a job folder for `vamgpu.load` and ``vam print``.
 
-        Frames of a plan are kept as its plain light, with the plan's operator and target, so that ``vam prove`` takes
-        the folder and each machine makes frames of its own; others as their bytes.
+        Frames of a plan are stored as its patterns, with the plan's operator and target, so that ``vam prove`` accepts
+        the folder and each machine packs its own frames; other frames are stored as bytes.
 
         Args:
             path: The folder.
-            overwrite: Replace a job folder that stands there.
+            overwrite: Replace an existing job folder.
 
         Returns:
             The path.
 
         Raises:
-            StorageError: The path is taken, or cannot be written.
+            StorageError: The path exists, or cannot be written.
         """
         # a circle: folders make frames
         from vamgpu.printing.folder import save_frames
@@ -163,13 +163,13 @@ class Frames:
         return save_frames(path, self, overwrite=overwrite).path
 
     def irradiance(self, device: str | Device | None = None) -> DeviceArray:
-        """Compute the light that reaches the beam's pixels, from the bytes and what is known of the projector alone.
+        """Compute the light that reaches the beam's pixels, only from the bytes and the projector's properties.
 
-        The shift is undone as the machine undoes it, by where the frame lands: a pixel that lies across several beam
-        pixels shares its light among them, and beam pixels beyond the frame stay wholly dark.
+        The shift is undone as on the machine: a pixel across several beam pixels shares its light among them, and beam
+        pixels beyond the frame stay completely dark.
 
         Args:
-            device: Where to; by default where the bytes are.
+            device: Device of the result; by default that of the bytes.
 
         Returns:
             Light [angle, r, z] in the plan's units, black level included.
@@ -194,20 +194,20 @@ class Frames:
 
         Args:
             first: The first frame.
-            last: The one after the last; None for all that there are.
+            last: The one after the last; None for all.
 
         Returns:
-            Levels, uint8 (frames, rows, columns): 0 to 255, or 0 and 1 where ``bits`` is 1.
+            Levels, uint8 (frames, rows, columns): 0 to 255, or 0 and 1 if ``bits`` is 1.
         """
         images = self.images.part(first, self.shape[0] if last is None else last)
         return images if self.bits == 8 else np.unpackbits(images, axis=-1, count=self.columns)
 
     def gray_levels(self, first: int = 0, last: int | None = None) -> np.ndarray:
-        """Gray levels as a viewer shows them, of all frames or of some.
+        """Gray levels for a viewer, of all frames or of some.
 
         Args:
             first: The first frame.
-            last: The one after the last; None for all that there are.
+            last: The one after the last; None for all.
 
         Returns:
             Levels from 0 to 255 at either bit depth, uint8 (frames, rows, columns).
@@ -235,5 +235,5 @@ def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def flat_table(device: Device, flat_field: np.ndarray | None) -> DeviceArray:
-    """The flat field on a device; a table of a single 1 where all mirrors are alike."""
+    """The flat field on a device; a table of a single 1 if all mirrors are alike."""
     return device.table(np.ones((1, 1)) if flat_field is None else flat_field)

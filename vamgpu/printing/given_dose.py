@@ -1,4 +1,4 @@
-"""The dose that a print gives, over the dose that was proved."""
+"""The dose that a print gives, relative to the proved dose."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from vamgpu.printing.simulate import ShownLight, simulate
 from vamgpu.targets.target import Target
 
 WITHIN = 0.01
-"""Share by which a dose may be off where the proof does not print."""
+"""Share by which a dose may deviate if the proof does not print."""
 MOST = 1e3
-"""The greatest latitude that is told."""
+"""The greatest latitude that is reported."""
 
 
 @dataclass(frozen=True)
 class ProvedDose:
     """The exposure of a proof."""
 
-    seconds: float  # how long the frames are lit until the threshold is solid, all angles together [s]
-    irradiance: float  # of a full-on pixel meanwhile [mW/mm²]
+    seconds: float  # exposure until resin at the threshold is solid, all angles together [s]
+    irradiance: float  # of a full-on pixel during that exposure [mW/mm²]
     scale: float  # light of a full-on pixel, in the plan's units
-    # least, most: doses over the proved one between which it prints, see `Verdict.latitude`; within `WITHIN` of 1 where
-    # it does not
+    # least, most: doses, relative to the proved one, between which it prints, see `Verdict.latitude`; 1 ± `WITHIN` if
+    # it does not print
     least: float
     most: float
     right: bool  # whether it prints at the proved dose
 
     @classmethod
     def of(cls, proof: Proof) -> Self:
-        """The exposure of a proof. Raises `BadInput` where it knows no times."""
+        """The exposure of a proof. Raises `BadInput` if it has no times."""
         if proof.exposure is None:
             raise BadInput(f"the proof of {proof.name!r} has no times; expected irradiance and critical_dose: prove "
                            "the frames with both")  # fmt: skip
@@ -47,17 +47,17 @@ class ProvedDose:
 class GivenDose:
     """The dose that a print of a vial gives."""
 
-    proved: ProvedDose  # what the proof says
-    share: float  # the dose over the proved one
+    proved: ProvedDose
+    share: float  # the dose, relative to the proved one
     turns: int
     seconds: float  # from the beginning to the last light [s]
     lit: float = 1.0  # share of the light that the rig could give in these turns; 1 is not dimmed
-    drive: bool = False  # whether the drive of the light was dimmed; else the time that frames are lit
-    asked: bool = False  # whether a person chose the number of turns
+    drive: bool = False  # whether the drive of the light was dimmed; otherwise the time that frames are lit
+    asked: bool = False  # whether the user chose the number of turns
 
     @classmethod
     def read(cls, kept: Mapping[str, Any] | None) -> Self | None:
-        """The dose that a run's folder keeps, as `plain` wrote it; None for none. Raises `StorageError`."""
+        """The dose in a run's folder, as `plain` wrote it; None for none. Raises `StorageError`."""
         if kept is None:
             return None
         try:
@@ -71,21 +71,21 @@ class GivenDose:
         return found
 
     def plain(self) -> dict[str, Any]:
-        """The values by name, as JSON takes them."""
+        """The values by name, for JSON."""
         return asdict(self)
 
     @property
     def keeps(self) -> bool:
-        """Whether the verdict at this dose is the one that was proved."""
+        """Whether the verdict at this dose is the proved one."""
         return self.proved.least <= self.share <= self.proved.most
 
     @property
     def whole(self) -> bool:
-        """Whether the exposure is no shorter than the verdict allows."""
+        """Whether the exposure is as long as the verdict requires."""
         return self.share >= self.proved.least
 
     def __str__(self) -> str:
-        return f"×{self.share:.3f} of what was proved: {self.verdict}"
+        return f"×{self.share:.3f} of the proved one: {self.verdict}"
 
     @property
     def verdict(self) -> str:
@@ -93,22 +93,22 @@ class GivenDose:
         low, high = f"×{self.proved.least:.3f}", f"×{self.proved.most:.3f}"
         if not self.proved.right:
             if self.keeps:
-                return "the proof does not print, and neither does this"
-            return "the proof does not print, and this dose is another one"
+                return "the proof does not print, and neither does this dose"
+            return "the proof does not print, and this dose differs from it"
         if self.keeps:
-            return f"within {low} to {high}, between which nothing prints wrong that lies two pixels from the surface"
+            return f"within {low} to {high}, where everything two pixels or more from the surface prints correctly"
         if self.share < self.proved.least:
-            return f"below {low}, so that some of the part stays liquid"
-        return f"above {high}, so that resin beside the part gets solid"
+            return f"below {low}, so some of the part stays liquid"
+        return f"above {high}, so resin beside the part gets solid"
 
     def lines(self) -> tuple[Line, ...]:
-        """Turns, seconds and dose, as reports list them."""
+        """Turns, seconds and dose for reports."""
         light = self.share * self.proved.seconds
-        chosen = "turns as a person chose" if self.asked else "whole turns"
+        chosen = "chosen by the user" if self.asked else "whole turns"
         found = [
             Line("dose given over proved", f"{self.share:.3f}", self.verdict),
-            Line("exposure given", f"{light:.3g} s", f"of {self.proved.seconds:.3g} s that were proved, at the light "
-                 "of the proof"),
+            Line("exposure given", f"{light:.3g} s", f"of {self.proved.seconds:.3g} s proved, at the irradiance of the "
+                 "proof"),
             Line("turns", f"{self.turns}", f"{chosen}, {self.seconds:.2f} s"),
         ]  # fmt: skip
         return (*found, *((Line("dimmed", f"{self.lit:.3f}", self.dimming),) if self.lit < 1.0 else ()))
@@ -118,7 +118,7 @@ class GivenDose:
         """The scale of the light, and the dose without it."""
         share = f"{100 * self.lit:.1f} %"
         what = f"the light has {share} of its drive" if self.drive else f"frames are lit {share} of their time"
-        return f"{what}, else {counted(self.turns)} would give {self.share / self.lit:.3f} of the dose"
+        return f"{what}; otherwise {counted(self.turns)} would give {self.share / self.lit:.3f} of the dose"
 
 
 def counted(turns: int) -> str:
@@ -127,7 +127,7 @@ def counted(turns: int) -> str:
 
 
 def prove_given(known: Proof, frames: ShownLight, dose: GivenDose | None) -> Proof:
-    """Prove what a print showed, at the dose that it gave."""
+    """Prove the frames that a print showed, at the dose that it gave."""
     whole = Target.from_array(known.target.numpy(), known.operator.grid.pitch, known.name)
     target = replace(whole, solid=known.solid, limits=known.limits)
     threshold = None if dose is None else known.scores.threshold / dose.share

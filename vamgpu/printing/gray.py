@@ -17,12 +17,12 @@ TOP = 255
 
 @dataclass(frozen=True)
 class GrayCurve:
-    """Measured light of a projector over its gray levels, straight between the measured ones.
+    """Measured light of a projector against its gray levels, linear between the measured ones.
 
     Args:
         levels: Measured gray levels, rising from 0 to 255.
         intensity: Light at each, in any unit, never falling; kept relative to that of level 255. Light at level 0 is
-            the black level and may exceed zero: mirrors never close wholly.
+            the black level and may exceed zero: mirrors never close completely.
 
     Raises:
         BadInput: A value is out of its range.
@@ -36,7 +36,7 @@ class GrayCurve:
         if len(levels) != len(light) or len(levels) < 2:
             raise BadInput(
                 f"a gray curve has {len(levels)} levels and {len(light)} intensities; "
-                "expected one intensity a level, two of them at least"
+                "expected one intensity per level, at least two"
             )
         if (levels != np.round(levels)).any() or (np.diff(levels) <= 0).any() or (levels[0], levels[-1]) != (0, TOP):
             raise BadInput(
@@ -159,7 +159,7 @@ class GrayCurve:
         return np.searchsorted(0.5 * (curve[1:] + curve[:-1]), np.clip(light, 0.0, 1.0), side="left").astype(np.uint8)
 
     def table(self, bits: int) -> np.ndarray:
-        """Tell the light of every value a pixel can take.
+        """Light of every value of a pixel.
 
         Args:
             bits: 1, off or on, or 8, a gray level.

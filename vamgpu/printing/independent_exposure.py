@@ -52,9 +52,9 @@ SAMPLES = 128, 256
 """Fewest and most samples of a table of one pose from the axis to the wall, else one a part voxel. With 128 the dose
 inside the printable radius is right to 7e-4, and beyond it, where caustics are, to 3 % (256: 1 %) voxel by voxel."""
 STRAIGHT = 4
-"""Samples of a table of straight light, which is exact between them."""
+"""Samples of a table of straight light, which is linear between them."""
 FAR = 2.0
-"""Where resin reaches this much farther than the corners of the grid, it is exposed on wider voxels beyond them."""
+"""If resin reaches this many times as far as the corners of the grid, voxels beyond the corners are wider."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,28 +68,28 @@ class FineSlab:
     y: np.ndarray
     z: np.ndarray
     pitch: float  # their edge [mm]
-    radius: float  # of the resin [mm]; voxels farther from the axis mean nothing
+    radius: float  # of the resin [mm]; ignore voxels farther from the axis
 
 
 class IndependentExposure:
-    """The light of a projection's pixels in the resin, by rays traced for it."""
+    """The light of a projection's pixels in the resin, from independent rays."""
 
-    # A: gives the geometry: grid, beam, motion and vessel; none of its tables is read.
+    # A: gives the geometry: grid, beam, motion and vessel; its tables are not used.
 
     grid: Grid
     beam: Beam
-    motion: Turntable  # the arcs of the light, where they are others than the projection's
+    motion: Turntable  # the arcs of the light, the projection's by default
     vessel: Vessel | None
     device: Device
-    # fine voxels along an edge of the part's, at least 2, of which the part's are the mean; by default as many as it
-    # takes to have `A_PIXEL` along the least width that a column has in the resin. See `agreed`
+    # fine voxels along an edge of a part voxel, at least 2; a part voxel is their mean. By default enough for `A_PIXEL`
+    # of them across the narrowest column in the resin. See `agreed`
     finer: int
     pitch: float
-    # bytes that the arrays of some slices may take. As many slices as the device keeps together (64 at most) are
-    # exposed in any case
+    # bytes that the arrays of some slices may take. At least the slices that the device keeps together (at most 64)
+    # are exposed at a time
     memory: int
     agrees: float | None
-    """Share of the greatest dose to which the next finer voxels agree, where they were asked."""
+    """Change of the dose on the next finer voxels, relative to the greatest dose; None before `agreed`."""
 
     def __init__(self, A: Projection, memory: int = MEMORY, finer: int | None = None, motion: Any = None) -> None:
         self.grid, self.beam, self.vessel, self.device = A.grid, A.beam, A.vessel, A.device
@@ -104,7 +104,7 @@ class IndependentExposure:
         self._discs: dict[tuple[float, float], _Disc] = {}
 
     def agreed(self, light: DeviceArray) -> IndependentExposure:
-        """The same on voxels so fine that the next finer ones give the same dose of some light, to `AGREED`."""
+        """The same on voxels so fine that the next finer ones change the dose of some light by at most `AGREED`."""
         # light [angle, r, z]
         z, lit, judge = self._hardest(light), self.grid.cylinder(), self
         dose = judge._at(light, z)
@@ -181,7 +181,7 @@ class IndependentExposure:
         return dose, self._farther(light, np.sort(np.concatenate([z, beyond])), outer, greatest) if far else outer
 
     def onto(self, light: DeviceArray, dose: DeviceArray) -> Iterator[tuple[slice, DeviceArray]]:
-        """The dose on the part's own voxels alone, slab by slab."""
+        """The dose only on the part's own voxels, slab by slab."""
         # light [angle, r, z]; dose [x, y, z]
         disc, pitch = self._near, self.grid.pitch
         for part in self._slabs(disc, self.grid.shape[2]):

@@ -32,24 +32,24 @@ if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
 FINEST = 5
-"""Voxels along an edge of the part's beyond which depths are not looked for in its mesh."""
+"""Greatest number of voxels along an edge of the part's at which depths come from its mesh."""
 DEEP = 2.0
-"""Pixels from the surface: what prints wrong farther than this from it is a fault. Light cannot make the dose jump."""
+"""Pixels from the surface: wrong resin farther than this is a fault. Nearer, light cannot make the dose jump."""
 WHOLE = 2**28
-"""Fine voxels up to which their surface is judged; that of the part's own voxels is beyond."""
+"""Greatest number of fine voxels whose surface is judged; above, it is that of the part's own voxels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A proved print judged beyond its strict window.
+    """A proved print, judged by more than its strict window.
 
     Attributes:
         over_tolerance: W from 0 to two voxels or pixels, on voxels at most half as wide as the part's and as a pixel in
             the resin.
-        surface: how the surface of the print lies against the mesh.
-        pixel: least width of a column in the resin [mm]; a voxel of the part where no ray says it.
-        off: finds the table.
-        not_judged: what nobody judged, sentence by sentence.
+        surface: comparison of the print's surface with the mesh.
+        pixel: least width of a column in the resin [mm]; a voxel of the part if there are no rays.
+        off: computes the table.
+        not_judged: what was not judged, one sentence each.
     """
 
     over_tolerance: ToleranceWindow
@@ -60,16 +60,16 @@ class Judgement:
 
     @property
     def deep(self) -> float:
-        """Distance from the surface from which on what prints wrong is a fault [mm]: two pixels."""
+        """Distance from the surface beyond which wrong resin is a fault [mm]: two pixels."""
         return min(DEEP * self.pixel, float(self.over_tolerance.distance[-1]))
 
     @cached_property
     def table(self) -> ToleranceTable:
-        """The same light through machines that are off by a little; five to ten projector evaluations when asked."""
+        """The same frames on machines with small errors; five to ten projector evaluations on first use."""
         return self.off()
 
     def lines(self) -> tuple[Line, ...]:
-        """The windows at half a pixel, one and two, as far as they are known, and the surface with its bodies."""
+        """The windows at half a pixel, one and two pixels, as far as known, and the surface with its bodies."""
         found, known = [], float(self.over_tolerance.distance[-1]) * (1.0 + 1e-9)
         for number, name in ((0.5, "½ pixel"), (1.0, "1 pixel"), (2.0, "2 pixels")):
             if number * self.pixel <= known:
@@ -107,13 +107,13 @@ def judged(proof: Proof) -> Judgement:
                                deep=DEEP * pixel)  # fmt: skip
 
     half_pixels = voxels if proof.independent else int(voxels * max(2.0 * A.grid.pitch / pixel, 1.0) ** 3)
-    missed = (f"what the surface does between the part's own voxels, as {half_pixels:,} finer ones are more than the "
-              f"{WHOLE:,} that are looked at together",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
+    missed = (f"the surface between the part's own voxels, because {half_pixels:,} finer ones exceed the {WHOLE:,} "
+              "that fit at a time",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
     return Judgement(found, _surface(proof, fine, pixel), pixel, off, missed)
 
 
 def _depth(proof: Proof, finer: int, reach: float) -> Depth:
-    """Depths in the mesh where there is one, sampled on voxels so many times as fine as the part's."""
+    """Depths in the mesh, if there is one, sampled on voxels ``finer`` times as fine as the part's."""
     grid = proof.operator.grid
     if proof.joined is None or not 1 < finer <= FINEST or proof.operator.beam.flat:
         return depth_of_fractions(proof.target.numpy(), grid, proof.operator.beam.flat, reach)
@@ -134,7 +134,7 @@ def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudg
 
 
 def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, float]:
-    """A dose on voxels at most so wide, linear between, and their width: narrow holes close on wide voxels."""
+    """A dose on voxels of at most a width, by linear interpolation: narrow holes close on wide voxels."""
     finer = pitch / width
     if finer < 1.1 or dose.size * finer**3 > WHOLE:
         return dose, pitch
@@ -144,14 +144,14 @@ def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, f
 
 
 def _asked(proof: Proof, slab: FineSlab) -> FineSlab:
-    """A slab with its dose over the limits of the part's voxels."""
+    """A slab with its dose relative to the limits of the part's voxels."""
     assert proof.limits is not None
     scale = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
     return replace(slab, dose=np.asarray(slab.dose) * scale(slab.x, slab.y, slab.z))
 
 
 def _where_asked(proof: Proof, depth: Depth) -> Depth:
-    """A depth that is NaN where nothing is asked."""
+    """A depth that is NaN at points without limits."""
     assert proof.limits is not None
     judged = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
     return lambda x, y, z: np.where(judged(x, y, z) > 0.0, depth(x, y, z), np.nan)

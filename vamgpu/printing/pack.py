@@ -1,4 +1,4 @@
-"""Turn a plan's light into frames, on the device the plan is on."""
+"""Turn a plan's patterns into frames, on the plan's device."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import FIT, Placement
 
 SPARED, HOT = 0.99999, 2.0
-"""Quantile of the lit pixels, and how many times as bright a pixel is shown at most unless asked for."""
+"""Quantile of the lit pixels, and the default limit of a pixel's brightness relative to it."""
 ROUNDS = (21, 11, 1)
 """Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
 FEW = 120
@@ -40,7 +40,7 @@ FAINTEST, BRIGHTEST = 1e-30, 1e30
 
 
 class Patterns(Protocol):
-    """A plan, or anything with its light and the operator that makes dose of it."""
+    """A plan, or any object with patterns and the operator that makes dose from them."""
 
     @property
     def sinogram(self) -> DeviceArray: ...
@@ -51,7 +51,7 @@ class Patterns(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Light, the operator that makes dose of it, and the target it prints where that is known."""
+    """Patterns, the operator that makes dose from them, and their target if it is known."""
 
     sinogram: DeviceArray
     operator: LinearOperator | Operator | None
@@ -74,44 +74,44 @@ def pack(
     dither: str | None = None,
     scale: float | None = None,
 ) -> Frames:
-    """Frames of 8 or 1 bits that show the light of a plan, or of your own, as nearly as the projector can.
+    """Frames of 8 or 1 bits that show the patterns of a plan, or your own, as exactly as the projector can.
 
-    ``pack(plan)`` packs a plan, ``pack(A, light)`` light of your own. Everything runs on the plan's device, or the
+    ``pack(plan)`` packs a plan, ``pack(A, light)`` your own patterns. Everything runs on the plan's device, or the
     operator's.
 
     Args:
-        plan: A plan, or anything with its ``sinogram`` and ``operator``; or, with ``light``, the operator that makes
-            dose of it.
-        light: Light of your own [angle, r, z] ≥ 0, an array of any library (NumPy, PyTorch, JAX, CuPy); it is copied.
-        target: What light of your own prints, as for `optimize`: "fit" and ``vam prove`` ask for it.
-        bits: Of a pixel, 8 or 1.
-        gray: Light of its levels, by default in proportion with no black level.
-        flat_field: Relative brightness [row, column] of its full-on mirrors, made up for up to full-on.
+        plan: A plan, or any object with its ``sinogram`` and ``operator``; or, with ``light``, the operator that makes
+            dose from it.
+        light: Your own patterns [angle, r, z] ≥ 0, an array of any library (NumPy, PyTorch, JAX, CuPy); it is copied.
+        target: Target of your own patterns, as for `optimize`: "fit" and ``vam prove`` need it.
+        bits: Bits per pixel, 8 or 1.
+        gray: Light of the levels, by default proportional without a black level.
+        flat_field: Relative brightness [row, column] of full-on mirrors, compensated up to full-on.
         flip_r, flip_z: Whether columns and rows are mirrored.
-        shift: Columns and rows [pixels] by which frames are moved; what is shifted over an edge is lost.
-        quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are cut to it, at least one
-            of the plan's; 1 cuts none. None shows the brightest pixel, or twice the quantile 0.99999 where that is
-            less, so that a hot pixel does not dim the print. Not used with ``scale``.
-        dither: "round" to the nearest level, or "error-diffusion", which carries a pixel's error on to the next angle
-            in the order of the scan, for angles that are lit as long; frames of 1 bit at `FEW` angles or less are
-            rounded all the same, with a `PackWarning`, where that gives a dose more like that of the light, up to a
-            factor. "fit" chooses pixels by the dose of all of them. Of 8 bits some go a level up or down where that
-            brings the window of the plan's light back, up to twelve times, each for an evaluation and a half. Of 1 bit
-            it leaves the widest window that it finds, and also finds how bright a full-on pixel is where neither
-            ``quantile`` nor ``scale`` says it: for plans of a vial, moved by whole pixels. The frames' ``plan`` is then
-            of the light that they are rounded from, and its window theirs. None is "fit" where it can be, for 1 bit,
-            and else "error-diffusion", or "round" for angles that are not lit as long. For 8 bits it is "fit" for plans
-            whose target has no bodies and no tolerances, within a tenth of the evaluations that they took, else
-            "round".
-        scale: Irradiance of a full-on pixel, in place of the quantile.
+        shift: Columns and rows [pixels] by which frames are moved; light shifted over an edge is lost.
+        quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are clipped to it, at least
+            one of the plan's; 1 clips none. None shows the brightest pixel, or twice the quantile 0.99999 if that is
+            less, so that an outlier does not dim the print. Not used with ``scale``.
+        dither: "round" to the nearest level, or "error-diffusion", which adds a pixel's error to the next angle in the
+            order of the scan, for angles of equal dwell. Frames of 1 bit at `FEW` angles or fewer are rounded instead,
+            with a `PackWarning`, if their dose is then closer to that of the patterns, up to a factor. "fit" chooses
+            pixels by the dose of all of them. For 8 bits some pixels go a level up or down if that restores the window
+            of the plan, up to twelve times, each for one and a half evaluations. For 1 bit it keeps the widest window
+            that it finds, and also finds the brightness of a full-on pixel if neither ``quantile`` nor ``scale`` sets
+            it: for plans of a vial, moved by whole pixels. The frames' ``plan`` then has the patterns that they are
+            rounded from, and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion",
+            or "round" for angles of unequal dwell; for 8 bits "fit" for plans whose target has no bodies and no
+            tolerances, within a tenth of their evaluations, otherwise "round".
+        scale: Irradiance of a full-on pixel, instead of the quantile.
 
     Returns:
         The frames, on the plan's device.
 
     Raises:
-        BadInput: A value is out of its range; light of your own is negative or not finite.
-        ShapeMismatch: The flat field does not fit the beam, or light of your own or its target the operator.
-        NoLight: The light is dark everywhere.
+        BadInput: A value is out of its range, or your own patterns are negative or not finite.
+        ShapeMismatch: The flat field does not fit the beam, or your own patterns or their target do not fit the
+            operator.
+        NoLight: The patterns are dark everywhere.
     """
     if isinstance(bits, bool) or bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
@@ -160,7 +160,7 @@ def _full(full: float) -> float:
 
 
 def _turntable(plan: Patterns) -> Turntable | None:
-    """How the vial of a plan turns; None for anything else."""
+    """The turntable of a plan; None for other motions."""
     motion = getattr(getattr(plan, "operator", None), "motion", None)
     return motion if isinstance(motion, Turntable) else None
 
@@ -176,7 +176,7 @@ def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: 
 
 
 def _packing(bits: int, gray: GrayCurve, flat: np.ndarray | None, place: Placement) -> Callable[..., Frames]:
-    """A function that packs other light, or a plan, in the same way, of a full-on pixel and a dither of its own."""
+    """A function that packs other patterns, or a plan, in the same way, with its own full-on pixel and dither."""
 
     def packed(light: Patterns | DeviceArray, full: float | None, dither: str) -> Frames:
         return pack(
@@ -195,7 +195,7 @@ def _fitted(plan: Patterns, packed: Callable[..., Frames], place: Placement, sca
 
 
 def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
-    """A plan of other light, of this strict window where nothing is off."""
+    """A plan of other patterns, with this strict window at the nominal corner."""
     if not isinstance(plan, Plan):
         return Solved(light, plan.operator, plan.target)
     if plan.tolerances is None:
@@ -210,13 +210,13 @@ def _showing(plan: Any, light: DeviceArray, window: float) -> Patterns:
 def check_dither(
     dither: str | None, operator: Any, target: Any, bits: int = 1, shift: tuple[float, float] = (0.0, 0.0)
 ) -> None:  # fmt: skip
-    """Check that light can be packed so, which is known before there is any."""
+    """Check the packing settings, before patterns exist."""
     motion = getattr(operator, "motion", None)
     carried = dither == "error-diffusion" or (dither == FIT and bits == 1)
     if carried and isinstance(motion, Turntable) and motion.dwell is not None:
         raise BadInput(
-            f"{dither} got {motion} angles; expected angles that are lit as long, for the error of one is made "
-            'up for at the next: take dither="round"'
+            f"{dither} got {motion} angles; expected angles that are lit equally long, because each angle "
+            'corrects the error of the one before: use dither="round"'
         )
     if dither == FIT:
         check_fit(bits, shift)
@@ -239,21 +239,21 @@ def repack(
     frames: Frames, *, gray: GrayCurve | None = None, flat_field: Any = None, shift: tuple[float, float] | None = None,
     moves: np.ndarray | None = None,
 ) -> Frames:  # fmt: skip
-    """Show the light of frames on another machine: by its gray curve, its flat field and its axis.
+    """Pack the patterns of frames for another machine: with its gray curve, its flat field and its axis.
 
-    The light is that of the plan which the frames were packed from. Where it is not known, it is read from the bytes by
-    what they were packed with, so nothing is corrected twice, and rounded once more: by at most half the step between
-    two levels of the new curve.
+    The patterns are those of the plan that the frames were packed from. If it is unknown, they are computed from the
+    bytes and their settings, so nothing is corrected twice, and rounded once more: by at most half the step between two
+    levels of the new curve.
 
     Args:
         frames: Frames of any machine.
         gray: Light of the new machine's levels; None keeps that of the frames.
         flat_field: Relative brightness [row, column] of its full-on mirrors, of the frames' shape; None keeps that of
-            the frames. All is dimmed to what the dimmest mirror reaches, so that no light is cut: the irradiance of a
-            full-on mirror grows by as much, which ``scale`` tells.
-        shift: Columns and rows [pixels] by which frames are moved, in place of the frames' own; None keeps that.
-        moves: Columns [frame, row] by which each row of each frame is moved besides, as for a vial that runs out; None
-            moves none. Parts of a column share the light of both neighbors, as with ``shift``.
+            the frames. All mirrors are dimmed to the dimmest one, so that no light is clipped: ``scale``, the
+            irradiance of a full-on mirror, grows by the same factor.
+        shift: Columns and rows [pixels] by which frames are moved, instead of the frames' own; None keeps it.
+        moves: Further columns [frame, row] by which each row of each frame is moved, for a vial with runout; None moves
+            none. Fractions of a column share the light of both neighbors, as with ``shift``.
 
     Returns:
         Frames of the same bits, angles and flips, on the same device.
@@ -300,13 +300,13 @@ def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndar
 
 
 def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
-    """Frames whose error is carried on, or, with a `PackWarning`, those that are rounded where their dose is better."""
+    """Frames with error diffusion, or rounded ones if their dose is better, with a `PackWarning`."""
     misses = _miss(plan, diffused), _miss(plan, rounded)
     if misses[0] <= misses[1]:
         return diffused
     warnings.warn(
         f"at {diffused.shape[0]} angles error diffusion misses the dose of the light by {100 * misses[0]:.0f} %, "
-        f"rounding by {100 * misses[1]:.0f} %; the frames are rounded: take more angles, or 8 bits",
+        f"rounding by {100 * misses[1]:.0f} %; the frames are rounded: use more angles, or 8 bits",
         PackWarning,
         stacklevel=4,
     )
@@ -314,7 +314,7 @@ def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
 
 
 def _miss(plan: Patterns, frames: Frames) -> float:
-    """Distance of the frames' dose from proportion to that of the plan's light: the sine of their angle."""
+    """Sine of the angle between the frames' dose and that of the plan; 0 if they are proportional."""
     # A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
     A: Any = plan.operator
     wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
@@ -323,7 +323,7 @@ def _miss(plan: Patterns, frames: Frames) -> float:
 
 
 def _folded(images: DeviceArray) -> DeviceArray:
-    """Frames of 0 and 1, eight columns a byte."""
+    """Frames of 0 and 1, eight columns per byte."""
     angles, rows, columns = images.shape
     folded = images.device.empty((angles, rows, -(-columns // 8)), np.uint8, table=True)
     images.device.launch(fold_bits, images=images, folded=folded)
@@ -331,11 +331,11 @@ def _folded(images: DeviceArray) -> DeviceArray:
 
 
 def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
-    """A plan as it is, or light of one's own beside its operator. Raises `BadInput`, `ShapeMismatch`."""
+    """The given plan, or own patterns with their operator. Raises `BadInput`, `ShapeMismatch`."""
     operator = hasattr(plan, "range") and hasattr(plan, "T")
     if light is None:
         if operator or hasattr(plan, "__array__"):
-            raise BadInput(f"got a {type(plan).__name__} alone; expected a plan of optimize(), or light [angle, r, z] "
+            raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or light [angle, r, z] "
                            "beside the operator: vam.pack(A, light)")  # fmt: skip
         if target is not None:
             raise BadInput("got a target with a plan, which has its own; expected it beside an operator and light")
@@ -377,7 +377,7 @@ def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
 
 
 def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
-    """The lit pixel that a share of them stays at or below; the brightest where none is given and it is not hot."""
+    """A quantile of the lit pixels; without one, the brightest unless it is an outlier."""
 
     def found(quantile: float) -> float:
         return ranked(shared, lambda counts: _rank(counts, quantile, shared))

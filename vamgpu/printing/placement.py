@@ -1,4 +1,4 @@
-"""Placement of frames against the beam, and the settings that made them of light."""
+"""Placement of frames on the beam, and the settings of their packing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Placement:
     flip_r: bool = False
     flip_z: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
-    quantile: float | None = None  # of the lit pixels, the share a full-on pixel reaches; None where none was given
+    quantile: float | None = None  # of the lit pixels, the share a full-on pixel reaches; None if none was given
     dither: str = "round"  # of `DITHERS`
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Dose by bit planes: a projector shows the bits of a frame one after the other, while the container turns."""
+"""Dose of bit planes: a projector shows the bits of a frame one after the other while the container turns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlaneTime:
-    """When a bit plane is lit, in shares of the step from frame to frame, 0 where the container is at its angle."""
+    """Time of a bit plane, in shares of the step from frame to frame; 0 is when the container is at its angle."""
 
     bit: int  # of the levels, 0 the lowest
     begin: float  # of its light
@@ -39,7 +39,7 @@ class PlaneDose:
     off: float  # greatest difference to the dose of frames that are lit evenly, over the peak
 
     def line(self) -> Line:
-        """It, as proofs list it."""
+        """The window as a line of a proof."""
         how = "each plane of the frames at the angles at which the rig shows it"
         return Line(
             "window, bit planes", f"{self.window:+.4f}", f"{how}; dose differs by up to {self.off:.2g} of the peak"
@@ -60,11 +60,11 @@ class _Lit:
 
 
 def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
-    """Expose the frames of a proof once more, plane by plane."""
+    """Expose the frames of a proof again, plane by plane."""
     A, frames = proof.operator, proof.frames
     if not isinstance(A, Projection) or not isinstance(frames, Frames) or frames.bits != 8:
         raise BadInput(f"got a proof of {frames!r} by {type(A).__name__}; expected packed frames of 8 bits for a "
-                       "Projection: frames of one bit have a single plane, exposed as the proof is")  # fmt: skip
+                       "Projection: frames of one bit have a single plane, as in the proof")  # fmt: skip
     if {plane.bit for plane in planes} != set(range(8)) or min(plane.width for plane in planes) <= 0.0:
         raise BadInput(f"got planes {[(plane.bit, plane.width) for plane in planes]}; expected each of the bits 0 to "
                        "7, lit for longer than 0")  # fmt: skip

@@ -1,4 +1,4 @@
-"""A proof as one self-contained HTML page that is looked at rather than read."""
+"""A proof as one self-contained HTML page, mostly of pictures."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from vamgpu.printing.verdict import verdict_of
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, SurfaceView, Table
 
 BYTES_A_VOXEL = 1800
-"""Memory of a report over the part's voxels; 1.75 kB was measured at 128³."""
+"""Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
 GAMMA = 2.2
-"""Light is shown to the power of its inverse: its mean is a fortieth of its peak."""
+"""Patterns are shown to the power of its inverse, because their mean is a fortieth of their peak."""
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
@@ -89,17 +89,17 @@ def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
 
 
 def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
-    """The window at every corner of tolerances: as proved, else as it was planned."""
+    """The window at every corner of tolerances: as proved, otherwise as planned."""
     told, kept = proof.corners, getattr(plan, "corners", None)
     note = "Proved from the frames"
     if told is None and kept:
         told = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
-        note = "By its solver, before packing"
+        note = "Computed by the solver, before packing"
     if told is None:
         return
     rows = [("all corners, one threshold", f"{told.window:+.4f}")]
     rows += [
-        (corner.name, f"{corner.window:+.4f}, part from {corner.least / top:.3f}, outside to {corner.leak / top:.3f}")
+        (corner.name, f"{corner.window:+.4f}; part ≥ {corner.least / top:.3f}, outside ≤ {corner.leak / top:.3f}")
         for top in (max(max(corner.greatest for corner in told.corners), 1e-30),)
         for corner in told.corners
     ]
@@ -110,14 +110,14 @@ def _pareto(plan: Any) -> Iterator[Card]:
     """The windows of shorter exposures."""
     points = getattr(plan, "pareto", ())
     if len(points) > 1:
-        note = "The widest windows of light that lasts no longer, before packing; the longest is this job's."
+        note = "The widest window for each exposure limit, before packing; the longest exposure is this job's."
         yield Card("Window against time", Chart(charts.pareto_chart(points)), note=note)
 
 
 def _light(proof: Proof) -> Iterator[Card]:
     light = (proof.frames.irradiance(proof.operator.device).numpy() / float(proof.frames.scale)) ** (1.0 / GAMMA)
     motion = proof.operator.motion
-    note = f"Light of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
+    note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
     yield Card("Sinogram", Images([pictures.sinogram(light, 1.0)], "sinogram"), note=note)
     shown = Images(pictures.frames(light, 1.0, np.degrees(motion.poses)), "frames")
     yield Card("Frames", shown, note=_frames_note(proof))
@@ -145,24 +145,24 @@ def _fullest(proof: Proof, slices: list[int]) -> int:
 
 
 def _tiles(proof: Proof) -> list[Figure]:
-    """Scores, and what became of the light, each with what it means."""
+    """Scores and the use of the light, each with its meaning."""
     scores = proof.scores
     part = "of the light sent is absorbed in the part" if absorbs(proof.operator) else "mean path of light in the part"
     outside = f"{proof.outside_over_inside:.3f}"
     tiles = [
         ("IoU", f"{scores.iou:.4f}", "intersection over union at the threshold"),
         ("VER", _power(scores.error_rate), "voxels on the wrong side of the threshold"),
-        ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part, over the greatest"),
+        ("IPDR", f"{scores.dose_range:.3f}", "range of the dose in the part / greatest dose"),
         ("light efficiency", efficiency(proof), part),
         ("idle light", f"{100 * proof.idle_light:.2g} %", "of the light sent never meets the part"),
-        ("mean brightness", f"{100 * proof.mean_brightness:.2g} %", "mean pixel over full-on, wherever it goes"),
-        ("dose outside over inside", outside, "mean dose outside the part over the mean in it"),
+        ("mean brightness", f"{100 * proof.mean_brightness:.2g} %", "mean of all pixels / a full-on pixel"),
+        ("dose outside over inside", outside, "mean dose outside the part / mean dose in it"),
     ]
     return [Figure(value, name, meaning) for name, value, meaning in tiles]
 
 
 def _power(value: float) -> str:
-    """A share in words of percent, short."""
+    """A share in percent, short."""
     return "0" if value == 0 else f"{100 * value:.2g} %"
 
 
@@ -178,11 +178,11 @@ def _surface_note(proof: Proof) -> str:
 
 def _stray_note(proof: Proof) -> str:
     """The meaning of orange."""
-    return "Orange: resin beyond the judged cylinder that prints too. " if proof.outer_share >= 1.0 else ""
+    return "Orange: resin beyond the judged cylinder that also prints. " if proof.outer_share >= 1.0 else ""
 
 
 def _asked(proof: Proof) -> np.ndarray:
-    """The target as it is shown [x, y, z]: gray bodies are the darker, the more dose they ask for."""
+    """The target as it is shown [x, y, z]: gray bodies that need more dose are darker."""
     target, limits = proof.target.numpy(), proof.limits
     if limits is None:
         return target
@@ -192,7 +192,7 @@ def _asked(proof: Proof) -> np.ndarray:
 def _frames_note(proof: Proof) -> str:
     angles, columns, rows = proof.operator.range.shape
     bits = getattr(proof.frames, "bits", None)
-    depth = f" in {bits} bit" if bits else ""
+    depth = f" of {bits} bit{'s' * (bits > 1)}" if bits else ""
     return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {GAMMA:g}."
 
 
@@ -211,21 +211,19 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         ran = getattr(plan, "ran", "")
         rows += [("optimized in", f"{seconds:.3g} s{' by ' if ran else ''}{ran}")] if seconds else []
         window = getattr(plan, "window", None)
-        known = window is not None and getattr(plan, "history", True)  # nobody knows that of light made elsewhere
+        known = window is not None and getattr(plan, "history", True)  # unknown for patterns made elsewhere
         rows += [("window before packing", f"{window:+.4f}")] if known else []
         bound = getattr(plan, "bound", None)
         on = getattr(bound, "on", getattr(plan, "bound_on", ""))
         bound = getattr(bound, "value", bound)
         told = f" on {on}" if on else ""
-        rows += (
-            [("no light gives more than", f"{bound:+.4f}{told}, by what its solver found")] if bound is not None else []
-        )
+        rows += [("upper bound of the window", f"{bound:+.4f}{told}, from the solver")] if bound is not None else []
         rows += [("note", note) for note in getattr(plan, "notes", ())]
     return rows
 
 
 def _described(value: Any) -> str:
-    """A frozen description as its name and numbers."""
+    """Name and numbers of a frozen description."""
     from dataclasses import fields, is_dataclass
 
     if isinstance(value, str) or not is_dataclass(value):

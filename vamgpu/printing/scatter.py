@@ -79,7 +79,7 @@ class ScatterStop:
         return before.seconds + share * (after.seconds - before.seconds)
 
     def watch(self, frames: Iterable[tuple[float, npt.NDArray[np.generic]]]) -> float | None:
-        """Take in (seconds, image) until the stop, and return its time; None where frames end first."""
+        """Take in (seconds, image) until the stop, and return its time; None if frames end first."""
         for seconds, image in frames:
             if self.see(seconds, image).stop:
                 break

@@ -14,13 +14,13 @@ from vamgpu.optics.beams import Misaligned, with_absorption
 
 @dataclass(frozen=True)
 class Scenario:
-    """One thing that may be off."""
+    """One kind of error."""
 
     name: str
     unit: str  # of the amounts: "pixel", or "%"
-    amounts: tuple[float, ...]  # by how much it is off in the table, in pixels or as a share
+    amounts: tuple[float, ...]  # amounts in the table, in pixels or as a share
     farthest: float  # amount up to which the first wrong voxel is searched for
-    # the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None where the
+    # the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None if the
     # dose is only scaled
     off: Callable[[Projection, float], Projection] | None
 
@@ -51,11 +51,11 @@ def _displaced(vessel: Any, offset: float) -> Misaligned:
     try:
         return Misaligned(vessel, offset)
     except BadInput as error:
-        raise BadInput(f"a {type(vessel).__name__} that is off the axis looks different at every angle") from error
+        raise BadInput(f"a {type(vessel).__name__} that is not centered on the axis differs at every angle") from error
 
 
 def clouded(A: Projection, share: float) -> Projection:
-    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` where nothing is absorbed."""
+    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` if nothing is absorbed."""
     return _varied(A, A.beam, _clouded(A.vessel, share))
 
 

@@ -60,40 +60,38 @@ def simulate(
 ) -> Proof:
     """Expose frames and judge the dose by a target; whole arrays stay on the device of ``A``.
 
-    The dose is not ``A``'s: frames shine on finer voxels, out to the inner wall, along rays that are traced for it and
-    that turn while a frame is lit (see `IndependentExposure`), and the part's voxels take the mean. The finer voxels
-    get finer until the dose agrees with itself to 1e-3. Resin above and below the grid is exposed as far
-    as there is light. What ``A`` itself would say is kept beside it, as claimed. Operators other than `Projection` have
-    no such rays and are judged by themselves on their own grid; the proof then says so, and its voxels never count as
-    all correct.
+    The dose does not come from ``A``: independent rays, which turn while a frame is lit, expose finer voxels out to the
+    inner wall (see `IndependentExposure`), and each voxel of the part is their mean. These voxels are refined until the
+    dose changes by less than 1e-3. Resin above and below the grid is exposed as far as light reaches. The proof also
+    has the scores predicted by ``A``, as claimed. Operators other than `Projection` have no independent rays and judge
+    themselves on their own grid; the proof then says so, and is never all correct.
 
     Args:
-        A: what the frames were solved with; of one on rings, ``direct`` is asked.
+        A: the operator that the frames were solved with; for one on rings, its ``direct``.
         frames: e.g. `Frames`; only their bytes and gray curve are read.
         target: a `Target`, or fractions [x, y, z] as a NumPy or device array.
-        irradiance: of a full-on pixel in air [mW/mm²], or text with its unit, "65 mW/cm2"; with ``critical_dose``
-            times are predicted.
-        critical_dose: from which resin is solid [mJ/mm³], or text with its unit, "50 mJ/cm3".
-        absorption: of the resin [1/mm], needed for the times where ``A`` absorbs no light; a number or text.
-        threshold: dose in units of Aᵀ(light) from which a voxel counts as printed; by default the one with the best
-            overlap.
-        coarse: the dose is that of ``A`` itself, sooner, on voxels three quarters of a pixel wide where the target's
-            are wider, and of resin beyond the grid in cells of two voxels; nothing is proved.
-        progress: is told the share of the rays' work that is done.
+        irradiance: irradiance of a full-on pixel in air [mW/mm²], or text with its unit, "65 mW/cm2"; with
+            ``critical_dose``, times are predicted.
+        critical_dose: least dose that makes resin solid [mJ/mm³], or text with its unit, "50 mJ/cm3".
+        absorption: absorption of the resin [1/mm], needed for times if ``A`` absorbs no light; a number or text.
+        threshold: least dose of a printed voxel, in units of Aᵀ(light); by default the one with the best overlap.
+        coarse: use the dose of ``A`` itself, which is faster: on voxels of at most three quarters of a pixel, and
+            beyond the grid in cells of two voxels; nothing is proved.
+        progress: a function that gets the share of the rays that are done.
 
     Returns:
-        The proof: dose, scores, and what is claimed.
+        The proof: dose, scores, and predicted scores.
 
     Raises:
-        BadInput: a value out of its range; or an exposure of more than a day.
+        BadInput: a value is out of its range, or the exposure is longer than a day.
         NoLight: the frames are dark, or their light misses the part.
         EmptyMesh: no voxel in the judged cylinder belongs to the target.
         ShapeMismatch: frames or target of another geometry.
         DeviceError: an array of another device.
 
     Warns:
-        OpticsWarning: some of the target lies beyond the judged cylinder, or irradiance or critical dose is a number so
-            great that it was hardly meant in these units.
+        OpticsWarning: some of the target is beyond the judged cylinder, or irradiance or critical dose is a number too
+            great for these units.
     """
     A = direct(A)
     assert not isinstance(A, RingProjection)
@@ -109,7 +107,7 @@ def simulate(
     if coarse and (finer := _as_fine_as_light(A, target)) is not None:
         volume = A.grid.voxel_volume
         A, target = finer
-        threshold = claimed.threshold * A.grid.voxel_volume / volume  # the exposure is that of the part's own voxels
+        threshold = claimed.threshold * A.grid.voxel_volume / volume  # for the exposure of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
         held, claimed = _scored(own, fraction, limits, threshold)
     rays = isinstance(A, Projection) and not coarse
@@ -138,13 +136,13 @@ def simulate(
 def _scored(
     dose: DeviceArray, fraction: DeviceArray, limits: Limits | None, threshold: float | None
 ) -> tuple[Parts, Scores]:
-    """What is judged of a dose, and its scores."""
+    """The judged parts of a dose, and its scores."""
     held = judged_parts(dose, fraction, limits)
     return held, score(held.dose, held.target, threshold=threshold)
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:
-    """A projector on the voxels that light is found on, and the target on them; None where they are the part's own."""
+    """A projector on the voxels of the optimization, and the target on them; None if they are the part's own."""
     grid = fine_grid(A)
     if grid is None or grid.pitch >= A.grid.pitch or getattr(target, "limits", None) is not None:
         return None
@@ -155,7 +153,7 @@ def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:
 
 
 def _light(A: Projection, frames: ShownLight) -> DeviceArray:
-    """The light of frames that are for the angles of a projection."""
+    """The light of frames for the angles of a projection."""
     if not hasattr(frames, "irradiance"):
         raise BadInput(f"got a {type(frames).__name__} as frames; expected what pack(plan) returns")
     light = frames.irradiance(A.device)
@@ -169,7 +167,7 @@ def _light(A: Projection, frames: ShownLight) -> DeviceArray:
 
 @dataclass(frozen=True)
 class _Itself:
-    """An operator that judges its own light, for want of rays to trace."""
+    """An operator that judges its own light, without independent rays."""
 
     operator: Any
     dose: DeviceArray
@@ -177,7 +175,7 @@ class _Itself:
 
     @property
     def pitch(self) -> float:
-        """Width of the voxels that the dose is found on [mm]."""
+        """Width of the voxels of the dose [mm]."""
         return self.operator.grid.pitch
 
     def averaged(
@@ -187,7 +185,7 @@ class _Itself:
         part: Around,  # noqa: ARG002
     ) -> tuple[DeviceArray, Outer | None]:
         """Its own dose, and the greatest beyond the judged cylinder."""
-        # All that the light of a projector reaches, in cells. Of other operators nothing is known beyond their grid.
+        # All resin that a projector lights, in cells. For other operators, the dose beyond the grid is unknown.
         dose, grid = self.dose, self.operator.grid
         if not isinstance(self.operator, Projection):
             return dose, greatest_beyond(grid, corner_of(grid), dose, grid.axes(), grid.pitch, around=part)

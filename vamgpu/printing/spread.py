@@ -95,14 +95,14 @@ def row_shares(spread: PixelSpread, beam: Beam, z: np.ndarray, height: float, mu
 
 
 def _mean(low: np.ndarray, high: np.ndarray, side: float, sigma: float) -> np.ndarray:
-    """Mean between two places of a box of area 1 about 0, ``side`` wide, under a Gaussian."""
+    """Mean between two places of a box of area 1 about 0, ``side`` wide, blurred by a Gaussian."""
     half = 0.5 * side
     gained = _ramp(high + half, sigma) - _ramp(high - half, sigma) - _ramp(low + half, sigma) + _ramp(low - half, sigma)
     return gained / ((high - low) * side)
 
 
 def _ramp(x: np.ndarray, sigma: float) -> np.ndarray:
-    """Twice the running integral of a Gaussian: max(x, 0) under it."""
+    """Second integral of a Gaussian, which is max(x, 0) blurred by it."""
     if sigma == 0:
         return np.maximum(x, 0.0)
     from scipy.special import ndtr  # takes longer to load than all of vamgpu

@@ -18,10 +18,10 @@ from vamgpu.printing.verdict import Verdict
 from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
 WORDS = {
-    "point spread": "Point spread: σ wider by, in columns and rows",
-    "axis of rotation": "Axis of rotation: off the middle of the columns by",
-    "absorption": "Absorption of the resin: other than expected by",
-    "dose": "Exposure: longer or shorter by",
+    "point spread": "Point spread: increase of σ, in columns and rows",
+    "axis of rotation": "Axis of rotation: distance from the middle of the columns",
+    "absorption": "Absorption of the resin: deviation from the planned value",
+    "dose": "Exposure: change of the time",
 }
 """Scenarios in plain words."""
 
@@ -43,14 +43,16 @@ def headline(proof: Proof, judgement: Judgement, verdict: Verdict) -> list[Figur
     """Dose latitude, window a pixel from the surface, stray resin, surface, and the time it takes."""
     deep, found = length(judgement.deep), judgement.over_tolerance
     low, high = verdict.latitude
-    meaning = f"exposures between which nothing prints wrong farther than {deep} from the surface, over the proved one"
+    meaning = (
+        f"exposures, relative to the proved one, at which everything farther than {deep} from the surface is correct"
+    )
     known = 0.0 < low < inf and isfinite(high)
     said = f"{100 * (low - 1.0):+.2g} % … {100 * (high - 1.0):+.2g} %".replace("-", "−") if known else "–"
     figures = [Figure(said if low < high else "none", "dose latitude", meaning)]
     for number, name in ((1.0, "a pixel"), (DEEP, "two pixels")):
         distance = min(number * judgement.pixel, float(found.distance[-1]))
-        judged = f"of the {100 * found.judged_at(distance):.0f} % of the part that lies so deep"
-        share = f"least dose in the part − greatest outside, over the greatest; {judged}"
+        judged = f"for the {100 * found.judged_at(distance):.0f} % of the part that is that deep"
+        share = f"(least dose in the part − greatest outside) / greatest dose; {judged}"
         figures.append(Figure(signed(found.at(distance)), f"window {name} from the surface, {length(distance)}",
                               share))  # fmt: skip
     return [*_given(proof), *figures, *_beyond(proof), *_surface(judgement.surface), *_time(proof)]
@@ -66,18 +68,18 @@ def _given(proof: Proof) -> list[Figure]:
 
 
 def _time(proof: Proof) -> list[Figure]:
-    """The exposure time, where it is known."""
+    """The exposure time, if it is known."""
     if proof.exposure is None:
         return []
-    turns = f"{proof.exposure.turns():.3g} turns at {USUAL:g} deg/s; until the threshold is solid"
+    turns = f"{proof.exposure.turns():.3g} turns at {USUAL:g} deg/s; until resin at the threshold is solid"
     return [Figure(f"{proof.exposure.seconds:.3g} s", "exposure", turns)]
 
 
 def _beyond(proof: Proof) -> list[Figure]:
-    """Dose of the resin beside, above and below the judged cylinder; empty where there is none."""
+    """Dose of the resin beside, above and below the judged cylinder; empty if there is none."""
     if proof.outer is None:
         return []
-    meaning = f"greatest dose beside, above and below the judged cylinder: {proof.outer.where}; from 1 on it prints"
+    meaning = f"greatest dose beside, above or below the judged cylinder: {proof.outer.where}; 1 or more prints"
     return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
 
 
@@ -86,20 +88,20 @@ def _surface(found: SurfaceJudgement) -> list[Figure]:
     if isnan(found.mean):
         return []
     made = (
-        "Bodies, holes and cavities are the part's"
+        "Bodies, holes and cavities match the part"
         if found.changes.none
-        else "Bodies, holes or cavities are not the part's"
+        else "Bodies, holes or cavities do not match the part"
     )
     far = f"at most {length(found.greatest_excess)} too thick and {length(found.greatest_lack)} too thin"
-    return [Figure(length(found.rms), "off the part's surface, RMS", f"{far}. {made}")]
+    return [Figure(length(found.rms), "distance from the part's surface, RMS", f"{far}. {made}")]
 
 
 def _chart_note(proof: Proof) -> str:
     voxels = "voxels at most half as wide as a pixel in the resin" if proof.independent else "the part's own voxels"
     return (
         "W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose, on "
-        f"{voxels}. Where W is above 0, one exposure prints everything right but a skin of thickness δ on either side "
-        "of the surface. Below: how much of the part lies that deep."
+        f"{voxels}. If W is above 0, one exposure prints everything correctly except a skin of thickness δ on either "
+        "side of the surface. Below: share of the part that is that deep."
     )
 
 
@@ -133,19 +135,19 @@ def _cells(row: ToleranceRow) -> dict[str, str]:
 
 
 def _first(limits: tuple[FirstWrong, ...]) -> str:
-    """The limits below and above, once where they say the same."""
+    """The limits below and above, once if they are the same."""
     return " and ".join(dict.fromkeys(limit.text for limit in limits))
 
 
 def _table_note(found: ToleranceTable) -> str:
     return (
-        "The same frames, as long and as bright, through a machine that is off in one thing. The change in dose is "
-        "computed with the solver's operator and added to the proved dose. Voxels two pixels or more from "
-        "the surface count, at one threshold, that of the proof. Pixels are the projector's. This table took "
+        "The same frames, exposure time and brightness, on a machine with one error at a time. The change in dose is "
+        "computed with the solver's operator and added to the proved dose. Only voxels two pixels or more from the "
+        "surface count, at the threshold of the proof. Pixels are the projector's. This table took "
         f"{found.exposures} back projections, half a projector evaluation each."
     )
 
 
 def signed(value: float) -> str:
-    """A window with its sign, or that there is none."""
+    """A window with its sign, or "none"."""
     return f"{value:+.3f}".replace("-", "−") if isfinite(value) else "none"

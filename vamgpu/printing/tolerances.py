@@ -1,8 +1,8 @@
-"""Sensitivity to errors: the same frames through a machine that is off by a little, and the first wrong voxel.
+"""Sensitivity to errors: the same frames on a machine with a small error, and the first wrong voxel.
 
-Each scenario is one exposure by the solver's kind of operator with one thing changed: half a projector evaluation. What
-it changes is added to the proved dose, voxel by voxel. The exposure time stays as it is: one threshold, that of the
-proof, tells wrong voxels in all of them.
+Each scenario is one exposure with the solver's type of operator and one property changed: half a projector evaluation.
+Its change in dose is added to the proved dose, voxel by voxel. The exposure time does not change: the threshold of the
+proof decides which voxels are wrong.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from vamgpu.printing.scenarios import SCENARIOS, Scenario
 from vamgpu.targets.limits import NOWHERE, Limits
 
 REFINED = 2
-"""Exposures, at most, that close in on a first wrong voxel between two known amounts."""
+"""Most exposures in the search for a first wrong voxel between two known amounts."""
 _CLOSE = 0.002
 """Share of the greatest dose: a voxel this near to the threshold ends the search."""
 
@@ -39,27 +39,27 @@ class ToleranceRow:
 
     name: str
     change: str  # by how much, with its unit
-    window: float = nan  # of the part's own voxels that count; NaN where the scenario means nothing
-    missing: int | None = None  # voxels of the part that would not print; None where there are no numbers
-    excess: int | None = None  # voxels outside that would; likewise
-    note: str = ""  # why there are no numbers; empty where there are
+    window: float = nan  # of the part's own voxels that count; NaN if the scenario does not apply
+    missing: int | None = None  # voxels of the part that would not print; None without numbers
+    excess: int | None = None  # voxels outside that would print; None without numbers
+    note: str = ""  # why there are no numbers; otherwise empty
 
     @property
     def wrong(self) -> int | None:
-        """Voxels that would print wrong; None where there are no numbers."""
+        """Voxels that would print incorrectly; None without numbers."""
         return None if self.missing is None or self.excess is None else self.missing + self.excess
 
 
 @dataclass(frozen=True)
 class FirstWrong:
-    """The first amount at which a voxel prints wrong."""
+    """The least amount at which a voxel prints incorrectly."""
 
     name: str
-    amount: float  # by how much; 0 where a voxel is wrong already, NaN where none is up to ``farthest``
-    # amount up to which it was searched, with its sign; less than asked where more means nothing, 0 where no amount
-    # means anything
+    amount: float  # 0 if a voxel is wrong without an error, NaN if none is wrong up to ``farthest``
+    # greatest amount that was searched, with its sign; smaller than requested if larger amounts do not apply, 0 if no
+    # amount applies
     farthest: float
-    text: str  # the amount with its unit, or what there is to say instead
+    text: str  # the amount with its unit, or a text instead
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class ToleranceTable:
 
     nominal: ToleranceRow  # the print without errors
     rows: tuple[ToleranceRow, ...]  # the scenarios, in the order of `SCENARIOS`
-    first_wrong: tuple[FirstWrong, ...]  # of every scenario of which some amount could be exposed, below and above
-    exposures: int  # back projections that the table took, each half a projector evaluation
+    first_wrong: tuple[FirstWrong, ...]  # of every scenario with an amount that could be exposed, below and above
+    exposures: int  # number of back projections, each half a projector evaluation
 
     def limits(self, name: str) -> tuple[FirstWrong, ...]:
         """The first wrong voxels of one scenario."""
@@ -87,7 +87,7 @@ def tolerance_table(
     deep: float = 0.0,
     scenarios: Sequence[Scenario] = SCENARIOS,
 ) -> ToleranceTable:
-    """Expose the same light through machines that are off by a little."""
+    """Expose the same light on machines with small errors."""
     # light [angle, r, z]; fraction [x, y, z]; proved [x, y, z]; deep [mm]
     exact = _Nominal(A, light, fraction, proved, threshold, limits, deep)
     rows: list[ToleranceRow] = []
@@ -112,8 +112,8 @@ def tolerance_table(
 class _Seen:
     """The effect of one exposure on the voxels that count."""
 
-    # least, greatest: doses in the part and outside. margin: how far the threshold is from the nearest voxel that would
-    # go wrong, over the peak of the nominal print, below 0 where one is wrong.
+    # least, greatest: doses in the part and outside. margin: distance of the threshold from the dose of the nearest
+    # voxel on either side, over the peak of the nominal print; below 0 if a voxel is wrong.
 
     least: float
     greatest: float
@@ -123,12 +123,12 @@ class _Seen:
     margin: float
 
     def row(self, name: str, change: str) -> ToleranceRow:
-        """As a row of the table."""
+        """The effect as a row of the table."""
         return ToleranceRow(name, change, self.window, self.missing, self.excess)
 
 
 class _Nominal:
-    """The nominal print, and the same light exposed otherwise."""
+    """The nominal print, and the same light exposed with errors."""
 
     def __init__(
         self,
@@ -156,17 +156,17 @@ class _Nominal:
         self.nominal = self._seen(self.dose, 1.0)
 
     def exposed(self, scenario: Scenario, amount: float) -> _Seen:
-        """The light in a machine that is off by an amount. Raises `BadInput` where that means nothing."""
+        """The light in a machine with an error of an amount. Raises `BadInput` if the error does not apply."""
         if scenario.off is None:
             return self._seen(self.dose, 1.0 + amount)
         if not isinstance(self.A, Projection):
-            raise BadInput(f"{type(self.A).__name__} is exposed as it is; only a plain Projection is varied")
+            raise BadInput(f"{type(self.A).__name__} cannot be varied; only a plain Projection can")
         dose = scenario.off(self.A, amount).T(self.light)
         self.exposures += 1
         return self._seen(dose if self._more is None else _combined(1.0, dose, 1.0, self._more), 1.0)
 
     def _seen(self, dose: DeviceArray, times: float) -> _Seen:
-        """Judge a dose that is exposed ``times`` as long; no copy of it is made."""
+        """Judge a dose that is exposed ``times`` as long, without a copy."""
         parts, at = judged_parts(dose, self.fraction, self.limits), self.threshold / times
         dose = parts.dose
         ends, counts = extremes(parts), above(parts, at)[0]
@@ -183,7 +183,7 @@ class _Nominal:
 
 
 def _far_from_the_surface(fraction: np.ndarray, voxels: float, flat: bool) -> np.ndarray:
-    """The fractions, and `NOWHERE` nearer to the surface than so many voxels; all where the part ends nearer."""
+    """The fractions, and `NOWHERE` nearer to the surface than ``voxels``; all fractions if no voxel is that deep."""
     reach = min(voxels * (1.0 - 1e-3), LARGEST_REACH - 3.0)
     depth, pad = padded_depth(fraction, reach, flat)
     counted = np.where(np.abs(depth[pad:-pad, pad:-pad, pad:-pad]) >= reach, fraction, NOWHERE).astype(np.float32)
@@ -199,14 +199,14 @@ def _combined(a: float, x: DeviceArray, b: float, y: DeviceArray) -> DeviceArray
 
 # ---- the first wrong voxel ------------------------------------------------------------------------------------------
 Point = tuple[float, float]
-"""An amount, and how far the print is from a wrong voxel there; below 0 there are some."""
+"""An amount, and the margin of the print there; below 0 if voxels are wrong."""
 
 
 def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> FirstWrong:
     """The first amount of one sign at which a voxel is wrong."""
     farthest = sign * scenario.farthest
     if exact.nominal.missing + exact.nominal.excess:
-        return FirstWrong(scenario.name, 0.0, farthest, "wrong already")
+        return FirstWrong(scenario.name, 0.0, farthest, "wrong without an error")
     if scenario.off is None:
         amount = _of_dose(exact, sign)
     else:
@@ -218,14 +218,14 @@ def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[flo
 
 
 def _of_dose(exact: _Nominal, sign: int) -> float:
-    """Less or more time: known without an exposure. NaN where no dose is outside."""
+    """Less or more time: known without an exposure. NaN if there is no dose outside."""
     nearest = exact.nominal.least if sign < 0 else exact.nominal.greatest
     return exact.threshold / nearest - 1.0 if nearest > 0 else nan
 
 
 def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
-    """The amount by interpolation between a good and a bad one, NaN where none is bad; and the farthest looked at."""
-    # Where the farthest means nothing that is the largest amount that was exposed, 0 if there is none.
+    """The amount, interpolated between a good and a bad one, NaN if none is bad; and the greatest one searched."""
+    # If the greatest amount does not apply, this is the largest amount that was exposed, 0 if there is none.
     good: Point = (0.0, exact.nominal.margin)
     bad: Point | None = None
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
@@ -252,5 +252,5 @@ def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict
 
 
 def _crossing(good: Point, bad: Point) -> float:
-    """Where the straight line through two points is 0."""
+    """Amount at which the straight line through two points is 0."""
     return good[0] + (bad[0] - good[0]) * good[1] / (good[1] - bad[1])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
 ROUGH = 1.0
-"""Pixels that 95 % of the surface may be off."""
+"""Pixels by which 95 % of the surface may deviate."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Fault:
 
     Attributes:
         said: What is wrong, in words.
-        remedy: What to do about it.
+        remedy: How to correct it.
     """
 
     said: str
@@ -38,16 +38,16 @@ class Fault:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether frames print their part. True where they do; `str` says it in full.
+    """Whether frames print their part. True if they do; `str` gives the full text.
 
     Attributes:
         faults: All that is wrong, worst first.
         made: What prints, in words.
-        latitude: Exposures over the proved one, least and greatest, between which no resin farther than two pixels from
-            the surface prints wrong, and none beyond the judged cylinder; (inf, 0) where there are none. Of a part that
-            is nowhere so deep, the deepest voxels tell how much less it bears.
-        proved: Whether it is by rays traced apart from the solver. One that is not is coarse.
-        not_judged: What nobody judged, sentence by sentence; empty where everything was.
+        latitude: Least and greatest exposure, relative to the proved one, at which all resin farther than two pixels
+            from the surface prints correctly and none beyond the judged cylinder prints; (inf, 0) if there are none.
+            If no part of the object is that deep, its deepest voxels set the lower limit.
+        proved: Whether it comes from rays traced independently of the solver; otherwise it is coarse.
+        not_judged: What was not judged, one sentence each; empty if everything was judged.
     """
 
     faults: tuple[Fault, ...]
@@ -66,13 +66,13 @@ class Verdict:
 
     @property
     def opening(self) -> str:
-        """The first words: whether it prints, and who says so."""
+        """The first words: whether it prints, and whether that is proved."""
         if self.proved:
             return "Prints" if self.prints else "Does not print"
         return (
-            "Not proved; by the solver's own dose it prints"
+            "Not proved; according to the solver's own dose it prints"
             if self.prints
-            else "Does not print by the solver's own dose"
+            else "Does not print according to the solver's own dose"
         )
 
     @property
@@ -95,16 +95,16 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
     low, high = _latitude(proof, judgement)
     surface, most = judgement.surface, min(high, 1.0 / proof.outer_share if proof.outer_share else inf)
     nothing, causes = isnan(surface.mean), Causes(proof, judgement)
-    empty = [Fault("nothing prints", "expose longer, or send more light")] if nothing else []
+    empty = [Fault("nothing prints", "use a longer exposure, or a brighter lamp")] if nothing else []
     faults = [*_dose(proof), *empty, *_stray(proof), *_bodies(surface.changes, causes)]
     if not nothing and (low > 1.0 or high <= 1.0):
         longer = sqrt(low * most) if isfinite(most) else 2.0 * low
         other = f"expose {longer:.3g} times as long" if low < most else causes.deep
-        faults.append(Fault(f"resin more than {length(judgement.deep)} from the surface prints wrong", other))
+        faults.append(Fault(f"resin more than {length(judgement.deep)} from the surface prints incorrectly", other))
     if surface.p95 > ROUGH * judgement.pixel:
-        faults.append(Fault(f"5 % of the surface is more than {length(surface.p95)} off", causes.rough))
+        faults.append(Fault(f"5 % of the surface deviates by more than {length(surface.p95)}", causes.rough))
     faults += _left(proof, causes)
-    shares = [f"{_percent(1.0 - low)} less"] * (low > 0.0) + [f"{_percent(most - 1.0)} more"] * isfinite(most)
+    shares = [f"{_percent(1.0 - low)} lower"] * (low > 0.0) + [f"{_percent(most - 1.0)} higher"] * isfinite(most)
     latitude = f"; the dose may be {' to '.join(shares)}" if shares else ""
     times = proof.exposure
     exposed = f"; {times.seconds:.3g} s, {times.turns():.3g} turns at {USUAL:g} deg/s" if times else ""
@@ -114,28 +114,28 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
 
 
 def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
-    """Exposures over that of the proof between which nothing deep prints wrong, as far as resin is judged."""
+    """Exposures, relative to the proof's, between which all deep voxels print correctly, as far as resin is judged."""
     told, at = judgement.over_tolerance, proof.scores.threshold
     least, greatest = told.limits(judgement.deep)
     low, high = (at / dose if dose > 0.0 else inf for dose in (least, greatest))
-    if not told.judged_at(judgement.deep):  # then surface and bodies alone say what the part lacks
+    if not told.judged_at(judgement.deep):  # then only surface and bodies show what the part lacks
         return min(low, 1.0), high
     return (low, high) if least > 0.0 else (inf, 0.0)
 
 
 def _dose(proof: Proof) -> Iterator[Fault]:
-    """A run that gave another dose than was proved."""
+    """A run whose dose differs from the proved one."""
     if proof.given is not None and not proof.given.keeps:
-        yield Fault(f"the dose is {proof.given}", "print as many turns as its exposure takes: leave --turns out")
+        yield Fault(f"the dose is {proof.given}", "leave out --turns, so that the turns match the exposure")
 
 
 def _stray(proof: Proof) -> Iterator[Fault]:
-    """Resin that gets solid where nothing is judged."""
+    """Resin that gets solid beyond the judged cylinder."""
     if proof.outer is not None and proof.outer_share >= 1.0:
         where = f"{proof.outer.where}, {proof.outer_share:.2f} of the threshold"
         yield Fault(
-            f"resin beyond the judged cylinder prints too ({where})",
-            "move the part away from the wall, or take the default method with more evaluations, which keeps it dark",
+            f"resin beyond the judged cylinder also prints ({where})",
+            "move the part away from the wall, or use the default method with more evaluations, which keeps it dark",
         )  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def _bodies(changes: BodyChanges, causes: Causes) -> Iterator[Fault]:
         ("bodies_merged", "body joins another one", "bodies join another one"),
         ("bodies_extra", "loose body prints beside it", "loose bodies print beside it"),
         ("holes_closed", "hole of the part is closed", "holes of the part are closed"),
-        ("holes_opened", "hole opens that the part has not", "holes open that the part has not"),
+        ("holes_opened", "hole opens that is not in the part", "holes open that are not in the part"),
         ("cavities_filled", "cavity is filled", "cavities are filled"),
         ("cavities_extra", "void is left in the part", "voids are left in the part"),
     )
@@ -157,12 +157,12 @@ def _bodies(changes: BodyChanges, causes: Causes) -> Iterator[Fault]:
 
 
 def _left(proof: Proof, causes: Causes) -> Iterator[Fault]:
-    """Bodies with another dose than asked, and voxels that nobody judged."""
+    """Bodies with the wrong dose, and voxels that were not judged."""
     for body in proof.bodies:
         if body.role == "gray" and body.wrong:
             yield Fault(
-                f"{body.name!r} gets another dose than asked in {body.wrong:,} of {body.voxels:,} voxels",
-                f"allow it a wider tolerance; {causes.light}",
+                f"{body.name!r} gets the wrong dose in {body.wrong:,} of {body.voxels:,} voxels",
+                f"give it a wider tolerance; {causes.light}",
             )
     if proof.unjudged_voxels:
         yield Fault(

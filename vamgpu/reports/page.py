@@ -1,4 +1,4 @@
-"""A report: one self-contained HTML page of cards, the same for vials, webs and slices."""
+"""A report: one self-contained HTML page of cards, for vials, webs and slices."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from vamgpu.storage.atomic import explained, page_path, replacing
 
 
 class Figure(NamedTuple):
-    """One number that is looked at first."""
+    """One prominent number."""
 
     value: str  # the number as text
     name: str
-    meaning: str = ""  # what it says; empty for nothing
+    meaning: str = ""  # its explanation, or empty
 
 
 class Image(NamedTuple):
-    """An image, and what stands below it."""
+    """An image and its caption."""
 
     source: str
     name: str
@@ -72,10 +72,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Windows of a print whose machine is off in one thing after the other.
+    """Windows of a print on a machine with one error at a time.
 
     Args:
-        groups: One thing that is off each, with its rows.
+        groups: One per error, with its rows.
     """
 
     groups: Sequence[Mapping[str, Any]]
@@ -101,7 +101,7 @@ class Slices:
 class Legend:
     """Colors of verdicts and of the dose."""
 
-    most: str = "most"  # what the brightest dose is
+    most: str = "most"  # text for the greatest dose
     kind: ClassVar[str] = "legend"
 
 
@@ -132,19 +132,19 @@ class Card:
 class Page:
     """A whole report."""
 
-    sort: str  # of the report, in two words
-    title: str  # what it is about
+    sort: str  # kind of report, in two words
+    title: str
     verdict: str
-    good: bool  # whether the verdict is
+    good: bool  # whether the verdict is good
     tiles: Sequence[Figure]  # numbers in a row
-    cards: Sequence[Card]  # what follows, in two columns
+    cards: Sequence[Card]  # below the tiles, in two columns
     headline: Sequence[Figure] = ()  # the most important numbers, above the tiles
     summary: Sequence[Card] = ()  # cards above the tiles
-    remedies: Sequence[str] = ()  # what to do where it is not
-    data: Mapping[str, Any] | None = None  # what the page's script draws, for cards with a `SurfaceView` or `Slices`
+    remedies: Sequence[str] = ()  # what to do if the verdict is not good
+    data: Mapping[str, Any] | None = None  # drawn by the page's script, for cards with a `SurfaceView` or `Slices`
 
     def html(self) -> str:
-        """The page as text; what is not markup by its type is escaped."""
+        """The page as text; everything that is not markup by its type is escaped."""
         from jinja2 import Environment
 
         environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)

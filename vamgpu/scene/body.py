@@ -1,4 +1,4 @@
-"""A body of a scene: its shape, and what is asked of the voxels it fills."""
+"""A body of a scene: its shape, and the required dose of its voxels."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     Source = str | Path | Solid | trimesh.Trimesh | npt.NDArray[Any] | Implicit
 
 PRIORITIES: dict[str, float] = {"print": 0.0, "gray": 10.0, "don't care": 20.0, "keep out": 30.0, "insert": 40.0}
-"""Role → who has the voxel where bodies overlap, unless a body says otherwise."""
+"""Role → default priority where bodies overlap."""
 PRINTED = ("print", "gray")
 FREE = ("insert", "don't care")
-"""Roles of which nothing is asked."""
+"""Roles without a required dose."""
 _DOSED = ("gray", "keep out")
 MOST_DOSE = 10.0
-"""Of a gray body: more was hardly meant as a share."""
+"""Greatest dose of a gray body: a greater one is probably not a share."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,19 @@ class Body:
         source: Path of a mesh file, a `Solid`, a `trimesh.Trimesh`, a mask [x, y, z] of fractions or booleans about the
             CAD origin, or a function φ(x, y, z) [mm], negative inside.
         role: ``print``, ``gray``, ``keep out``, ``don't care`` or ``insert``.
-        name: In messages and reports; by default the file's or the role.
-        dose: Of ``gray``: asked for; of ``keep out``: the limit. Relative to the dose that prints.
-        tolerance: Of a gray dose, a share of it, in which a voxel counts as right.
-        weight: Of its voxels in methods that lower a loss, above 0.
-        priority: Which body has the voxels that several fill, the higher one; by default the role's.
-        index: Of refraction, dimensionless, of an insert that light passes.
-        absorption: Of an insert that light passes [1/mm]; like ``pitch`` also text with its unit.
+        name: Name in messages and reports; by default the file's or the role.
+        dose: For ``gray`` the required dose, for ``keep out`` the limit, relative to the dose that prints.
+        tolerance: Allowed deviation of a gray dose, a share of it.
+        weight: Weight of its voxels in methods that minimize a loss, above 0.
+        priority: Where bodies overlap, the higher priority gets the voxels; by default the role's.
+        index: Refractive index of a transparent insert, dimensionless.
+        absorption: Absorption of a transparent insert [1/mm]; like ``pitch`` also text with its unit.
         pitch: Edge of a mask's voxels [mm].
 
     Raises:
         BadInput: A value is out of its range, or has no meaning for the role.
-        MeshError: The mesh cannot be read or mended.
-        EmptyMesh: Nothing is in it.
+        MeshError: The mesh cannot be read or repaired.
+        EmptyMesh: The mesh is empty.
     """
 
     source: Any
@@ -94,7 +94,7 @@ class Body:
         self._check(f"body {self.name!r}")
 
     def _read(self) -> Solid | Target | Implicit:
-        """The shape that the source stands for."""
+        """The shape of the source."""
         source = self.source
         if isinstance(source, np.ndarray):
             if self.pitch is None:
@@ -103,7 +103,7 @@ class Body:
             object.__setattr__(self, "pitch", mask.grid.pitch)
             return mask
         if self.pitch is not None:
-            raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it for masks alone")
+            raise BadInput(f"got pitch={self.pitch} for a {type(source).__name__}; expected it only for masks")
         if (solid := solid_of(source, self.name or self.role)) is not None:
             return solid
         if not isinstance(source, Implicit):
@@ -114,7 +114,7 @@ class Body:
         return source
 
     def _check(self, who: str) -> None:
-        """Raise `BadInput` for numbers that are none, or that the role has no use for."""
+        """Raise `BadInput` for invalid numbers, or numbers without a meaning for the role."""
         if not isinstance(self.priority, (int, float)) or not isfinite(self.priority):
             raise BadInput(f"priority of {who} is {self.priority!r}; expected a number")
         positive(f"weight of {who}", self.weight)
@@ -130,9 +130,9 @@ class Body:
         for key, roles in alone.items():
             value = getattr(self, key)
             if value is not None and self.role not in roles:
-                raise BadInput(f"got {key}={value} for {who}, which is {self.role!r}; expected it for {roles} alone")
+                raise BadInput(f"got {key}={value} for {who}, which is {self.role!r}; expected it only for {roles}")
         if self.index is not None and not 1.0 <= positive(f"index of {who}", self.index) < 10.0:
-            raise BadInput(f"index of {who} is {self.index:g}; expected an index of refraction from 1 on")
+            raise BadInput(f"index of {who} is {self.index:g}; expected a refractive index of at least 1")
         if self.absorption is not None:
             object.__setattr__(self, "absorption", measured(f"absorption of {who}", self.absorption, Absorption))
 
@@ -147,10 +147,10 @@ class Body:
         return BodyRequirement(str(self.name), self.role, 1.0 if self.dose is None else self.dose, self.tolerance)
 
     def summary(self, place: Place) -> str:
-        """Its role and how far it goes, in words.
+        """Its role and extent, in words.
 
         Args:
-            place: Of the CAD frame.
+            place: Transform of the CAD frame.
 
         Returns:
             Such as "gray, dose 0.7, to 2.1 mm from the axis, z −1 to 3 mm".
@@ -161,10 +161,10 @@ class Body:
         return f"{self.role}{dose}, {where}"
 
     def solid(self, place: Place) -> Solid | None:
-        """The surface where it is printed.
+        """The surface in the vial.
 
         Args:
-            place: Of the CAD frame.
+            place: Transform of the CAD frame.
 
         Returns:
             The surface [mm]; None for masks and functions.
@@ -177,10 +177,10 @@ class Body:
         """Extent of the body.
 
         Args:
-            place: Of the CAD frame.
+            place: Transform of the CAD frame.
 
         Returns:
-            Greatest distance from the axis, lowest and highest z [mm]; None for functions, which do not say it.
+            Greatest distance from the axis, lowest and highest z [mm]; None for functions, whose extent is unknown.
         """
         solid = self.solid(place)
         if solid is not None:
@@ -198,8 +198,8 @@ class Body:
 
         Args:
             grid: The voxels; what lies outside is cut off.
-            place: Of the CAD frame.
-            device: Where meshes are voxelized.
+            place: Transform of the CAD frame.
+            device: Device that voxelizes meshes.
 
         Returns:
             Shares [x, y, z].
@@ -219,10 +219,10 @@ class Body:
         return filled(self.placed(place), grid)
 
     def placed(self, place: Place) -> Any:
-        """The function where it is printed.
+        """The function in the vial.
 
         Args:
-            place: Of the CAD frame.
+            place: Transform of the CAD frame.
 
         Returns:
             φ(x, y, z).

@@ -1,4 +1,4 @@
-"""Bodies in one CAD frame, and what they make of voxels and of light."""
+"""Bodies in one CAD frame, and their effect on voxels and light."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from vamgpu.targets.solid import Solid
 from vamgpu.targets.target import MARGIN, Target
 
 MULTIPLE = 4
-"""Grids that are chosen here have multiples of this many voxels along every axis."""
+"""Default grids have multiples of this many voxels along every axis."""
 HALF = 0.5
-"""Share of a voxel from which on it belongs to a body."""
+"""Least filled share of a voxel that belongs to a body."""
 SMALL = 0.5
-"""Size [mm] of a body below which its file was hardly in mm."""
+"""Size [mm] of a body below which its file is probably not in mm."""
 SHARES = 64.0
 """Opaque inserts are known to so many parts of a voxel: rounding leaves none that make levels differ."""
 RAYS = 3
@@ -40,18 +40,18 @@ RAYS = 3
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Bodies in one CAD frame: what is to be printed, how, and what stands in the light.
+    """Bodies in one CAD frame: those to print, their dose, and those in the path of the light.
 
-    Bodies stay where they were drawn; the frame may be turned and scaled as a whole.
+    Bodies keep their places relative to each other; the frame may be turned and scaled as a whole.
 
     Args:
-        bodies: At least one of them is ``print`` or ``gray``.
+        bodies: The bodies; at least one is ``print`` or ``gray``.
         factor: Scale of the CAD frame, dimensionless.
         orientation: Rotation matrix of the CAD frame, (3, 3), applied first.
-        origin: Point of the CAD frame that comes to the middle of the axis, (x, y, z) [mm before ``factor``]; by
-            default x = y = 0 and the middle of what is printed.
-        void: Limit of the dose where no body is, relative to the dose that prints; by default the least gray dose, 1 at
-            most.
+        origin: Point of the CAD frame that is placed at the middle of the axis, (x, y, z) [mm before ``factor``]; by
+            default x = y = 0 and the middle of the printed bodies.
+        void: Limit of the dose outside all bodies, relative to the dose that prints; by default the least gray dose, at
+            most 1.
 
     Raises:
         BadInput: A value is out of its range, or nothing is to be printed.
@@ -86,17 +86,17 @@ class Scene:
 
     @property
     def inserts(self) -> tuple[Body, ...]:
-        """The bodies that stand in the light."""
+        """The bodies in the path of the light."""
         return tuple(body for body in self.bodies if body.role == "insert")
 
     @property
     def printed(self) -> tuple[Body, ...]:
-        """The bodies that are made."""
+        """The bodies that are printed."""
         return tuple(body for body in self.bodies if body.role in PRINTED)
 
     @property
     def place(self) -> Place:
-        """Where the CAD frame comes to lie."""
+        """Transform of the CAD frame."""
         turn = None if self.orientation is None else np.asarray(self.orientation, np.float64)
         if self.origin is not None:
             at = np.asarray(self.origin, np.float64)
@@ -113,20 +113,20 @@ class Scene:
         return max(r for r, _, _ in known), min(low for _, low, _ in known), max(high for _, _, high in known)
 
     def grid(self, pitch: float | str, *, margin: int = MARGIN, shape: tuple[int, int, int] | None = None) -> Grid:
-        """Voxels that hold all that is printed, and what stands in its light.
+        """Voxels that hold all printed bodies and inserts.
 
         Args:
             pitch: Voxel edge [mm], or text with its unit.
             margin: Voxels left free between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the bodies and the margin.
-                Needed where a body that is printed or an insert is a function.
+                Needed if a printed body or an insert is a function.
 
         Returns:
             The grid.
 
         Raises:
             BadInput: A value is out of its range.
-            TargetTooLarge: What is printed does not fit ``shape``.
+            TargetTooLarge: The printed bodies do not fit ``shape``.
         """
         pitch, place = measured("pitch", pitch, Length), self.place
         free = positive("margin [voxels]", margin, zero=True)
@@ -160,8 +160,8 @@ class Scene:
             pitch: Voxel edge [mm], or text with its unit.
             margin: Voxels left free between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; see `grid`.
-            device: Where meshes are voxelized: a name or a device; the best one here by default.
-            name: In messages and reports; by default that of the first body that is printed.
+            device: Device that voxelizes meshes, or its name; the best available one by default.
+            name: Name in messages and reports; by default that of the first printed body.
 
         Returns:
             The target, its `limits` per voxel.
@@ -169,7 +169,7 @@ class Scene:
         Raises:
             BadInput: A value is out of its range.
             EmptyMesh: A body fills no voxel, or others carve all of it away.
-            TargetTooLarge: What is printed does not fit ``shape``.
+            TargetTooLarge: The printed bodies do not fit ``shape``.
         """
         grid = self.grid(pitch, margin=margin, shape=shape)
         found, name = self._shares(grid, open_device(device)), name or str(self.printed[0].name)
@@ -198,16 +198,16 @@ class Scene:
         self, grid: Grid, *, resin_index: float | None = None, absorption: float = 0.0,
         device: str | Device | None = None,
     ) -> CoRotatingMedium:  # fmt: skip
-        """The inserts as light meets them, in resin that fills the inscribed cylinder of a grid.
+        """The inserts as a medium for light, in resin that fills the inscribed cylinder of a grid.
 
         Args:
             grid: Voxels.
             resin_index: Refractive index of the resin; needed beside an insert that has one.
-            absorption: Of the resin [1/mm].
-            device: Where meshes are voxelized.
+            absorption: Absorption of the resin [1/mm].
+            device: Device that voxelizes meshes.
 
         Returns:
-            The medium; [x, y] where nothing depends on z.
+            The medium; [x, y] if nothing depends on z.
 
         Raises:
             BadInput: An insert has an index, and the resin none.
@@ -239,24 +239,24 @@ class Scene:
         self, target: Target, beam: Beam, motion: Turntable, vessel: Vessel | None = None, *, rays: int = RAYS,
         resin_index: float | None = None, device: str | Device | None = None, footprint: str = "exact",
     ) -> Projection | TracedProjection:  # fmt: skip
-        """The light of a beam past the inserts.
+        """The projector of a beam past the inserts.
 
         Args:
             target: Made by `target`.
-            beam: Its pixels; ``fill`` and ``spread`` must be left out where there are inserts.
-            motion: Angles.
-            vessel: What the resin stands in; None for straight light that nothing absorbs.
-            rays: Rays of a pixel, where there are inserts.
-            resin_index: Refractive index of the resin, where the vessel does not say it.
-            device: Where to compute: a name or a device; the best one here by default.
-            footprint: How a pixel meets a voxel, where there are no inserts.
+            beam: Its pixels, without ``fill`` and ``spread`` if there are inserts.
+            motion: The turntable.
+            vessel: The vessel of the resin; None for straight light without absorption.
+            rays: Rays per pixel, if there are inserts.
+            resin_index: Refractive index of the resin, if the vessel has none.
+            device: A name or a device; the best available one by default.
+            footprint: Model of a pixel's light in a voxel, if there are no inserts.
 
         Returns:
             A `Projection`, or with inserts a `TracedProjection` whose rays the vessel refracts and the resin absorbs.
 
         Raises:
             BadInput: The vessel bends light in the resin, or an argument is out of its range.
-            TargetTooLarge: What is printed reaches beyond the printable radius.
+            TargetTooLarge: The printed bodies reach beyond the printable radius.
         """
         check = getattr(vessel, "check_fits", None)
         if check is not None:
@@ -351,12 +351,12 @@ class _Shares:
         for k, body in enumerate(bodies):
             if not filled[k].any():
                 raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel of {filled[k].shape}; expected some: "
-                                "look at where it was drawn, at the scale, or take a finer pitch or a wider "
+                                "look at where it was drawn, at the scale, or use a finer pitch or a wider "
                                 "shape")  # fmt: skip
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
             if not (filled[k] >= HALF).any():
-                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected some: take a finer pitch")
+                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected some: use a finer pitch")
             there = set(self.owner[filled[k] >= HALF].tolist()) - {-1}
             over = ", ".join(repr(bodies[n].name) for n in sorted(there)) or "others"
             raise EmptyMesh(

@@ -81,7 +81,7 @@ def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> st
 
 
 def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> tuple[np.ndarray, str]:
-    """A whole array and its SHA-256. Raises `StorageError` where it is missing, damaged, or not as its record says."""
+    """A whole array and its SHA-256. Raises `StorageError` if it is missing, damaged, or not as its record says."""
     with undamaged(f"array {name!r}", folder, "job"):
         layout, seal = _layout(folder, name, shape, dtype), hashlib.sha256()
         values = layout.entries(range(shape[0]), whole=True, seen=lambda part: seal.update(part.view(np.uint8).data))

@@ -36,13 +36,13 @@ def as_path(path: str | Path) -> Path:
 
 
 def explained(action: str, path: Path, error: OSError | ValueError) -> StorageError:
-    """Explain what the system refused, and what to do about it."""
+    """Explain an error of the system, and its remedy."""
     remedy = REMEDIES.get(getattr(error, "errno", None) or 0, "check the path and the disk")
     return StorageError(f"cannot {action} {str(path)!r}: {getattr(error, 'strerror', None) or error}; {remedy}")
 
 
 def page_path(path: str | Path) -> Path:
-    """Take the path of a report; a report replaces what stands there."""
+    """The path of a report, which replaces an existing file."""
     if Path(path).suffix.lower() not in PAGES:
         raise StorageError(f"the report {str(path)!r} would be a page; expected a path ending in .html: choose another")
     return Path(path)
@@ -57,7 +57,7 @@ def named(path: Path) -> Path:
 
 
 def check_folder(place: Path) -> None:
-    """Refuse a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
+    """Reject a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
     if not place.parent.is_dir():
         raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
                            "choose another path")  # fmt: skip
@@ -65,7 +65,7 @@ def check_folder(place: Path) -> None:
 
 @contextmanager
 def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Hand out a path in a fresh folder beside ``path``; what is written there is moved to ``path`` at the end."""
+    """Give a path in a new folder beside ``path``; its content is moved to ``path`` at the end."""
     # After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands. What
     # a run that was killed left there goes first, see `clear`.
     place = Path(path)
@@ -154,7 +154,7 @@ def _workshop(place: Path) -> tuple[Path, int | None]:
 
 
 def _locked(folder: Path) -> int | None:
-    """A lock on a folder, which ends with this process; None where the disk knows no locks."""
+    """A lock on a folder, which ends with this process; None if the disk knows no locks."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)

@@ -1,4 +1,4 @@
-"""Films, frame by frame: read in gray levels, written in color."""
+"""Videos, frame by frame: read in gray levels, written in color."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file
 
 FORMATS = {".mp4": "mov", ".mov": "mov", ".m4v": "mov", ".mkv": "matroska", ".webm": "matroska", ".avi": "avi"}
-"""Ending → how it is read. Formats that name other files, as playlists do, are not among them."""
+"""Ending → FFmpeg's format. Formats that name other files, such as playlists, are left out."""
 MOST_PIXELS = 1 << 26
 FULL_RANGE = 2
-"""FFmpeg's number for levels from 0 to 255; others go from 16 to 235."""
+"""FFmpeg's number for levels from 0 to 255; other ranges are 16 to 235."""
 LOW, HIGH = 16, 235
 
 
 def read_film(path: str | Path) -> tuple[np.ndarray, str]:
-    """The frames of a film."""
+    """The frames of a video."""
     import av
     from av.error import FFmpegError
 
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is None:
-        raise StorageError(f"cannot read {str(path)!r} as a film: expected one ending in {', '.join(FORMATS)}")
+        raise StorageError(f"cannot read {str(path)!r} as a video: expected one ending in {', '.join(FORMATS)}")
     try:
         with open_file(path) as file, av.open(file, "r", format=kind) as film:
             if not film.streams.video:
-                raise ValueError("it has no pictures")
+                raise ValueError("it has no images")
             stream = film.streams.video[0]
             size = stream.codec_context.width * stream.codec_context.height
             if not 0 < size <= MOST_PIXELS:
-                raise ValueError(f"{size:,} pixels a frame, expected {MOST_PIXELS:,} at most")
+                raise ValueError(f"{size:,} pixels per frame, expected at most {MOST_PIXELS:,}")
             frames: list[np.ndarray] = []
             for frame in film.decode(stream):
-                afford((len(frames) + 1) * size, f"the film {str(path)!r}")
+                afford((len(frames) + 1) * size, f"the video {str(path)!r}")
                 frames.append(_gray(frame))
                 if frames[-1].shape != frames[0].shape:
                     raise ValueError("its frames have several sizes")
@@ -52,17 +52,17 @@ def read_film(path: str | Path) -> tuple[np.ndarray, str]:
         raise
     except (OSError, ValueError, FFmpegError, EOFError, MemoryError) as error:
         said = getattr(error, "strerror", None) or error
-        raise StorageError(f"cannot read {str(path)!r}: {said}; expected a film: export it again") from error
+        raise StorageError(f"cannot read {str(path)!r}: {said}; expected a video: export it again") from error
 
 
 def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) -> Path:
-    """Write a film that common players show."""
+    """Write a video for common players."""
     import av
     from av.error import FFmpegError
 
     place = Path(path)
     if place.suffix.lower() != ".mp4":
-        raise StorageError(f"cannot write {str(place)!r}: expected a film that ends in .mp4")
+        raise StorageError(f"cannot write {str(place)!r}: expected a video that ends in .mp4")
     if not place.parent.is_dir():
         raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))
     try:

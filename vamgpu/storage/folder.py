@@ -43,7 +43,7 @@ class Entry:
     values: np.ndarray | DeviceArray | Streamed
     axes: tuple[str, ...]  # names of its axes
     unit: str = "1"  # its unit; "1" for a plain number
-    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None where it is no picture
+    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None if it is no picture
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Folder:
     """A job folder that was opened: its manifest, and its arrays on demand."""
 
     path: Path
-    manifest: Manifest  # what its manifest says
+    manifest: Manifest
 
     @classmethod
     def open(cls, path: str | Path) -> Folder:
@@ -116,7 +116,7 @@ class Folder:
 
 
 def check_place(path: str | Path, *, overwrite: bool = False) -> None:
-    """Refuse, before long work, a path that no job folder could be written to after it."""
+    """Reject, before long work, a path at which no job folder could be written."""
     place = as_path(path)
     check_folder(place)
     if not os.path.lexists(place):

@@ -52,13 +52,13 @@ class ArrayRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Everything needed to read a job folder and to know where it came from."""
+    """Everything needed to read a job folder, and its origin."""
 
     # versions: of this library, Python and what it computes with.
 
-    inputs: dict[str, Any]  # what the job was asked for
+    inputs: dict[str, Any]  # settings of the job
     details: dict[str, Any]  # what readers of its arrays must know, by subject
-    device: str  # where it was computed
+    device: str  # the device of the computation
     arrays: dict[str, ArrayRecord]  # by name
     versions: dict[str, str] = field(default_factory=lambda: versions())
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))

@@ -12,11 +12,11 @@ from vamgpu.quantity import bytes_of
 MEMORY = "VAMGPU_MEMORY"
 """Environment variable that replaces the budget: bytes, or a number with a unit, such as ``24 GB``."""
 SHARE = 0.5
-"""Part of this machine's memory that is the budget unless `MEMORY` says otherwise."""
+"""Default budget, as a share of this machine's memory; `MEMORY` overrides it."""
 UNKNOWN = 8_000_000_000
-"""Memory [bytes] that a machine is taken to have where the system does not tell."""
+"""Assumed memory [bytes] of a machine if the system does not report it."""
 GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
-"""Where Linux says how much a container may take."""
+"""Linux's file with the memory limit of a container."""
 
 
 def budget() -> int:
@@ -26,12 +26,12 @@ def budget() -> int:
         return int(SHARE * _installed())
     found = bytes_of(said)
     if found is None:
-        raise BadInput(f"{MEMORY} is {said!r}; expected a size such as {MEMORY}=24GB: set it anew, or unset it")
+        raise BadInput(f"{MEMORY} is {said!r}; expected a size such as {MEMORY}=24GB: correct it, or unset it")
     return found
 
 
 def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> None:
-    """Refuse what takes more memory than the budget, before it is decoded."""
+    """Reject what takes more memory than the budget, before it is decoded."""
     most = budget()
     if claim > most:
         raise error(

@@ -1,4 +1,4 @@
-"""NumPy's files, whose headers are compared with what the file has before memory is taken for them."""
+"""NumPy's files; headers are compared with the size of the file before memory is allocated."""
 
 from __future__ import annotations
 

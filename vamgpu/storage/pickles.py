@@ -162,7 +162,7 @@ def read_pickle(path: str | Path, packages: tuple[str, ...] = ()) -> Any:
 
 
 def _weigh(data: bytes) -> None:
-    """Refuse what would take memory out of proportion before it is read: sizes and numbers that a step claims."""
+    """Reject what would take memory out of proportion before it is read: sizes and numbers that a step claims."""
     steps = 0
     for steps, (code, given, _) in enumerate(pickletools.genops(data), 1):
         if steps > MOST_STEPS:

@@ -42,7 +42,7 @@ LONG_KEY = re.compile(
     rf"""(?<![^\s,=\[\]{{}}#])(?:(?:"[^"\n]*"|'[^'\n]*'|[^\s.,=\[\]{{}}#"']+)[ \t]*\.[ \t]*){{{MOST_PARTS}}}"""
 )
 PROSE = re.compile(r'''"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*"|#[^\n]*''' + r"|'''.*?'''|'[^'\n]*'", re.DOTALL)
-"""Text and remarks, in which points end sentences."""
+"""Text and comments, in which points end sentences."""
 
 
 def is_file(path: str | Path) -> bool:
@@ -128,7 +128,7 @@ def _regular(mode: int, path: str | Path) -> None:
 
 
 def _check(data: Any, finite: bool = False) -> None:
-    """Raise `ValueError` for what is too deep to walk through, and for numbers that nobody can count with."""
+    """Raise `ValueError` for data that is too deep, and for numbers that are too large or not finite."""
     level: list[Any] = [data]
     for _ in range(MOST_LEVELS + 1):
         deeper: list[Any] = []

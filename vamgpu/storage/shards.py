@@ -110,7 +110,7 @@ def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: boo
 
 
 def unpacked(head: bytes) -> int | None:
-    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None where it does not say."""
+    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None if it does not say."""
     if len(head) < 6 or head[:4] != ZSTANDARD:
         return None
     single, length = head[4] >> 5 & 1, (0, 2, 4, 8)[head[4] >> 6]

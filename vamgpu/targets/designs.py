@@ -114,12 +114,12 @@ def _fitted(bars: list[Bars], edge: float) -> tuple[Bars, ...]:
 
 
 def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
-    """A 1951 resolution target as a single slice; `usaf_bars` says where its elements are.
+    """A 1951 resolution target as a single slice; `usaf_bars` gives the places of its elements.
 
     Args:
-        groups: Numbers of the groups that are drawn.
-        pixels: Along an edge of the slice.
-        diameter: Of the circle around the slice [mm].
+        groups: Numbers of the groups.
+        pixels: Pixels along an edge of the slice.
+        diameter: Diameter of the circle around the slice [mm].
 
     Returns:
         The target.
@@ -139,10 +139,10 @@ def gray_wedges(steps: int = 8, pixels: int = PIXELS, diameter: float = DIAMETER
     """Sectors of a disk, gray 1/steps … 1 counterclockwise from +x, as a single slice.
 
     Args:
-        steps: How many sectors.
-        pixels: Along an edge of the slice.
-        diameter: Of the circle around the slice [mm].
-        fill: Diameter of the disk relative to the edge of the slice; edges are covered by 4 × 4 samples a pixel.
+        steps: Number of sectors.
+        pixels: Pixels along an edge of the slice.
+        diameter: Diameter of the circle around the slice [mm].
+        fill: Diameter of the disk relative to the edge of the slice; edges have 4 × 4 samples per pixel.
 
     Returns:
         The target.

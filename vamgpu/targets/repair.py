@@ -47,7 +47,7 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
         raise MeshError(f"{solid.name}: the surface encloses no volume; expected a solid part, not a sheet: thicken it")
     if mended:
         warnings.warn(
-            f"{solid.name}: the mesh was mended: {'; '.join(mended)}. Look at the part before it is printed, or mend "
+            f"{solid.name}: the mesh was repaired: {'; '.join(mended)}. Check the part before it is printed, or repair "
             "it in the CAD program and export it again",
             MeshWarning,
             stacklevel=3,
@@ -68,7 +68,7 @@ def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[st
 
 
 def _said(number: int, one: str, many: str, rest: str) -> tuple[str, ...]:
-    """Sentence on a repair; empty where the number is 0."""
+    """Sentence on a repair; empty if the number is 0."""
     return (f"{number} {one if number == 1 else many} {rest}",) if number else ()
 
 

@@ -48,7 +48,7 @@ def _shares(grid: Grid, other: Grid, axis: int, shift: float) -> csr_array:
     columns = np.floor(low).astype(np.int64)[:, None] + np.arange(span)
     common = np.minimum(high[:, None], columns + 1.0) - np.maximum(low[:, None], columns)
     share = common * (grid.pitch / other.pitch)
-    # Less than float32 tells is the rounding of an edge that lies on a voxel's side.
+    # A share below float32 resolution is only the rounding of an edge that coincides with a voxel face.
     keep = (share > 1e-7) & (columns >= 0) & (columns < n)
     rows = np.broadcast_to(np.arange(fine)[:, None], keep.shape)
     return csr_array((share[keep].astype(np.float32), (rows[keep], columns[keep])), shape=(fine, n))

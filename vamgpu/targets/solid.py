@@ -21,7 +21,7 @@ class Solid:
     """A triangle surface in mm, outward faces counter-clockwise seen from outside.
 
     vertices: float64 (n, 3) [mm]; faces: int32 (m, 3), indices into vertices. Both are kept as read-only copies.
-    The vial's axis is x = y = 0, along z.  mended: what a repair changed, a sentence each; empty for a sound mesh.
+    The vial's axis is x = y = 0, along z.  mended: changes of a repair, one sentence each; empty for a sound mesh.
     drawn: whether it is to stay where it was drawn about the axis, as one read with ``center=False`` does.
 
     Raises EmptyMesh without faces, MeshError for wrong shapes, indices out of range or coordinates that are not finite.

@@ -26,13 +26,13 @@ _STEPS = 30
 class Spiral:
     """A film wound into r = inner + ρ + kψ, one layer on the other, with 2πk = thickness + substrate (eq. S8).
 
-    Layers keep their thickness along the radius, so that they fill the wound body without gap or overlap.
+    Layers keep their thickness along the radius, so they fill the wound body without gap or overlap.
 
     Args:
         inner: Radius at which the film's roller side (ρ = 0) starts [mm].
-        thickness: Of the film [mm].
-        turns: Of the winding, relative to a full turn.
-        substrate: What stays between layers [mm].
+        thickness: Thickness of the film [mm].
+        turns: Number of turns, relative to a full turn.
+        substrate: Distance between layers [mm].
         neutral: Depth of the line that winding does not stretch, as a share of the thickness; l of the flat film is the
             arc along it.
 
@@ -86,7 +86,7 @@ class Spiral:
         return self._integral(start + self.rise * np.asarray(angle, np.float64)) - self._integral(np.array(start))
 
     def angle(self, along: Array) -> Array:
-        """The inverse of `arc`, beyond the film's ends too.
+        """The inverse of `arc`, also beyond the film's ends.
 
         Args:
             along: Lengths l [mm], (...,).
@@ -105,7 +105,7 @@ class Spiral:
         return psi
 
     def wound(self, along: Array, depth: Array) -> tuple[Array, Array]:
-        """Where points of the flat film lie in the wound body.
+        """Places in the wound body of points of the flat film.
 
         Args:
             along: Lengths l [mm], (...,).
@@ -119,14 +119,14 @@ class Spiral:
         return r * np.cos(psi), r * np.sin(psi)
 
     def flat(self, x: Array, y: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Which points of the flat film lie at some places of the wound body.
+        """Points of the flat film at given places of the wound body.
 
         Args:
             x: Places [mm], (...,).
             y: Places [mm], (...,).
 
         Returns:
-            l and ρ [mm], and whether there is film at all, (...,) each.
+            l and ρ [mm], and whether there is film, (...,) each.
         """
         r, turn = np.hypot(x, y), np.arctan2(y, x) % (2.0 * pi)
         above = r - self.inner - self.rise * turn
@@ -140,7 +140,7 @@ class Spiral:
 
         Args:
             pitch: Voxel edges [mm] along l, rho, z; one number for cubes.
-            width: Along z [mm].
+            width: Width along z [mm].
 
         Returns:
             Whole voxels that cover length, thickness and width.
@@ -165,7 +165,7 @@ class Spiral:
         """Voxels of a solid as those of the flat film, interpolated between centers; the core is not in the film.
 
         Args:
-            fraction: Of the solid, [x, y, z].
+            fraction: Fractions of the solid, [x, y, z].
             grid: Voxels of the solid.
             web: Voxels of the film.
 
@@ -174,7 +174,7 @@ class Spiral:
 
         Raises:
             ShapeMismatch: The fractions are those of another grid.
-            EmptyMesh: The film gets nothing.
+            EmptyMesh: The film gets no part of the solid.
         """
         values = _on("solid", fraction, grid.shape)
         l, rho, z = web.axes()  # noqa: E741
@@ -193,7 +193,7 @@ class Spiral:
         """Voxels of a flat film as those of the wound body.
 
         Args:
-            fraction: Of the film, [l, rho, z].
+            fraction: Fractions of the film, [l, rho, z].
             web: Voxels of the film.
             grid: Voxels of the wound body.
             samples: Points along x and y in each voxel, between centers of the film interpolated.

@@ -39,12 +39,12 @@ class Repeated:
         if extent > MOST_OVERLAPS * period:
             raise BadInput(
                 f"period is {period:g} mm, but {self.solid.name} is {extent:.4g} mm long, so that "
-                f"{extent / period:.3g} copies would overlap; expected at most {MOST_OVERLAPS}: take a longer "
+                f"{extent / period:.3g} copies would overlap; expected at most {MOST_OVERLAPS}: use a longer "
                 "period [mm]"
             )
 
     def copies(self, low: float, high: float) -> Solid | None:
-        """All copies that reach between two positions along l [mm] as one surface; None where there is none."""
+        """All copies that reach between two positions along l [mm] as one surface; None if there is none."""
         begin, end = self.solid.bounds[:, 0]
         numbers = range(ceil((low - end) / self.period), floor((high - begin) / self.period) + 1)
         if not numbers:

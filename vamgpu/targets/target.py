@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 MARGIN = 2
 """Voxels between the part and the rim of the inscribed cylinder, by default."""
 SMALLEST, LARGEST = 0.1, 1000.0
-"""Longest edge [mm] of the box of a part, out of which its unit is asked for."""
+"""Limits of the longest edge [mm] of a part's box, outside of which its unit is probably wrong."""
 _MULTIPLE = 4
-"""Grids that are chosen here have multiples of this many voxels along every axis."""
+"""Default grids have multiples of this many voxels along every axis."""
 _SLACK = 1e-6
-"""Voxels by which a part may stick out: rounding errors of a length must not cost a row of voxels."""
+"""Voxels by which a part may exceed the grid: rounding errors of a length must not add a row of voxels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +47,13 @@ class Target:
 
     Args:
         grid: Its voxels.
-        name: In messages and reports.
+        name: Name in messages and reports.
         fraction: Filled share of each voxel, 0..1, [x, y, z]: on a device, or a NumPy array.
         radius: Largest distance from the axis [mm].
         volume: Filled volume [mm³].
         height: Extent along z [mm].
-        solid: The surface it was voxelized from, placed as it is printed; None where it came from an array.
-        limits: What single voxels are asked for, as a `Scene` says; None where the part is to print and nothing else.
+        solid: The surface it was voxelized from, as placed for the print; None if it came from an array.
+        limits: Limits of single voxels, from a `Scene`; None if the part just prints.
     """
 
     grid: Grid
@@ -84,33 +84,33 @@ class Target:
         """Voxelize a mesh, repaired where needed, on a device.
 
         The part is turned, scaled by exactly one of ``height`` and ``factor``, and centered: its smallest enclosing
-        circle on the axis, its middle at z = 0. A `Solid` that was read with ``center=False`` stays where it was drawn
-        about the axis. ``mended`` keeps what a repair changed.
+        circle on the axis, its middle at z = 0. A `Solid` that was read with ``center=False`` keeps its place about the
+        axis. ``mended`` lists the changes of a repair.
 
         Args:
             source: Path of an STL, PLY, OBJ or 3MF file, a `Solid`, or a `trimesh.Trimesh`, in mm if it has no unit.
-            height: Along z [mm]; like ``pitch`` also text with its unit, ``"11.5 mm"``.
+            height: Height along z [mm]; like ``pitch`` also text with its unit, ``"11.5 mm"``.
             factor: Scale of the mesh, dimensionless.
             pitch: Voxel edge [mm].
             orientation: Rotation matrix, (3, 3).
             margin: Voxels left free between the part and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
-            grid: In place of pitch and shape: a grid, or rings, whose box is taken; `on_rings` has their fractions.
-            device: A name or a device; the best one here by default.
-            name: In messages and reports; by default the file's.
+            grid: A grid instead of pitch and shape, or rings, whose box is used; `on_rings` has their fractions.
+            device: A name or a device; the best available one by default.
+            name: Name in messages and reports; by default the file's.
 
         Returns:
             The target, its fractions on the device.
 
         Raises:
             BadInput: An argument is out of its range.
-            MeshError: The mesh cannot be read or mended.
+            MeshError: The mesh cannot be read or repaired.
             TargetTooLarge: The part does not fit ``shape``.
             EmptyMesh: No voxel is filled.
             OutOfMemory: The grid does not fit the device.
 
         Warns:
-            MeshWarning: The mesh was mended.
+            MeshWarning: The mesh was repaired.
         """
         pitch, shape = _pitch_and_shape(pitch, shape, grid)
         height = _one_scale(height, factor)
@@ -137,13 +137,13 @@ class Target:
         Args:
             values: Fractions in 0..1, or booleans, [x, y, z], centered on the axis.
             pitch: Voxel edge [mm], or text with its unit.
-            name: In messages and reports.
+            name: Name in messages and reports.
 
         Returns:
             The target.
 
         Raises:
-            BadInput: The array is no array of fractions.
+            BadInput: The array does not hold fractions.
             EmptyMesh: No voxel is filled.
         """
         fraction = _fractions(values)
@@ -176,14 +176,14 @@ class Target:
 
     @property
     def mended(self) -> tuple[str, ...]:
-        """Changes of a mesh by its repair, a sentence each; empty for a sound mesh and for arrays."""
+        """Changes of a mesh by its repair, one sentence each; empty for a sound mesh and for arrays."""
         return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
-        """The fractions as a field on a device; copied there once, then kept.
+        """The fractions as a field on a device; copied once, then kept.
 
         Args:
-            device: A name or a device; the best one here by default.
+            device: A name or a device; the best available one by default.
 
         Returns:
             Fractions [x, y, z].
@@ -198,15 +198,15 @@ class Target:
     def resampled(
         self, grid: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), device: str | Device | None = None
     ) -> DeviceArray:
-        """The part on other voxels: the filled part of every voxel of ``grid`` once its middle is moved by ``shift``.
+        """The part on other voxels: the filled share of every voxel of ``grid``, with its middle moved by ``shift``.
 
-        A target that knows its ``solid`` voxelizes that again, so finer voxels show more of it; of one that came from
-        an array the fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
+        A target with a ``solid`` voxelizes it again, so finer voxels show more of it. For one from an array, the
+        fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
 
         Args:
-            grid: The new voxels; a slab of them too, moved to its place by ``shift``.
-            shift: Where the middle of ``grid`` goes, (x, y, z) [mm] in the part's frame.
-            device: A name or a device; the best one here by default.
+            grid: The new voxels, also a slab of them, which ``shift`` moves to its place.
+            shift: New position of the middle of ``grid``, (x, y, z) [mm] in the part's frame.
+            device: A name or a device; the best available one by default.
 
         Returns:
             Fractions [x, y, z] on the device; what of the part lies outside is cut off.
@@ -221,15 +221,15 @@ class Target:
         return place.upload(averaged(self.numpy(), self.grid, grid, move))
 
     def on_rings(self, rings: PolarGrid, device: str | Device | None = None) -> DeviceArray:
-        """The filled part of every cell of rings; computed once, then kept.
+        """The filled share of every cell of rings; computed once, then kept.
 
-        A target that knows its ``solid`` asks the mesh itself, which is right within 0.025 (root mean square of the
-        cells that the surface cuts); of one that came from an array the fractions, constant within each voxel and 0
-        outside, are averaged over the cells.
+        A target with a ``solid`` uses the mesh, with an error of 0.025 (root mean square over the cells that the
+        surface cuts). For one from an array, the fractions, constant within each voxel and 0 outside, are averaged over
+        the cells.
 
         Args:
             rings: The cells.
-            device: A name or a device; the best one here by default.
+            device: A name or a device; the best available one by default.
 
         Returns:
             Fractions [angle, cell, z] on the device; what of the part lies outside is cut off.
@@ -281,7 +281,7 @@ def _pitch_and_shape(
 
 
 def _one_scale(height: float | str | None, factor: float | None) -> float | None:
-    """The height as a number, where it is given and no factor; else `BadInput`."""
+    """The height as a number if it is given without a factor; otherwise `BadInput`."""
     if height is None and factor is None:
         raise BadInput("got neither height nor factor; give one: height= [mm] along z, or factor=1 for the mesh's size")
     if height is not None and factor is not None:
@@ -301,7 +301,7 @@ def _solid(source: Any, name: str | None) -> Solid:
 
 
 def _check_size(solid: Solid, height: float | None, factor: float | None, pitch: float) -> None:
-    """Ask for the unit of a part that no machine prints, or of voxels that are wider than it. Raises `BadInput`."""
+    """Reject a part or voxels of an improbable size, whose unit is probably wrong. Raises `BadInput`."""
     size = float(np.ptp(solid.bounds, axis=0).max())
     if SMALLEST <= size <= LARGEST:
         if pitch > size:
@@ -324,7 +324,7 @@ def _margin(margin: int) -> int:
 
 
 def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] | None) -> Grid:
-    """The grid asked for, or the smallest one whose inscribed cylinder holds the solid and the margin."""
+    """The given grid, or the smallest one whose inscribed cylinder holds the solid and the margin."""
     across = 2.0 * (solid.radius / pitch + margin) + 1.0 - _SLACK
     along = solid.height / pitch - _SLACK
     if shape is None:
@@ -343,7 +343,7 @@ def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] |
 
 
 def _check_memory(grid: Grid, device: Device) -> None:
-    """Refuse what cannot fit before a machine starts to swap; devices of their own memory refuse by themselves."""
+    """Reject what cannot fit before a machine starts to swap; devices of their own memory refuse by themselves."""
     import os
 
     size = device.real.itemsize * prod(grid.shape) / 1e9

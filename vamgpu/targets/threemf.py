@@ -31,7 +31,7 @@ KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/0
 MOST_INSTANCES, MOST_LEVELS = 10_000, 16
 """Meshes that a package may place, and levels of components."""
 TRIANGLE = 300
-"""Bytes of memory that a triangle takes until it is mended."""
+"""Bytes of memory that a triangle takes until it is repaired."""
 PRUSA, BAMBU = "Metadata/Slic3r_PE_model.config", "Metadata/model_settings.config"
 CUT, LEFT_OUT = "cut", "left out"
 ROLES = {
@@ -62,7 +62,7 @@ def read_3mf(data: bytes, name: str) -> trimesh.Trimesh:
         body = csg.from_triangles(mesh.vertices, mesh.faces) - csg.union(csg.from_triangles(*each) for each in cut)
         if body.is_empty():
             raise MeshError(f"{name!r} has negative volumes that leave nothing, or surfaces that are not closed; "
-                            "expected closed parts: mend them in the slicer and export again")  # fmt: skip
+                            "expected closed parts: repair them in the slicer and export again")  # fmt: skip
         found = body.to_mesh64()
         mesh = trimesh.Trimesh(np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts), process=False)
     mesh.units = "millimeter"
@@ -148,7 +148,7 @@ class _Package:
         return path if given is None else normpath(str(given)).lstrip("/")
 
     def _is_known(self, model: _Element) -> bool:
-        """Refuse extensions that a model needs and nobody here knows."""
+        """Reject extensions that a model needs and that are not supported."""
         for prefix in (model.get("requiredextensions") or "").split():
             space = str(model.nsmap.get(prefix, prefix))
             if not space.endswith(KNOWN):

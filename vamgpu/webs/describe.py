@@ -42,7 +42,7 @@ def described_wrap(wrap: Wrap) -> dict[str, Any]:
     plain = {**described(replace(wrap, index=None)), "index": write(index, arrays=arrays)}  # type: ignore[type-var]
     if sum(values.nbytes for values in arrays.values()) > MOST_MEDIUM:
         raise BadInput(f"the index of the film is a {type(index.index).__name__} of {index.index.coefficients.shape}; "  # type: ignore[union-attr]
-                       f"expected {MOST_MEDIUM} bytes at most, as a folder keeps: sample it coarser")  # fmt: skip
+                       f"expected {MOST_MEDIUM} bytes at most, the limit of a folder: use coarser samples")  # fmt: skip
     kept = {name: {"shape": list(values.shape), "float64": b64encode(np.asarray(values, "<f8").tobytes()).decode()}
             for name, values in arrays.items()}  # fmt: skip
     return {**plain, "arrays": kept} if kept else plain

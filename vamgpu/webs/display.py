@@ -16,10 +16,10 @@ from vamgpu.schema.quantities import DataRate, Length, Rate, Time
 class Display:
     """The mirrors that show frames, and the wires to them and to the lens.
 
-    rate: most frames a second of this many ``bits``.  bits: of a pixel.  pixels: columns, rows.  pitch: pixel edge in
-    the bath [mm].  wire: seconds that the command for a lens power takes.  link: most bytes a second that reach the
-    mirrors from the host; no limit where it is left out, as when all frames are loaded before the print.  turning: the
-    order of the focus planes turns at every pose, so that the lens moves one time less.
+    rate: highest frame rate at this number of ``bits``.  bits: bits per pixel.  pixels: columns, rows.  pitch: pixel
+    edge in the bath [mm].  wire: time to send the command for a lens power [s].  link: highest data rate from the host
+    to the mirrors [bytes/s]; no limit if left out, for frames that are loaded before the print.  turning: reverse the
+    order of the focus planes at every angle, which saves one lens move.
 
     The defaults are 8 bits on 1080p mirrors, and a lens command of ten bytes at 38,400 baud. Raises `BadInput`.
     """

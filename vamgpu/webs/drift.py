@@ -15,13 +15,13 @@ from vamgpu.web import Wrap
 
 @dataclass(frozen=True)
 class WebDrift:
-    """The light of a web from a frame on.
+    """A change of the light of a web, from some frame.
 
     Args:
-        gain: Light over planned, dimensionless.
-        since: First frame that has it.
-        absorption: Absorption coefficient of the film over planned, dimensionless; that of the last drift counts for
-            the whole web, as it is the resin's.
+        gain: Light relative to the plan, dimensionless.
+        since: First frame with this light.
+        absorption: Absorption coefficient of the film relative to the plan, dimensionless; that of the last drift
+            applies to the whole web, because it is the resin's.
 
     Raises:
         BadInput: A value is out of its range.
@@ -39,7 +39,7 @@ class WebDrift:
 
 
 def gains(drifts: Sequence[WebDrift], first: int, stop: int) -> np.ndarray:
-    """Light over planned of each frame from ``first`` to ``stop``, (frames,)."""
+    """Light relative to the plan of each frame from ``first`` to ``stop``, (frames,)."""
     found = np.ones(stop - first)
     for drift in sorted(drifts, key=lambda each: each.since):
         found[max(drift.since - first, 0) :] = drift.gain
@@ -47,12 +47,12 @@ def gains(drifts: Sequence[WebDrift], first: int, stop: int) -> np.ndarray:
 
 
 def drifts_of(details: Mapping[str, Any]) -> tuple[WebDrift, ...]:
-    """Those that a folder's frames were made for; none for a web that was never replanned."""
+    """Drifts of a folder's frames; none for a web that was never replanned."""
     return tuple(WebDrift(**each) for each in details.get("replanned", {}).get("drifts", ()))
 
 
 def clouded(wrap: Wrap, absorption: float) -> Wrap:
-    """The machine with a film that absorbs so many times as much. Raises `BadInput` for one without such a film."""
+    """The machine with a film of another absorption. Raises `BadInput` for one without an absorbing film."""
     if absorption == 1.0:
         return wrap
     film: Any = getattr(wrap, "film", None)

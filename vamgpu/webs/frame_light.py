@@ -1,4 +1,4 @@
-"""The light of a web's frames, from their bytes alone."""
+"""The light of a web's frames, only from their bytes."""
 
 from __future__ import annotations
 

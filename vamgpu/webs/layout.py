@@ -30,7 +30,7 @@ class SegmentLayout:
             near = float(exact) or 1.0 / DENOMINATOR
             raise BadInput(
                 f"the web moves {step:.9g} columns an angle; expected a ratio of whole numbers up to {DENOMINATOR}, "
-                f"so that segments begin at whole columns: take a pitch along l of {step / near:.14g} times this one"
+                f"so that segments begin at whole columns: use a pitch along l of {step / near:.14g} times this one"
             )
         overlap = positive("overlap [windows]", overlap, zero=True)
         many = exact.denominator
@@ -71,7 +71,7 @@ class SegmentLayout:
         return int((segment * self.core - self.overlap - self.lead) * self.step)
 
     def owned(self, segment: int, columns: int | None) -> tuple[int, int]:
-        """First frame a segment owns, and the one after its last; ``columns``: of the web, None where it goes on."""
+        """First frame a segment owns, and the one after its last; ``columns``: of the web, None without an end."""
         first = segment * self.core
         last = first + self.core
         return first, last if columns is None else min(last, self.frames(columns))

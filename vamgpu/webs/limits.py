@@ -1,4 +1,4 @@
-"""Limits of a web machine: sampling, speed, data, angles, flow. Formulas alone, no light.
+"""Limits of a web machine: sampling, speed, data, angles, flow. Only formulas, no simulation.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", sections S10 to S14.
 """
@@ -35,7 +35,7 @@ class SpeedLimit:
 
 @dataclass(frozen=True)
 class WebLimits:
-    """The limits of a web machine at one speed. Raises `BadInput`, also where the lens cannot reach the film."""
+    """The limits of a web machine at one speed. Raises `BadInput`, also if the lens cannot reach the film."""
 
     roller: Roller  # with its film
     lens: TunableLens = TunableLens()  # with its depth bins and settling time
@@ -79,7 +79,7 @@ class WebLimits:
 
     @property
     def frame_rate(self) -> float:
-        """Frames a second: every pose has one for each depth bin."""
+        """Frames per second: every angle has one for each depth bin."""
         return self.lens.bins * self.pose_rate
 
     @property
@@ -89,7 +89,7 @@ class WebLimits:
 
     @property
     def data_rate(self) -> float:
-        """Bytes a second."""
+        """Bytes per second."""
         return self.frame_rate * self.display.nbytes
 
     @property
@@ -119,7 +119,7 @@ class WebLimits:
 
     @property
     def moves(self) -> int:
-        """Moves of the lens a pose."""
+        """Moves of the lens per angle."""
         bins = self.lens.bins
         return 0 if bins == 1 else bins - 1 if self.display.turning else bins
 
@@ -130,7 +130,7 @@ class WebLimits:
 
     @property
     def pose_time(self) -> float:
-        """Least seconds a pose: each move is commanded and waited for, then its frame is shown whole."""
+        """Least time per angle [s]: each lens move is commanded and settles, then its frame is shown."""
         return self.moves * (self.display.wire + self.lens.settle) + self.lens.bins / self.display.rate
 
     @cached_property

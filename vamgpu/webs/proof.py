@@ -1,4 +1,4 @@
-"""Simulated print of a web, computed from nothing but its folder, segment by segment."""
+"""Simulated print of a web, computed only from its folder, segment by segment."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from vamgpu.webs.store import WebFolder
 
 BINS = 2048
 REACH = 4.0
-"""Doses are counted from 0 to this, in units of what the part should get; more counts as this much."""
+"""Doses are counted from 0 to this, in units of the part's dose; greater ones count as this."""
 CHUNK = 1 << 20
 """Voxels that a thread counts at once."""
 LEVEL = 128
-"""Fraction times 255 from which a voxel is in the part."""
+"""Least fraction times 255 of a voxel in the part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class WebProof:
 
 
 class _Simulation:
-    """Reads frames' bytes and makes dose of them; holds one segment at a time."""
+    """Reads frames' bytes and computes their dose; holds one segment at a time."""
 
     def __init__(
         self, folder: WebFolder, device: Device, wrap: Wrap | None = None, gain: np.ndarray | None = None
@@ -150,19 +150,19 @@ def prove_web(
     """Simulate a web from its frames' bytes and gray curve, and score each segment against its target.
 
     Args:
-        web: The folder, or its path. Of one that is not complete, what all its poses have lit already.
-        device: A name or a device; the best one here by default.
-        wrap: The machine; by default the roller that the folder describes, with the absorption last believed.
-        gain: Light of each frame over planned, (frames,); by default what the folder's frames were made for.
-        threshold: Dose from which resin is solid; by default the one of the greatest overlap.
+        web: The folder, or its path. If it is not complete, only columns that all their angles have lit.
+        device: A name or a device; the best available one by default.
+        wrap: The machine; by default the roller that the folder describes, with the last absorption.
+        gain: Light of each frame relative to the plan, (frames,); by default that of the folder's frames.
+        threshold: Least dose that makes resin solid; by default that of the greatest overlap.
 
     Returns:
         The proof.
 
     Raises:
-        StorageError: The folder is damaged, or of a machine that must be given.
+        StorageError: The folder is damaged, or its machine must be given.
         BadInput: No column is lit yet.
-        ShapeMismatch: There are other frames than gains.
+        ShapeMismatch: The numbers of frames and gains differ.
         DeviceError: There is no such device.
     """
     folder = web if isinstance(web, WebFolder) else WebFolder.open(web)

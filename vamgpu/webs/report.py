@@ -1,4 +1,4 @@
-"""A proven web as one self-contained HTML page."""
+"""A proved web as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 
 SHOWN = 9.0
 """Length [mm] of the piece of web that is shown in three dimensions."""
-SLICES_NOTE = "Slices of the same piece across the web; l runs to the right, the outer face is up."
-WRAPPED_NOTE = "Light comes from below, refracts at the outer face, fades in the film and ends at the roller."
+SLICES_NOTE = "Slices of the same piece across the web; l runs to the right, the outer face is at the top."
+WRAPPED_NOTE = "Light comes from below, refracts at the outer face, is absorbed in the film and ends at the roller."
 CONTRAST_NOTE = (
-    "Share ξ of what the resin makes of the best dose that lies in the part, for one random target and light within "
-    "arcsin m of the normal; m is the index of the bath over that of the resin. The smaller m, the fewer angles enter "
-    "the film."
+    "Share ξ of the resin's response to the best dose that is in the part, for one random target and light within "
+    "arcsin m of the normal; m is the index of the bath over that of the resin. For smaller m, fewer angles enter the "
+    "film."
 )
 
 
 def write_report(
     proof: WebProof, path: str | Path, *, title: str = "", contrast: Sequence[tuple[float, float]] = ()
 ) -> Path:
-    """Write the page of a proven web. contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
+    """Write the page of a proved web. contrast: pairs of index ratio and ξ to plot. Raises `StorageError`."""
     return page_of(proof, title or proof.folder.path.stem, contrast).write(path)
 
 
 def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]] = ()) -> Page:
-    """The page of a proven web."""
+    """The page of a proved web."""
     peak = _peak(proof)
     strips, shown = views.Strips(proof.segments[-1].columns[1], proof.threshold), None
     middle = len(proof.segments) // 2
@@ -56,7 +56,7 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
     return Page(
         "Web proof",
         title,
-        f"{missing + excess:,} of {total:,} voxels print wrong: {missing:,} missing, {excess:,} excess.",
+        f"{missing + excess:,} of {total:,} voxels print incorrectly: {missing:,} missing, {excess:,} excess.",
         missing + excess == 0,
         _tiles(proof),
         [
@@ -65,7 +65,7 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
             Card("Layer by layer", Slices(), note=SLICES_NOTE),
             Card("Light about the roller", Chart(_wrapped(proof)), note=WRAPPED_NOTE, wide=True),
             Card("Dose in and out of the part", Chart(histogram), wide=not contrast),
-            *([Card("Contrast over the index ratio", Chart(views.contrast_chart(contrast)), note=CONTRAST_NOTE)]
+            *([Card("Contrast against the index ratio", Chart(views.contrast_chart(contrast)), note=CONTRAST_NOTE)]
               if contrast else []),
             Card("Segment by segment", Chart(segments), note="One threshold for the whole web.", wide=True),
             Card(f"Frames{focus}", Images(views.frame_pictures(proof), "frames"), wide=True),
@@ -77,13 +77,13 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
 
 
 def _peak(proof: WebProof) -> float:
-    """Dose below which all but a thousandth of the voxels lie: what pictures show brightest."""
+    """Dose of 99.9 % of the voxels at most: the brightest in pictures."""
     total = proof.counts.sum(axis=0).cumsum()
     return float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])
 
 
 def _solid(proof: WebProof, piece: WebPart, peak: float) -> tuple[dict[str, Any], str]:
-    """Surfaces and slices of a stretch in the middle of a piece, as the page's script takes them."""
+    """Surfaces and slices of a stretch in the middle of a piece, for the page's script."""
     edges = np.array(proof.grid.edges)
     count = min(len(piece.dose), round(SHOWN / edges[0]))
     first = (len(piece.dose) - count) // 2
@@ -139,9 +139,9 @@ def _setup(proof: WebProof) -> list[tuple[str, str]]:
         ("voxels", " × ".join(f"{1e3 * edge:.4g}" for edge in grid["pitch"]) + " µm along l, ρ and z"),
         ("beam", f"{columns} × {rows} pixels of {1e3 * details['beam']['pitch']:.4g} µm"),
         ("film", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in film.items() if value is not None)),
-        ("roller", f"radius {details['wrap'].get('radius')} mm, {layout['step']} columns a pose"),
+        ("roller", f"radius {details['wrap'].get('radius')} mm, {layout['step']} columns per angle"),
         ("window of light", f"{layout['window']} columns, {layout['window'] * grid['pitch'][0]:.4g} mm"),
-        ("segments", f"{layout['core']} frames each, decided with {layout['overlap']} more on either side"),
+        ("segments", f"{layout['core']} frames each, solved with {layout['overlap']} more on either side"),
         ("method", ", ".join(f"{name} {value}" for name, value in details["method"].items())),
         ("device", proof.device.description),
     ]

@@ -234,7 +234,7 @@ def _coupled_by_norm(method: Method) -> BCLP | None:
 
 
 def local_loss(method: Method) -> Loss:
-    """The loss of a method that is a sum over voxels. Raises `BadInput` where a place depends on the whole web."""
+    """The loss of a method that is a sum over voxels. Raises `BadInput` if a place depends on the whole web."""
     loss = getattr(method, "loss", None)
     if not isinstance(loss, Loss):
         raise BadInput(

@@ -49,7 +49,7 @@ class WebFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> WebFolder:
-        """Read the record of a folder. Raises `StorageError` where there is none or it is damaged."""
+        """Read the record of a folder. Raises `StorageError` if there is none or it is damaged."""
         file = Path(path) / RECORD
         try:
             data = parse_json(read_text(file))
@@ -126,7 +126,7 @@ class WebFolder:
         return self
 
     def read(self, name: str, start: int, stop: int) -> np.ndarray:
-        """Entries of ``frames`` or ``target``. Raises `StorageError` where damaged, `BadInput` beyond the end."""
+        """Entries of ``frames`` or ``target``. Raises `StorageError` if damaged, `BadInput` beyond the end."""
         end = self.frames if name == "frames" else self.columns
         if not 0 <= start <= stop <= end:
             raise BadInput(f"{name} {start} to {stop}; expected 0 to {end}")

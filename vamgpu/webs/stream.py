@@ -1,4 +1,4 @@
-"""An endless print: tiles in, frames out, one segment after the other, in memory that does not grow."""
+"""An endless print: tiles in, frames out, segment by segment, in constant memory."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ QUANTILE = 0.9999
 """Share of the first segment's lit pixels that a full-on mirror reaches."""
 
 Progress = Callable[[int, int | None], None]
-"""Called after each segment with the segments done and their total (None where it is unknown)."""
+"""Called after each segment with the segments done and their total (None if it is unknown)."""
 
 SegmentSource = Callable[[range, float | None], Iterable[Segment]]
 """Segments of a range of numbers in order, by the scale that is known; the first one tells it where none is."""
@@ -51,7 +51,7 @@ SegmentSource = Callable[[range, float | None], Iterable[Segment]]
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """State that earlier segments leave to the next one."""
+    """State of earlier segments for the next one."""
 
     frames: np.ndarray  # the last ones, at most those of an overlap, uint8 [pose, row, column]
     levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, by the first segment
@@ -59,34 +59,34 @@ class Past:
 
 @dataclass(eq=False)
 class Stream:
-    """Frames for a web of any length, decided segment by segment.
+    """Frames for a web of any length, solved segment by segment.
 
     Args:
         tiles: An iterator of arrays [l, rho, z] of fractions, of any thickness along l; a function of (l, rho, z) [mm]
             that is negative in the solid; or `Repeated`, a mesh tiled along l.
         wrap: The machine, for example a `Roller`.
-        beam: Its light.
+        beam: The beam of its projector.
         lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` keeps
-            them, and the folder says which plane shows which column.
-        method: Any whose loss is a sum over voxels (`BCLP`, CAL, penalty minimization, two thresholds), its name, or
-            such a loss. The length of steps and their momentum are the `Solver`'s own. Of a norm whose q is not p, the
-            number that couples the web is found by its first segment, which is solved twice. Or "best" for the widest
-            window, of which a segment takes more memory and time.
-        section: Voxels along rho and z; by default those of a film of ``wrap``, a slice a row, and as many layers as
-            come nearest the pitch and fill the film.
-        pitch: Voxel edges along l, rho, z [mm]; by default one pose along l and the beam's pitch.
-        length: Of the web [mm]; tiles may leave it out and end when they like.
-        iterations: Of each segment, the method's own by default.
+            them, and the folder records the plane of each column.
+        method: A method whose loss is a sum over voxels (`BCLP`, CAL, penalty minimization, two thresholds), its name,
+            or such a loss. The `Solver` sets the length of steps and their momentum. For a norm with q ≠ p, the first
+            segment, which is solved twice, gives the number that couples the web. Or "best" for the widest window,
+            which takes more memory and time per segment.
+        section: Voxels along rho and z; by default one slice per row, and the number of layers that fill the film of
+            ``wrap`` with a pitch nearest to the beam's.
+        pitch: Voxel edges along l, rho, z [mm]; by default one step along l and the beam's pitch.
+        length: Length of the web [mm]; None if the tiles end by themselves.
+        iterations: Iterations of each segment, the method's own by default.
         core: Length of a segment relative to the window of light.
         overlap: Length solved on either side of a segment relative to the window of light.
-        gray: Of the projector; None for a linear one.
-        scale: Irradiance of a full-on pixel relative to the light's unit; by default what the first segment needs. It
-            is the same for all frames: a projector's lamp cannot change from frame to frame.
-        speed: At which the web is to be printed [mm/s]; kept in its folder for whoever prints it.
-        device: A name or a device; the best one here by default.
+        gray: Gray curve of the projector; None for a linear one.
+        scale: Irradiance of a full-on pixel relative to the light's unit; by default that of the first segment. It is
+            the same for all frames: a projector's lamp cannot change from frame to frame.
+        speed: Speed at which the web is to be printed [mm/s]; stored in its folder.
+        device: A name or a device; the best available one by default.
 
     Raises:
-        BadInput: An argument is of another kind or out of its range.
+        BadInput: An argument is of another type or out of its range.
         ShapeMismatch: The light was made for another geometry.
         DeviceError: There is no such device.
     """
@@ -142,7 +142,7 @@ class Stream:
 
     @property
     def total(self) -> int | None:
-        """Segments of the web; None where nobody knows its length."""
+        """Segments of the web; None if its length is unknown."""
         return None if self.length is None else self.layout.segments(Columns((), self.grid, self.length).end or 0)
 
     def segments(
@@ -152,17 +152,17 @@ class Stream:
         """Solve segment after segment; what was yielded before an error stays valid.
 
         Args:
-            first: Number of the first one; tiles are read from the very beginning all the same.
-            scale: That of the segments before, relative to the light's unit; by default the stream's.
-            before: Target of the segment before the first, uint8 [l, rho, z], which the tiles must give again.
-            given: What each segment goes on from, by its number; None begins each with the filtered target.
-            past: What a method that maximizes the window goes on from: the segments before ``first``.
+            first: Number of the first segment; tiles are still read from the start.
+            scale: Scale of the segments before, relative to the light's unit; by default the stream's.
+            before: Target of the segment before the first, uint8 [l, rho, z], which the tiles must reproduce.
+            given: Start of each segment, by its number; None starts each from the filtered target.
+            past: State of the segments before ``first``, for a method that maximizes the window.
 
         Returns:
             The segments in order.
 
         Raises:
-            TileError: The tiles break off, do not fit, or differ from ``before``.
+            TileError: The tiles end early, do not fit, or differ from ``before``.
         """
         columns, scale = self._settled(), scale or self.scale
         number, past = first, past or self._nothing
@@ -180,20 +180,20 @@ class Stream:
             number, scale = number + 1, segment.scale
 
     def alone(self, number: int, scale: float | None = None) -> Segment:
-        """One segment without those before it; for segments that do not depend on them.
+        """One segment without those before it, if it does not depend on them.
 
-        Segments are asked for in any order, though tiles are read anew for one that comes before the last one.
+        Segments may come in any order, but tiles are read again for one before the last one.
 
         Args:
-            number: Of the segment.
-            scale: That of the segment 0, relative to the light's unit; by default the stream's, or what it needs.
+            number: Number of the segment.
+            scale: Scale of segment 0, relative to the light's unit; by default the stream's, or that of segment 0.
 
         Returns:
             The segment.
 
         Raises:
-            BadInput: The web ends before it, its tiles can be read once only, or the method maximizes the window, whose
-                segments go on from those before.
+            BadInput: The web ends before it, its tiles can be read only once, or the method maximizes the window, so
+                that segments depend on those before.
             TileError: As for `segments`.
         """
         if reason := self.unsupported_alone():
@@ -208,9 +208,9 @@ class Stream:
         return segment
 
     def unsupported_alone(self) -> str:
-        """Why segments cannot be solved each for itself, or nothing."""
+        """Why segments cannot be solved separately, or nothing."""
         if isinstance(self.solver, WindowSolver):
-            return (f"{self.method!r} maximizes the window, and a segment goes on from the one before; expected a loss "
+            return (f"{self.method!r} maximizes the window, and each segment continues the one before; expected a loss "
                     "that is a sum over voxels, such as the method bclp")  # fmt: skip
         if self.total is None or isinstance(self.tiles, Iterator):
             return "the web has no length, or its tiles come once only"
@@ -236,7 +236,7 @@ class Stream:
     def _next(
         self, columns: Columns, number: int, scale: float | None, past: Past, given: Callable[[int], Start] | None
     ) -> tuple[Segment | None, Past]:  # fmt: skip
-        """A segment, and what it leaves to the next one; None beyond the end."""
+        """A segment, and its state for the next one; None beyond the end."""
         began = time.perf_counter()
         origin = self.layout.origin(number)
         fractions = columns.take(origin, origin + self.layout.columns)
@@ -258,14 +258,14 @@ class Stream:
         ), past  # fmt: skip
 
     def _check_same(self, columns: Columns, number: int, before: np.ndarray) -> None:
-        """Refuse tiles that are not those the segment before ``number`` was made from."""
+        """Reject tiles that are not those the segment before ``number`` was made from."""
         low, _ = self.layout.printed(number - 1, None)
         start = min(low, self.layout.origin(number))
         again = columns.take(start, low + len(before))[low - start :]
         if not np.array_equal(_bytes(again), before):
             raise TileError(
                 f"columns {low} to {low + len(before) - 1} of the tiles differ from those the web was begun with; "
-                "resume it with the same tiles from the very beginning, or begin anew"
+                "resume it with the same tiles from the start, or start a new one"
             )
 
     def _solve(
@@ -308,21 +308,20 @@ class Stream:
         self, path: str | Path, *, resume: bool = True, overwrite: bool = False, progress: Progress | None = None,
         spread: SegmentSource | None = None,
     ) -> WebFolder:  # fmt: skip
-        """Write every segment to a folder as soon as it is decided. A killed run leaves a folder of whole segments
-        only.
+        """Write every segment to a folder as soon as it is solved. A killed run leaves only whole segments.
 
         Args:
-            path: Of the folder.
-            resume: Go on where an interrupted run of the same stream stopped; tiles are read again from the beginning.
-            overwrite: Begin anew.
+            path: Path of the folder.
+            resume: Continue an interrupted run of the same stream; tiles are read again from the start.
+            overwrite: Replace an existing folder.
             progress: Called after each segment.
-            spread: Solves segments elsewhere, each as `alone` does; see `SegmentSource`. None solves them here.
+            spread: Solves segments on other workers, each as `alone` does; see `SegmentSource`. None solves them here.
 
         Returns:
             The folder.
 
         Raises:
-            StorageError: The folder is that of another stream, or cannot be written.
+            StorageError: The folder belongs to another stream, or cannot be written.
             TileError: As for `segments`.
         """
         folder = self._begun(Path(path), resume, overwrite)
@@ -375,7 +374,7 @@ class Stream:
         return WebFolder.create(place, details, (rows, columns), section, lengths)
 
     def details(self) -> dict[str, Any]:
-        """Describe what readers and a resumed run need.
+        """Describe the stream for readers and resumed runs.
 
         Returns:
             Plain values by subject.

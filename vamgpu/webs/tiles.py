@@ -41,7 +41,7 @@ class Columns:
 
     @property
     def end(self) -> int | None:
-        """Columns of the whole web; None as long as nobody knows."""
+        """Columns of the whole web; None until known."""
         return self.limit if self.limit is not None else (self._read if self._ended else None)
 
     def take(self, start: int, stop: int) -> np.ndarray:

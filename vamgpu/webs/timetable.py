@@ -1,4 +1,4 @@
-"""When a web machine commands its lens, when it triggers its mirrors, and when they are lit.
+"""Times at which a web machine commands its lens, triggers its mirrors, and lights them.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S14: the command for the
 lens goes out, right after it the trigger, and the mirrors wait for the lens to settle before they show their frame.
@@ -33,13 +33,13 @@ class Timetable:
 
 
 def timetable(limits: WebLimits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
-    """Times of some poses, each rounded to the clock from the beginning of the web, so that no error adds up.
+    """Times of some angles, each rounded to the clock from the start of the web, so that errors do not add up.
 
     Args:
         limits: The machine and its speed.
-        poses: How many poses.
-        first: Number of the first one.
-        tick: Of the clock [s].
+        poses: Number of angles.
+        first: Number of the first angle.
+        tick: Period of the clock [s].
 
     Returns:
         The times.

@@ -10,10 +10,10 @@ from vamgpu.chemistry.materials.source import Density
 
 
 class Clear(Absorbing):
-    """A transparent material: its refractive index, what it absorbs, its density; None where no source says.
+    """A transparent material: its refractive index, what it absorbs, its density; None if no source says.
 
     Args:
-        name: What it is called.
+        name: Name.
         index: Refractive index by wavelength.
         extinction: Absorption by wavelength.
         density: Density [mJ·s²/mm⁵].

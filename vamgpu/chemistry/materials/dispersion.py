@@ -58,8 +58,8 @@ class Dispersion(Spectrum):
         constant: The formula's constant, dimensionless.
         terms: The formula's coefficients, in pairs.
         index: Refractive index at each wavelength of "points".
-        temperature: At which it was measured [K].
-        source: Where the numbers are from.
+        temperature: Temperature of the measurement [K].
+        source: Source of the numbers.
     """
 
     form: Literal["sellmeier", "powers", "cauchy", "points"]
@@ -85,7 +85,7 @@ class Dispersion(Spectrum):
         return self
 
     def at(self, wavelength: float) -> float:
-        """Tell the refractive index at a wavelength.
+        """Refractive index at a wavelength.
 
         Args:
             wavelength: In vacuum [mm], as ``405 * units.nm``.

@@ -26,7 +26,7 @@ class Extinction(Spectrum):
         wavelength: In vacuum [mm], ascending.
         absorption: Per length [1/mm] and natural: light falls as e^{−μx}.
         k: Imaginary part of the refractive index, μ = 4πk/λ.
-        source: Where the numbers are from.
+        source: Source of the numbers.
     """
 
     absorption: Annotated[tuple[float, ...] | None, BeforeValidator(_absorptions)] = None
@@ -41,7 +41,7 @@ class Extinction(Spectrum):
         return self
 
     def at(self, wavelength: float) -> float:
-        """Tell the absorption at a wavelength.
+        """Absorption at a wavelength.
 
         Args:
             wavelength: In vacuum [mm].

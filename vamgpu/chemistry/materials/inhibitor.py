@@ -9,13 +9,13 @@ from vamgpu.chemistry.materials.source import Density, Duration, MolarMass
 
 
 class Inhibitor(Material):
-    """A dissolved inhibitor. Numbers have a ``.value`` and its ``.source``; what no source gives is None.
+    """A dissolved inhibitor. Numbers have a ``.value`` and its ``.source``; unknown ones are None.
 
     Args:
-        name: What it is called.
+        name: Name.
         molar_mass: Molar mass [g/mol].
-        density: As a liquid at its boiling point [mJ·s²/mm⁵].
-        lifetime: How long it lasts by itself [s].
+        density: Density of the liquid at its boiling point [mJ·s²/mm⁵].
+        lifetime: Natural lifetime [s].
     """
 
     folder: ClassVar[str] = "inhibitors"

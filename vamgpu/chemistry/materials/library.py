@@ -63,7 +63,7 @@ class Absorbing(Material):
     extinction: Extinction | None = None
 
     def absorption(self, wavelength: float) -> float:
-        """Tell the absorption at a wavelength.
+        """Absorption at a wavelength.
 
         Args:
             wavelength: In vacuum [mm].

@@ -26,11 +26,11 @@ class Component(Sourced):
     """A component of a resin. At most one of share and concentration is given: the one that the source gives.
 
     Args:
-        name: What it is called.
-        role: What it does, such as "monomer" or "photoinitiator".
+        name: Name.
+        role: Role, such as "monomer" or "photoinitiator".
         share: Share of the mass, 0..1.
         concentration: Concentration [mol/m³].
-        source: Where the number is from.
+        source: Source of the number.
     """
 
     name: str
@@ -44,8 +44,8 @@ class Resin(Absorbing):
     """A resin and what its sources say of it; None for what they do not. Numbers have a ``.value`` and its ``.source``.
 
     Args:
-        name: What it is called.
-        components: What it is mixed from.
+        name: Name.
+        components: Components of the mixture.
         viscosity: Dynamic viscosity [mJ·s/mm³].
         molar_mass: Average molar mass [g/mol].
         temperature: Temperature [K] at which it is used.
@@ -66,7 +66,7 @@ class Resin(Absorbing):
     note: str = ""
 
     def refraction(self, wavelength: float) -> float:
-        """Tell the refractive index at a wavelength.
+        """Refractive index at a wavelength.
 
         Args:
             wavelength: In vacuum [mm].

@@ -1,4 +1,4 @@
-"""The two colors of light a resin is exposed to, and the light found for them."""
+"""Two colors of light for a resin, and their patterns."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def subtracted_gradient(operators: tuple[Any, Any], gains: tuple[float, float], 
 
 @dataclass(frozen=True, eq=False)
 class Colors:
-    """One volume, seen by light that cures (visible) and by light that undoes it (UV).
+    """One volume, lit by light that cures (visible) and by light that inhibits (UV).
 
     Args:
         visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
             of its color: light of the color → dose is ``.T``, their exact transposes.
-        projector: What turns a pattern of dose into light in the rules of passes, e.g. one without absorption; None for
-            each color's own operator.
-        strength: Visible dose that one unit of UV dose undoes.
-        whole: Every voxel of the grid counts, as in a square slice whose diagonal is the diameter; otherwise only the
-            inscribed cylinder does, where a method knows it.
+        projector: Operator that turns a pattern of dose into light in the rules of passes, e.g. one without absorption;
+            None for each color's own.
+        strength: Visible dose that one unit of UV dose cancels.
+        whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter; otherwise
+            only the inscribed cylinder, for methods that use it.
 
     Raises:
         BadInput: A value is out of its range.
@@ -112,7 +112,7 @@ class Pass:
     """One record of a run.
 
     Args:
-        number: Counted from 1.
+        number: Number of the pass, from 1.
         evaluations: Projector evaluations so far, both colors.
         undersupply, oversupply: Root mean squares over all voxels, a dose in units of the design.
     """
@@ -135,10 +135,10 @@ class DualPlan:
     Args:
         visible, uv: Sinograms [angle, r, z] ≥ 0 on the device, scaled so that the buildup is in units of the design; uv
             is None for methods of one color.
-        colors, method: What made it.
-        history: One `Pass` a pass.
-        seconds: How long the run took [s].
-        papers: What the method relies on.
+        colors, method: The colors and the method of the run.
+        history: One `Pass` per pass.
+        seconds: Wall time of the run [s].
+        papers: Papers of the method.
     """
 
     visible: DeviceArray

@@ -35,11 +35,11 @@ class LeastSquares(Rule):
     where the operator is a `Projection`. An iteration is two projector evaluations.
 
     Args:
-        iterations: In all.
-        below: Dose by which a voxel out of the part may fall under zero at no cost (an inhibited void need not be
-            exactly at zero).
-        cost: Of light, per unit, added to the loss for both colors: keeps the same light from being sent twice with
-            opposite effect.
+        iterations: Total number of iterations.
+        below: Dose below zero that a voxel outside the part may have without a penalty (an inhibited void need not be
+            exactly zero).
+        cost: Weight of the light of both colors in the loss, per unit, so that the same light is not sent twice with
+            opposite effects.
         cap: Frequency [cycles per column] beyond which the ramp is level.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Rules that compare a buildup with the design and project what is missing or too much: SC, SC2 and DC.
+"""Rules that compare a buildup with the design and project missing and excess dose: SC, SC2 and DC.
 
 Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The text
 leaves scales open; what is chosen here is said where it is chosen.
@@ -89,7 +89,7 @@ class Rule(Protocol):
         """Improve ``state.light`` and ``state.uv``.
 
         Args:
-            state: Of the run; its light is in units of the design whenever a pass is yielded.
+            state: State of the run; its light is in units of the design whenever a pass is yielded.
 
         Returns:
             The records of the passes, one after each.
@@ -99,7 +99,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class SingleColor(Rule):
-    """SC: the design projected and nothing more; the greatest dose is the design's."""
+    """SC: only the projected design; the greatest dose is the design's."""
 
     papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
@@ -111,14 +111,14 @@ class SingleColor(Rule):
 
 @dataclass(frozen=True)
 class Tolerant(Rule):
-    """SC2: one color, corrected by what the part lacks and by what exceeds a one-sided tolerance around it.
+    """SC2: one color, corrected by the missing dose and by the dose above a one-sided tolerance.
 
     The scale of the first pass is kept, so that passes are steps of a projected descent.
 
     Args:
-        tolerance: Dose allowed anywhere, over the greatest of the design; gray values below it are ignored where the
-            dose is too high, as in the paper.
-        passes: Passes at most, one projector evaluation each.
+        tolerance: Dose allowed anywhere, relative to the greatest of the design; gray values below it are ignored where
+            the dose is too high, as in the paper.
+        passes: Most passes, one projector evaluation each.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 
     Raises:
@@ -152,18 +152,18 @@ class Tolerant(Rule):
 
 @dataclass(frozen=True)
 class DualColor(Rule):
-    """DC: what is too much becomes UV light, what is too little more visible light.
+    """DC: excess dose becomes UV light, missing dose becomes more visible light.
 
     Args:
-        recompute: True, the default, is the rule of the text, what it leaves open settled as the erratum has it. The
-            oversupply of the visible buildup, scaled by its maximum, is projected anew as UV light in every pass, while
+        recompute: True, the default, is the rule of the paper's text, with open points as in the erratum. In every
+            pass, the oversupply of the visible buildup, scaled by its maximum, is projected again as UV light, while
             undersupply adds up in the visible light; both buildups are then scaled by one factor, the maximum of their
-            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer where it could undo
-            more than the greatest oversupply: a thin part in a wide void would have no dose left. Undersupply falls,
-            oversupply grows with the passes, since the visible light grows and the UV light does not: read both, and
-            take False for contrast. False keeps the scale of the first pass, compares the difference of the buildups,
-            and adds to both colors: a projected descent that lowers both.
-        passes: Passes at most.
+            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer if it would undo
+            more than the greatest oversupply: otherwise a thin part in a wide void would have no dose left. With the
+            passes, undersupply falls and oversupply grows, because only the visible light grows: read both, and use
+            False for contrast. False keeps the scale of the first pass, compares the difference of the buildups, and
+            adds to both colors: a projected descent that lowers both.
+        passes: Most passes.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 
     Raises:

@@ -35,14 +35,14 @@ def superpose(
 ) -> DualPlan:
     """Find visible and UV light [angle, r, z] ≥ 0 whose difference of doses is the design, on the colors' device.
 
-    Doses add linearly and UV dose undoes visible dose, ``colors.strength`` to one: no chemistry is asked here.
+    Doses add linearly and UV dose cancels ``colors.strength`` times the visible dose, without chemistry.
 
     Args:
         colors: Operators of both colors.
         design: A `Target`, or gray values 0..1 [x, y, z] (NumPy or on the device).
         method: A name of `METHODS` or an instance.
         progress: Gets every `Pass`.
-        cancel: Asked after each pass; the plan reached so far is returned then.
+        cancel: Called after each pass; if it returns true, the plan so far is returned.
 
     Returns:
         The plan.

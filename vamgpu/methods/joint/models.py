@@ -21,11 +21,11 @@ from vamgpu.operators.space import require
 
 
 class SpeciesFields(NamedTuple):
-    """The state of every voxel between turns, in shares of [A]₀.
+    """The state of every voxel between turns, relative to [A]₀.
 
     Args:
         oxygen, lophyl, supply: [A], [B] and [C], volumes [x, y, z].
-        exposure: 1 + X, where X is what went to the monomer, [x, y, z].
+        exposure: 1 + X, where X is the exposure of the monomer, [x, y, z].
     """
 
     oxygen: DeviceArray
@@ -95,8 +95,8 @@ class LinearModel(Model):
 
     Args:
         visible, ultraviolet: Operators of both colors.
-        resin: What the light does to the resin.
-        turns: How often the light of a turn is shown.
+        resin: Response of the resin to light.
+        turns: Number of times that the light of a turn is shown.
     """
 
     resin: TwoColorResin
@@ -118,8 +118,9 @@ class LinearModel(Model):
 class KineticModel(Model):
     """The state of every voxel through all turns, light arriving in the order of rotation.
 
-    Effective dose = 1 + X − [A] − [B]/α in shares of the induction: the visible exposure so far, less what it takes to
-    be rid of the inhibitors that ultraviolet made. Below 1 nothing polymerizes but what ε lets pass, beyond it X does.
+    Effective dose = 1 + X − [A] − [B]/α, relative to the induction: the visible exposure so far, minus the exposure
+    that consumes the inhibitors made by ultraviolet. Below 1 only the share given by ε polymerizes, above 1 the
+    exposure X.
 
     Memory, in volumes: 4·runs for light and slopes, 3·turns for the states at the beginnings of turns, 3·runs·steps for
     those of the turn that is recomputed, and about 10.
@@ -127,10 +128,10 @@ class KineticModel(Model):
     Args:
         visible, ultraviolet: Operators of both colors on one grid, turntable and device; vessels that absorb attenuate
             each color by itself.
-        resin: What the light does to the resin.
-        turns: How often the light of a turn is shown.
-        period: Of a turn [s], which pairing needs.
-        runs: Runs of poses a turn; the light of a run arrives at once.
+        resin: Response of the resin to light.
+        turns: Number of times that the light of a turn is shown.
+        period: Time of a turn [s], needed for pairing.
+        runs: Runs of angles per turn; the light of a run arrives at once.
         steps: Depletion substeps within a run.
         start: The state before the first of these turns; None for fresh resin.
 
@@ -169,10 +170,10 @@ class KineticModel(Model):
         """The same resin for other turns, with lamps that may have changed.
 
         Args:
-            turns: How often the light of a turn is shown.
+            turns: Number of times that the light of a turn is shown.
             start: The state before; None for fresh resin.
-            visible, ultraviolet: Light of each lamp over that of this model, dimensionless.
-            operators: Of both colors, where these have changed; None for this model's.
+            visible, ultraviolet: Light of each lamp relative to that of this model, dimensionless.
+            operators: Operators of both colors, if they have changed; None for this model's.
 
         Returns:
             The model.

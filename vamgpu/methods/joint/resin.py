@@ -1,4 +1,4 @@
-"""Response of a resin of two inhibitors to light of two colors, in shares of its induction."""
+"""Response of a resin of two inhibitors to light of two colors, relative to its induction."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from vamgpu.schema.quantities import NonNegative, Positive
 
 @dataclass(frozen=True)
 class TwoColorResin:
-    """Oxygen A, lophyl radicals B and o-Cl-HABI C after eqs 5-7, concentrations as shares of [A]₀.
+    """Oxygen A, lophyl radicals B and o-Cl-HABI C by eqs 5-7, concentrations relative to [A]₀.
 
-    Extinction stays as it is: neither color follows the depletion of C. Doses are in the unit that the operators give.
+    Extinction is constant: neither color follows the depletion of C. Doses are in the unit of the operators.
 
     Args:
-        visible: Share of the induction that a unit of visible dose takes (k_A/[A]₀).
+        visible: Share of the induction that a unit of visible dose consumes (k_A/[A]₀).
         ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).
         supply: [C]₀/[A]₀.
         alpha: Ratio k_B/k_A, visible light's preference for B.
-        pairing: k₂·[A]₀ [1/s], B's way back to C.
-        cross: Share of the induction that a unit of ultraviolet dose takes by starting chains itself.
-        floor: ε, the share of [A]₀ as which the monomer competes for radicals; eqs 5-7 are its limit 0, and smooth
-            because of it.
+        pairing: Rate k₂·[A]₀ [1/s] at which B recombines to C.
+        cross: Share of the induction that a unit of ultraviolet dose consumes by starting chains itself.
+        floor: ε, the share of [A]₀ by which the monomer competes for radicals; it smooths eqs 5-7, which are its limit
+            0.
 
     Raises:
         BadInput: A value is out of its range.

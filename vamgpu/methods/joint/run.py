@@ -27,12 +27,12 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
 
 LINEAR = 4
-"""Iterations of the linear model for each that visible light alone gets: they cost next to nothing."""
+"""Iterations of the linear model for each one with only visible light; they cost little."""
 
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Effective doses that are asked for, where 1 is the end of the induction, T_opt.
+    """Required effective doses; 1 is the end of the induction, T_opt.
 
     Args:
         outside: Greatest effective dose out of the part.
@@ -57,7 +57,7 @@ class LossWeights:
         """Make the loss of a voxel.
 
         Args:
-            resin: Whose effective dose is judged.
+            resin: The resin whose effective dose is judged.
 
         Returns:
             The loss. Out of the part less is never wrong, however far below 0 B takes it.
@@ -75,11 +75,11 @@ class ColorPlan:
         visible, ultraviolet: Light [angle, r, z] ≥ 0 on the device.
         model, weights: What made it.
         target: Fractions [x, y, z].
-        history: One `Step` an iteration; an evaluation is one forward and one back projection of both colors.
-        papers: What the method relies on.
-        seconds: How long the run took [s].
+        history: One `Step` per iteration; an evaluation is one forward and one back projection of both colors.
+        papers: Papers of the method.
+        seconds: Wall time of the run [s].
         best_iteration: The iteration that evaluated this light, counted from 1; 0 before any.
-        state: What resuming needs, by color; a resumed run goes on from its last light, not from the best.
+        state: Memory for resuming, by color; a resumed run continues from its last light, not from the best.
     """
 
     visible: DeviceArray
@@ -110,7 +110,7 @@ class ColorPlan:
         return (model or self.model).expose(self.light)
 
     def contrast(self, model: Model | None = None) -> EffectiveContrast:
-        """Tell the contrast of the effective dose.
+        """Contrast of the effective dose.
 
         Args:
             model: Another model that judges the same light; that of the plan by default.
@@ -132,13 +132,13 @@ def optimize_colors(
     Args:
         model: `KineticModel`, or `LinearModel` to compare with.
         target: A `Target`, or fractions [x, y, z].
-        weights: Effective doses that are asked for.
-        iterations: In all, those of ``resume`` included.
-        start: Light to begin with, copied; by default what the linear model finds.
-        warm: Iterations for the visible light alone; four times as many follow for both colors by the linear model.
+        weights: Required effective doses.
+        iterations: Total number, including those of ``resume``.
+        start: Initial light, copied; by default that of the linear model.
+        warm: Iterations for only the visible light; four times as many follow for both colors in the linear model.
         progress: Gets every `Step`.
-        cancel: Asked before each one.
-        resume: A plan of the same model and weights to go on from, bit by bit; it stays as it is.
+        cancel: Called before each step; returns whether to stop.
+        resume: A plan of the same model and weights to continue, bit for bit; it does not change.
 
     Returns:
         The plan with the light of least loss.
@@ -146,7 +146,7 @@ def optimize_colors(
     Raises:
         BadInput: A value is out of its range.
         ShapeMismatch: Shapes do not fit.
-        Cancelled: ``cancel`` says so, or Ctrl-C; carries the plan so far.
+        Cancelled: ``cancel`` returned true, or Ctrl-C; carries the plan so far.
     """
     begun = time.perf_counter()
     (count,) = counts("iterations", (LossWeights.iterations if iterations is None else iterations,), 1)
@@ -194,12 +194,12 @@ def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
 
 
 def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
-    """Copies of the memories of a plan. Raises `BadInput` where it is of another run."""
+    """Copies of the memories of a plan. Raises `BadInput` if it is of another run."""
     if start is not None:
-        raise BadInput("both start and resume were given; expected one: start begins anew, resume goes on")
+        raise BadInput("got both start and resume; expected one: start begins a new run, resume continues one")
     if plan.model is not model or plan.weights != weights or not plan.state:
         raise BadInput(f"the plan to resume is by {plan.model!r} for {plan.weights!r}; expected one of this very "
-                       f"model, for {weights!r}: give start= to begin anew from its light")  # fmt: skip
+                       f"model, for {weights!r}: give start= for a new run from its light")  # fmt: skip
     return copied(plan.state)
 
 

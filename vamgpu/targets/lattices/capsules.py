@@ -21,11 +21,11 @@ class Capsules(Distance):
     The first is centered half a spacing from x = 0, and on z = 0.
 
     Args:
-        radius: Of the outside [mm].
-        length: Of the straight part [mm].
+        radius: Radius of the outside [mm].
+        length: Length of the straight part [mm].
         wall: Thickness [mm]; ``radius`` for solid ones.
         spacing: From one to the next along x and z [mm].
-        depth: Of their axes [mm].
+        depth: Depth of their axes [mm].
 
     Raises:
         BadInput: A value is out of its range, or they would touch.

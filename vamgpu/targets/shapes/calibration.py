@@ -29,10 +29,10 @@ def exposure_disk(
     the seven spoked half disks and none of the others: a figure of merit of 7 (their eq. 2).
 
     Args:
-        diameter: Of the disk [mm].
-        thickness: Of the disk [mm].
+        diameter: Diameter of the disk [mm].
+        thickness: Thickness of the disk [mm].
         pixel: Unit of the spokes and gaps [mm].
-        half_disk_radius: Of each half disk [mm].
+        half_disk_radius: Radius of each half disk [mm].
         spoke_spacing: Between the two spokes of a half disk [mm].
 
     Returns:

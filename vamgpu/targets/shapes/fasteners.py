@@ -29,7 +29,7 @@ def screw(length: float = 6.35, clearance: float = 0.0) -> Solid:
     """A 1/4-20 UNC socket head cap screw, head down.
 
     Args:
-        length: Of the threaded part [mm].
+        length: Length of the threaded part [mm].
         clearance: Taken off the thread's radius [mm].
 
     Returns:

@@ -46,8 +46,8 @@ def gear_base(thickness: float = 1.5, pin_height: float = 4.5) -> Solid:
     """A plate with two pins of 3 mm diameter at the gears' center distance.
 
     Args:
-        thickness: Of the plate [mm].
-        pin_height: Of the pins [mm].
+        thickness: Thickness of the plate [mm].
+        pin_height: Height of the pins [mm].
 
     Returns:
         The plate.

@@ -21,10 +21,10 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
     """A sheet of nearly even thickness along the gyroid sin x cos y + sin y cos z + sin z cos x = 0, cut by a sphere.
 
     Args:
-        radius: Of the sphere [mm].
+        radius: Radius of the sphere [mm].
         cell: Period of the gyroid [mm].
         wall: Thickness of the sheet [mm].
-        pitch: Of the sampling grid [mm].
+        pitch: Pitch of the sampling grid [mm].
 
     Returns:
         The sphere.

@@ -21,7 +21,7 @@ def crossing_channels(width: float = 0.3, size: float = 8.0, thickness: float = 
     Args:
         width: Side of the square cross section [mm].
         size: Edge of the block [mm].
-        thickness: Of the block [mm].
+        thickness: Thickness of the block [mm].
         bridge: Solid material between the channels where they cross [mm].
 
     Returns:

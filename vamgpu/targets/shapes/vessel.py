@@ -31,7 +31,7 @@ def boat(height: float = 11.5) -> Solid:
     mm wall, and raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
 
     Args:
-        height: Of the boat [mm]; everything scales with it.
+        height: Height of the boat [mm]; everything scales with it.
 
     Returns:
         The boat.
