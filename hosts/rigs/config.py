@@ -268,7 +268,9 @@ def _completed(data: dict[str, Any]) -> None:
     if "clock" in data or not isinstance(motion := data.get("motion"), dict):
         return
     moves = controller is not None and motion.get("driver") in ("controller", "emulated")
-    driver = "vblank" if any(map(_cabled, _each(data.get("display", ())))) else "controller" if moves else "stage"
+    displays = _each(data.get("display", ()))
+    cabled = isinstance(displays, tuple) and any(map(_cabled, displays))
+    driver = "vblank" if cabled else "controller" if moves else "stage"
     data["clock"] = {"driver": driver}
 
 

@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.emulators.array import ArrayModel
-from vamgpu.hosts.emulators.camera import resin_camera
-from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
-from vamgpu.hosts.emulators.dose import DoseMonitor, full_light
-from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig, EmulatedStageRig, EmulatedVideoRig
 from vamgpu.hosts.player.machines import Machines, MirrorMachines, StageMachines, VideoMachines
 from vamgpu.hosts.player.rows import FINE, emulated_microsteps
 from vamgpu.hosts.rigs.guarantees import driver_of
@@ -64,6 +59,8 @@ class Rehearsal:
 
     def shares(self, planned: PrintPlan, engine: int = 0) -> np.ndarray:
         """Light in the resin of a vial so far, in full-on slots, [image, row, column]. Raises `BadInput`."""
+        from vamgpu.hosts.emulators.dose import full_light  # as below: no real print loads an emulator
+
         frames = planned.jobs[engine].frames
         if frames is None:
             raise BadInput(f"{planned.jobs[engine].path!r} is not for a vial; get its light from the dose monitor")
@@ -94,6 +91,10 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
     Returns:
         The machines, the emulated rig and the dose monitor.
     """
+    from vamgpu.hosts.emulators.camera import resin_camera
+    from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
+    from vamgpu.hosts.emulators.dose import DoseMonitor
+
     clock = PacedClock() if paced else VirtualClock()
     if planned.display is not None:
         emulated, machines = _video_rig(planned, planned.display, clock)
@@ -132,6 +133,9 @@ def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, tu
 
 
 def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
+    from vamgpu.hosts.emulators.array import ArrayModel
+    from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
+
     size, lens = planned.mirrors[0], planned.rig.setup.lens
     model = ArrayModel(height=size.rows, width=size.columns)
     model = replace(model, planes=min(model.planes, EMULATED // (model.height * model.row_bytes)))
@@ -151,6 +155,9 @@ def _mirror_rig(planned: PrintPlan, clock: Any) -> tuple[Any, MirrorMachines]:
 
 
 def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
+    from vamgpu.hosts.emulators.array import ArrayModel
+    from vamgpu.hosts.emulators.rigs import EmulatedStageRig
+
     size, setup, table = planned.mirrors[0], planned.rig.setup, planned.schedule
     model = ArrayModel(height=size.rows, width=size.columns)
     emulated = EmulatedStageRig(
@@ -161,6 +168,8 @@ def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
 
 
 def _video_rig(planned: PrintPlan, display: HdmiTiming, clock: Any) -> tuple[Any, VideoMachines]:
+    from vamgpu.hosts.emulators.rigs import EmulatedVideoRig
+
     columns, rows = display.pixels
     setup = planned.rig.setup
     cable: Any = setup.display[0]

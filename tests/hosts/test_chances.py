@@ -78,4 +78,4 @@ def test_random_deaths_are_dark_and_told(name: str, seed: int, tmp_path: Path) -
     if state is not None:
         assert record.state is state is (PrintState.COMPLETE if found.complete else PrintState.INCOMPLETE)
     elif not stand.leased:
-        assert "another host" in refused or "begin" in refused
+        assert "another host" in refused or "start again" in refused

@@ -189,7 +189,7 @@ def test_a_stalled_motor_ends_the_print_where_an_encoder_sees_it(tmp_path: Path,
     if not feedback:
         assert job.run() is PrintState.COMPLETE and stalled, "nobody saw it"
         return
-    with pytest.raises(InterlockOpen, match="closed the light: stall, the encoder is not"):
+    with pytest.raises(InterlockOpen, match="closed the light: stall, the encoder differs"):
         job.run()
     assert not emulated.controller.light
     speed = float(schedule.speed / schedule.advance) * STEPS

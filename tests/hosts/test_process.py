@@ -107,6 +107,17 @@ def test_the_process_imports_nothing_that_draws_or_serves(job: Path) -> None:
     assert state == "complete" and not FORBIDDEN & set(modules)
 
 
+def test_the_process_of_a_real_print_loads_no_emulator() -> None:
+    code = (
+        "import sys\nimport vamgpu.hosts.process.__main__\n"
+        "print(*(name for name in sys.modules if name.startswith('vamgpu.hosts.emulators')))\n"
+    )
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    asked = [sys.executable, "-c", code]
+    told = subprocess.run(asked, env=env, capture_output=True, check=True, text=True).stdout.split()
+    assert not told
+
+
 def test_buttons_of_a_page_that_came_later_act_there_and_their_errors_come_back(job: Path) -> None:
     with started(order(job, turns=20, page=False), Board()) as watch:
         lit(watch)

@@ -108,5 +108,5 @@ def test_a_job_may_leave_out_what_its_pixels_ask_for() -> None:
         whole = vam.enough_angles(A.beam, A.vessel, target.radius)
         assert whole >= 2.0 * np.pi * target.radius / width > whole - 60
         assert A.motion.angles == min(most, whole) if "range" not in str(settings) else -(-whole // 2)
-    with pytest.raises(JobError, match="turntable.most: got 100 beside angles = 24; remove one"):
+    with pytest.raises(JobError, match="turntable.most: got 100 with angles = 24; remove one"):
         job_of("turntable.angles=24", "turntable.most=100")

@@ -113,7 +113,9 @@ def test_a_share_of_darkening_knows_neither_gain_nor_orientation() -> None:
     images = clear * np.exp(-0.6 * wanted)
 
     def share(clear: np.ndarray, images: np.ndarray) -> float:
-        return share_of(darkening(mean_level(clear) - mean_level(images)), darkening(wanted))
+        before, after = mean_level(clear, clear.shape), mean_level(images, clear.shape)
+        assert before is not None and after is not None
+        return share_of(darkening(before - after), darkening(wanted))
 
     assert share(clear, images) == pytest.approx(0.6, rel=1e-6)
     assert share(clear, 1.2 * images) == pytest.approx(0.6, rel=1e-6)
@@ -127,9 +129,42 @@ def test_a_share_of_darkening_knows_neither_gain_nor_orientation() -> None:
 def test_lost_frames_do_not_count_in_a_level() -> None:
     images = np.full((3, 2, 2), 100.0)
     images[1] = np.nan
-    assert np.allclose(mean_level(images), np.log(100.0))
-    assert np.isnan(mean_level(np.full_like(images, np.nan))).all()
-    assert np.isnan(share_of(darkening(mean_level(images * np.nan)), np.ones(4)))
+    level = mean_level(images, (3, 2, 2))
+    assert level is not None and np.allclose(level, np.log(100.0))
+    assert mean_level(np.full_like(images, np.nan), (3, 2, 2)) is None and mean_level(images, (3, 2, 3)) is None
+
+
+@pytest.mark.parametrize("lost", [1, PLANNED, PLANNED + 1])
+def test_a_lost_turn_costs_one_decision_and_no_more(lost: int) -> None:
+    """A lamp of 80 % needs three turns more than planned."""
+    made, part, light = setup()
+    loop, live = made.loop(part, light), printer(Truth(lamp=0.8))
+    state, action = loop.start(), "keep"
+    while action != "stop":
+        live.turn(live.dose(np.asarray(state.light)))
+        images = live.through()
+        state, decision = loop.decide(state, np.full(images.shape, np.nan) if live.turns == lost else images)
+        action = decision.action
+        assert (decision.reason[:7] == "refused") == (live.turns == lost) and not decision.doubt
+    assert live.turns > PLANNED + 1 and overlap(live.printed()) > 0.98
+
+
+def test_the_first_turn_s_images_may_be_lost() -> None:
+    first = iter([True])
+
+    def seen(images: np.ndarray) -> np.ndarray:
+        return np.full(images.shape, np.nan) if next(first, False) else np.rint(1.19 * images)
+
+    decisions, found = watched(seen)
+    assert decisions[-1].doubt and len(decisions) < PLANNED and found > 0.97
+
+
+@pytest.mark.parametrize("shape", [(40, 12, 47), (12, 48)])
+def test_images_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    made, part, light = setup()
+    loop = made.loop(part, light)
+    _, decision = loop.decide(loop.start(), np.ones(shape))
+    assert decision.reason.startswith("refused: the images have shape")
 
 
 def test_the_report_says_that_images_were_doubted(tmp_path: Path) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from threading import current_thread
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import vamgpu as vam
 from vamgpu import Grid
 from vamgpu.errors import BadInput
-from vamgpu.metrics.tolerance import ToleranceWindow, depth_of_fractions, depth_of_target, tolerance_window
+from vamgpu.metrics.tolerance import Depth, ToleranceWindow, depth_of_fractions, depth_of_target, tolerance_window
 
 GRID = Grid((28, 26, 24), 0.1)
 FINE = 0.05
@@ -36,6 +39,11 @@ def ball(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     return RADIUS - np.sqrt((x[:, None, None] - 0.03) ** 2 + (y[None, :, None] + 0.02) ** 2 + z[None, None, :] ** 2)
 
 
+def later(depth: Callable[..., np.ndarray]) -> Depth:
+    """Found when it is called again."""
+    return lambda *axes: lambda: depth(*axes)
+
+
 def slabs(dose: np.ndarray, thick: int = 11) -> Iterator[FineSlab]:
     x, y, z = positions()
     for start in range(0, len(z), thick):
@@ -49,7 +57,7 @@ def soft(depth: np.ndarray) -> np.ndarray:
 
 def test_a_soft_edge_gives_the_window_it_must() -> None:
     dose = soft(ball(*positions()))
-    found = tolerance_window(slabs(dose), ball, GRID.pitch)
+    found = tolerance_window(slabs(dose), later(ball), GRID.pitch)
     assert found.distance[0] == 0 and found.distance[-1] == pytest.approx(0.2)
     for distance in (0.0, 0.025, 0.05, 0.1, 0.15, 0.2):
         wanted = (min(0.5 + 2.5 * distance, 0.9) - max(0.5 - 2.5 * distance, 0.1)) / 0.9
@@ -61,14 +69,14 @@ def test_a_soft_edge_gives_the_window_it_must() -> None:
 
 def test_the_thickness_of_slabs_does_not_matter() -> None:
     dose = soft(ball(*positions())) + 0.05 * np.random.default_rng(0).random((56, 52, 48))
-    one, many = (tolerance_window(slabs(dose, n), ball, GRID.pitch) for n in (48, 5))
+    one, many = (tolerance_window(slabs(dose, n), later(ball), GRID.pitch) for n in (48, 5))
     assert np.array_equal(one.window, many.window) and np.array_equal(one.judged, many.judged)
 
 
 def test_the_curve_is_the_definition() -> None:
     """Against every voxel counted at once, with a dose that is noise."""
     dose, depth = np.random.default_rng(1).random((56, 52, 48)), ball(*positions())
-    found = tolerance_window(slabs(dose), ball, GRID.pitch, radius=1.1)
+    found = tolerance_window(slabs(dose), later(ball), GRID.pitch, radius=1.1)
     x, y, _ = positions()
     disc = np.broadcast_to((x[:, None] ** 2 + y[None, :] ** 2 <= 1.1**2)[:, :, None], dose.shape)
     for distance, window in zip(found.distance[::7], found.window[::7], strict=True):
@@ -83,9 +91,9 @@ def test_depths_of_coarse_fractions_serve_a_fine_dose() -> None:
     depth, axes = depth_of_fractions(np.mean(filled, axis=0), GRID), positions()
     true = ball(*axes)
     near = np.abs(true) < 0.18
-    assert np.sqrt(np.mean((depth(*axes) - true)[near] ** 2)) < 0.06 * GRID.pitch
+    assert np.sqrt(np.mean((depth(*axes)() - true)[near] ** 2)) < 0.06 * GRID.pitch
     dose = soft(true)
-    exact, found = (tolerance_window(slabs(dose), d, GRID.pitch) for d in (ball, depth))
+    exact, found = (tolerance_window(slabs(dose), d, GRID.pitch) for d in (later(ball), depth))
     assert found.at(0.05) == pytest.approx(exact.at(0.05), abs=0.06)
 
 
@@ -97,7 +105,7 @@ def test_depths_of_a_part_that_is_sampled_again() -> None:
     depth = depth_of_target(SimpleNamespace(resampled=resampled), FINE, GRID.pitch)  # type: ignore[arg-type]
     x, y, z = positions()
     for part in (slice(0, 9), slice(20, 31), slice(47, 48)):
-        true, found = ball(x, y, z[part]), depth(x, y, z[part])
+        true, found = ball(x, y, z[part]), depth(x, y, z[part])()
         assert found.shape == true.shape
         assert np.abs(found - true)[np.abs(true) < 0.19].max(initial=0.0) < 0.4 * FINE
 
@@ -105,15 +113,15 @@ def test_depths_of_a_part_that_is_sampled_again() -> None:
 def test_a_flat_part_ends_beside_but_neither_above_nor_below() -> None:
     depth = depth_of_fractions(np.ones((6, 6, 1)), grid := Grid((6, 6, 1), 0.1), flat=True)
     x, y, _ = grid.axes()
-    found = depth(x, y, np.array([-0.05, 0.0, 0.05]))
+    found = depth(x, y, np.array([-0.05, 0.0, 0.05]))()
     assert found[2, 2] == pytest.approx([0.25] * 3, abs=1e-3) and found[0, 2] == pytest.approx([0.05] * 3, abs=1e-3)
-    assert depth_of_fractions(np.ones((6, 6, 1)), grid)(x, y, np.zeros(1))[2, 2] == pytest.approx(0.05, abs=1e-3)
+    assert depth_of_fractions(np.ones((6, 6, 1)), grid)(x, y, np.zeros(1))()[2, 2] == pytest.approx(0.05, abs=1e-3)
 
 
 def test_what_lies_beyond_the_own_grid_is_outside() -> None:
     depth = depth_of_fractions(np.ones((4, 4, 4)), Grid((4, 4, 4), 0.1))
     at = np.array([-0.4, -0.25, 0.0, 0.25, 0.4])
-    found = depth(at, np.zeros(1), np.zeros(1)).ravel()
+    found = depth(at, np.zeros(1), np.zeros(1))().ravel()
     assert found == pytest.approx([-0.2, -0.05, 0.15, -0.05, -0.2], abs=0.02)  # as deep as the deepest centers
 
 
@@ -122,7 +130,7 @@ def test_a_part_thinner_than_the_tolerance_has_no_window_there() -> None:
         return np.broadcast_to((0.04 - np.abs(x))[:, None, None], (len(x), len(y), len(z)))
 
     x, y, z = positions()
-    found = tolerance_window(slabs(dose := 1.0 + sheet(x, y, z)), sheet, GRID.pitch)
+    found = tolerance_window(slabs(dose := 1.0 + sheet(x, y, z)), later(sheet), GRID.pitch)
     assert found.at(0.0) > 0 and np.isnan(found.at(0.05)) and found.judged_at(0.05) == 0
     assert found.limits(0.1) == (dose.max(), dose[sheet(x, y, z) <= -0.1].max()), "its deepest voxels are asked"
 
@@ -130,24 +138,48 @@ def test_a_part_thinner_than_the_tolerance_has_no_window_there() -> None:
 def test_the_peak_is_the_greatest_dose_of_all() -> None:
     dose = soft(ball(*positions()))
     dose[28, 26, 24] = 3.0
-    assert tolerance_window(slabs(dose), ball, GRID.pitch).peak == 3.0
+    assert tolerance_window(slabs(dose), later(ball), GRID.pitch).peak == 3.0
 
 
 def test_wrong_input_is_refused() -> None:
     dose = soft(ball(*positions()))
-    found = tolerance_window(slabs(dose), ball, GRID.pitch)
+    found = tolerance_window(slabs(dose), later(ball), GRID.pitch)
     for distance in (-0.01, 0.3, np.nan):
         with pytest.raises(BadInput, match=r"expected 0\.\.0\.2 mm"):
             found.at(distance)
     with pytest.raises(BadInput, match="holds NaN"):
-        tolerance_window(slabs(np.where(dose > 0.85, np.nan, dose)), ball, GRID.pitch)
+        tolerance_window(slabs(np.where(dose > 0.85, np.nan, dose)), later(ball), GRID.pitch)
     with pytest.raises(BadInput, match="no voxel of the part"):
-        tolerance_window(slabs(dose), lambda *axes: -np.ones_like(ball(*axes)), GRID.pitch)
+        tolerance_window(slabs(dose), later(lambda *axes: -np.ones_like(ball(*axes))), GRID.pitch)
     with pytest.raises(BadInput, match="voxel"):
         tolerance_window(slabs(dose), ball, 0.0)
     for bins in (0, 0.5, np.nan, "a"):
         with pytest.raises(BadInput, match="bins"):
-            tolerance_window(slabs(dose), ball, GRID.pitch, bins=bins)  # type: ignore[arg-type]
+            tolerance_window(slabs(dose), later(ball), GRID.pitch, bins=bins)  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="a slab's dose has shape"):
-        tolerance_window([FineSlab(dose[:-1], *positions())], ball, GRID.pitch)
+        tolerance_window([FineSlab(dose[:-1], *positions())], later(ball), GRID.pitch)
     assert isinstance(found, ToleranceWindow)
+
+
+def test_kernels_are_launched_by_one_thread_and_depths_found_by_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vamgpu.backend.cores.threads", lambda: 4)
+    monkeypatch.setattr("vamgpu.metrics.tolerance.SLICES", (4, 4))
+    target, seen = vam.Target.from_array(np.pad(np.ones((20, 20, 16)), 4), 0.1), set[str]()
+
+    def resampled(*given: Any) -> Any:
+        seen.add(current_thread().name)
+        return target.resampled(*given)
+
+    depth = depth_of_target(SimpleNamespace(resampled=resampled), FINE, GRID.pitch)  # type: ignore[arg-type]
+
+    def noted(*axes: np.ndarray) -> Callable[[], np.ndarray]:
+        found = depth(*axes)
+
+        def noting() -> np.ndarray:
+            seen.add(current_thread().name[:6])
+            return found()
+
+        return noting
+
+    found = tolerance_window(slabs(soft(ball(*positions())), 48), noted, GRID.pitch)
+    assert seen == {current_thread().name, "vamgpu"} and np.isfinite(found.peak)

@@ -127,7 +127,7 @@ def test_a_mesh_stays_where_it_is(tmp_path: Path) -> None:
     ("setting", "said"),
     [
         ("target.lattice=cheese", "expected one of .*SheetGyroid"),
-        ("target.strut=1 mm", "SheetGyroid takes other parameters, cell, level: remove strut"),
+        ("target.strut=1 mm", "SheetGyroid has other parameters, cell, level: remove strut"),
         ("target.mesh=part.stl", "exactly one of lattice"),
         ("film.thickness=3", "expected a length with its unit"),
         ("solve.core=0", "greater than 0"),

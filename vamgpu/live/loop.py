@@ -44,6 +44,8 @@ or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
 """Light and inhibitor, relative to the plan, tried before the rest is estimated."""
+ROUNDING = 1e-3
+"""Turns that sums of light may be off by."""
 ONSET = 0.02
 """Share of the planned print's darkening below which nothing counts as cured."""
 KEPT = 4
@@ -159,7 +161,7 @@ class _Turn:
     shown: DeviceArray
     pending: DeviceArray
     committed: tuple[np.ndarray, ...]
-    clear: np.ndarray
+    clear: np.ndarray | None
     cured: float
     images: str
 
@@ -237,7 +239,7 @@ class LiveLoop:
                 decision = self._by_plan(at, doubt) if doubt else self._replanned(at, told, seen, laps)
                 decision = replace(decision, misfit=seen.misfit)
         except VamError as error:
-            decision = self._kept(replace(at, left=min(at.left, self._allowed(at))), f"refused: {error}")
+            decision = self._kept(at, f"refused: {error}")
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
@@ -252,11 +254,11 @@ class LiveLoop:
         had, light = self._field(state.pending), self._field(showing)
         pending = combine(fade, had, made, light, had.device.empty(had.shape))
         shown = added(self._field(state.shown), light)
-        level, clear, share = mean_level(frames), state.clear, 0.0
-        if clear is not None:
-            share = share_of(darkening(clear - level), self._dark)
-        if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
-            clear = level
+        level, clear, share = mean_level(frames, self.tomograph.camera.shape), state.clear, 0.0
+        if level is not None:
+            share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
+            if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
+                clear = level
         return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
                      digest(frames))  # fmt: skip
 
@@ -325,7 +327,7 @@ class LiveLoop:
     def _allowed(self, at: _Turn) -> int:
         """Turns of planned light that the dose of the plan has room for."""
         spent = total(added(at.shown, *map(self._field, at.committed))) / total(self._field(self._planned))
-        return max(floor(self.planned - spent + 0.5), 0)
+        return max(floor(self.planned - spent + ROUNDING), 0)
 
     @cached_property
     def _planned(self) -> np.ndarray:

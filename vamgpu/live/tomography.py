@@ -61,16 +61,16 @@ class Reconstruction:
         iterations: Projector evaluations that were made; a replay uses the same number.
         misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
             camera and noise are as described.
-        contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
         seconds: Wall time [s].
+        contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
     """
 
     field: DeviceArray
     cured: DeviceArray
     iterations: int
     misfit: float
-    contrast: float
     seconds: float
+    contrast: float
 
     @cached_property
     def extinction(self) -> np.ndarray:
@@ -183,7 +183,7 @@ class Tomograph:
             done, longest, now = done + 1, max(longest, perf_counter() - now), perf_counter()
         cured, misfit, contrast = self._device.empty(start.shape), steps.misfit, steps.contrast
         self._device.launch(interpolate, x=steps.field, **self._conversions, out=cured)
-        return Reconstruction(steps.field, cured, done, misfit, contrast, perf_counter() - begun)
+        return Reconstruction(steps.field, cured, done, misfit, perf_counter() - begun, contrast)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
         """Standard deviation of the extinction that the noise of a turn's images leaves.

@@ -52,16 +52,20 @@ class Trust:
 
 
 def digest(frames: np.ndarray) -> str:
-    """Digest of a turn's images; empty if none arrived."""
-    if not np.isfinite(frames).any():
+    """Digest of a turn's images; empty where none arrived."""
+    values = np.asarray(frames)
+    if values.dtype.kind not in "fiu" or not np.isfinite(values).any():
         return ""
-    return hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
-def mean_level(frames: np.ndarray) -> np.ndarray:
-    """Mean logarithm of gray levels [angle, row, column] over the angles whose frames arrived, [row, column]."""
-    arrived = np.isfinite(frames).all(axis=(1, 2))
-    return np.log(np.maximum(frames[arrived], 1.0)).mean(axis=0, dtype=float) if arrived.any() else np.array(np.nan)
+def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Mean logarithm of gray levels [angle, row, column] over the angles that arrived, [row, column]; None of none."""
+    values = np.asarray(frames)
+    if values.shape != shape or values.dtype.kind not in "fiu":
+        return None  # what looks at the images says what is wrong with them
+    arrived = np.isfinite(values).all(axis=(1, 2))
+    return np.log(np.maximum(values[arrived], 1.0)).mean(axis=0, dtype=float) if arrived.any() else None
 
 
 def darkening(change: np.ndarray) -> np.ndarray:

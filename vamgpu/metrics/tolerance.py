@@ -105,38 +105,38 @@ def tolerance_window(
     bins: int = BINS,
     reach: float | None = None,
 ) -> ToleranceWindow:
-    """Judge a dose slab by slab; memory is that of a slab and a few of its slices."""
+    """Judge a dose slab by slab; memory is that of a slab for each thread, and of a few of its slices."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
     tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
 
     def tallied(piece: _Piece) -> _Tally:
-        slab, dose, some = piece
-        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
+        dose, disc, found = piece
         own = _Tally(voxel, reach, bins)
-        own.add(dose[:, :, some], depth(slab.x, slab.y, slab.z[some]), disc)
+        own.add(dose, found(), disc)
         return own
 
-    pieces = _pieces(slabs)
+    pieces = _pieces(slabs, depth, radius)
     for first in pieces:
-        nbytes = BESIDE * first[1][:, :, first[2]].size
-        for own in ahead(tallied, chain([first], pieces), max(MEMORY // nbytes, 1)):
+        for own in ahead(tallied, chain([first], pieces), max(MEMORY // (BESIDE * first[0].size), 1)):
             tally.take(own)
     return tally.result()
 
 
-_Piece = tuple[Slab, Array, slice]
+_Piece = tuple[Array, npt.NDArray[np.bool_] | None, Callable[[], Array]]
 
 
-def _pieces(slabs: Iterable[Slab]) -> Iterator[_Piece]:
-    """Slabs, their doses and a few of their slices at a time."""
+def _pieces(slabs: Iterable[Slab], depth: Depth, radius: float | None) -> Iterator[_Piece]:
+    """Doses of a few slices of slabs at a time, the columns [x, y] that count, and what finds their depths."""
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
             raise BadInput(f"a slab's dose has shape {dose.shape}; expected the lengths of its axes, [x, y, z]")
+        disc = None if radius is None else np.hypot(slab.x[:, None], slab.y[None, :]) <= radius * (1.0 + 1e-9)
         each = int(np.clip(VOXELS // (len(slab.x) * len(slab.y)), *SLICES))
         for first in range(0, len(slab.z), each):
-            yield slab, dose, slice(first, min(first + each, len(slab.z)))
+            some = slice(first, first + each)
+            yield dose[:, :, some], disc, depth(slab.x, slab.y, slab.z[some])
 
 
 class _Tally:
@@ -195,11 +195,11 @@ def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | Non
     reach = (WIDEST * voxel if reach is None else reach) / pitch + 0.5
     halo = ceil(reach) + 2
 
-    def depth(x: Array, y: Array, z: Array) -> Array:
+    def depth(x: Array, y: Array, z: Array) -> Callable[[], Array]:
         middle = (_middle(x), _middle(y), _middle(z))
         grid = Grid((len(x), len(y), len(z) + 2 * halo), pitch)
         fraction = target.resampled(grid, middle).numpy()
-        return signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
+        return lambda: signed_depth(fraction, reach)[:, :, halo:-halo] * np.float32(pitch)
 
     return depth
 
@@ -218,7 +218,9 @@ def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False, 
     known = signed_depth(around, reach) * np.float32(grid.pitch)
     first = [axis[0] - margin * grid.pitch for axis in grid.axes()]
 
-    def depth(x: Array, y: Array, z: Array) -> Array:
-        return interpolated(known, [(axis - start) / grid.pitch for axis, start in zip((x, y, z), first, strict=True)])
+    def depth(x: Array, y: Array, z: Array) -> Callable[[], Array]:
+        return lambda: interpolated(
+            known, [(axis - start) / grid.pitch for axis, start in zip((x, y, z), first, strict=True)]
+        )
 
     return depth

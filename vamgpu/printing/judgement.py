@@ -154,4 +154,9 @@ def _where_asked(proof: Proof, depth: Depth) -> Depth:
     """A depth that is NaN at points without limits."""
     assert proof.limits is not None
     judged = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
-    return lambda x, y, z: np.where(judged(x, y, z) > 0.0, depth(x, y, z), np.nan)
+
+    def asked(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Callable[[], np.ndarray]:
+        found = depth(x, y, z)
+        return lambda: np.where(judged(x, y, z) > 0.0, found(), np.nan)
+
+    return asked
