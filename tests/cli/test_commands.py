@@ -234,6 +234,7 @@ def test_used_up_memory_is_an_error_without_a_traceback(capsys, monkeypatch):
     assert "memory is used up: Unable to allocate 880 GiB; use larger pitches" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bench_tells_the_stages_of_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from vamgpu.jobs.demo import JOB
 

@@ -31,6 +31,7 @@ def as_wide(ratio: float, device: str) -> tuple[Any, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("ratio", [pytest.param(0.99, marks=pytest.mark.slow), 1.0])
+@pytest.mark.slow
 def test_no_voxel_is_missed_where_columns_are_as_wide_as_voxels(
     fast_device: Device, processor: str, ratio: float
 ) -> None:

@@ -91,6 +91,7 @@ def test_strips_of_slices_give_the_same(device: Device, monkeypatch: Any, rows: 
 
 
 @pytest.mark.parametrize("vessel", [pytest.param(None, marks=pytest.mark.slow), VIAL], ids=["straight", "in a vial"])
+@pytest.mark.slow
 def test_light_out_of_focus_is_that_of_rays(vessel: Any) -> None:
     grid, beam = vam.Grid((40, 40, 4), 0.025), vam.Beam((44, 6), 0.025 if vessel is None else 0.033)
     R, lens = vam.RingProjection(grid, beam, vam.Turntable(48), vessel, "numpy"), vam.Defocus(0.06, 0.4, focus=0.1)

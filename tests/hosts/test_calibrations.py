@@ -137,6 +137,7 @@ def test_one_of_each_kind_that_is_old_is_told_before_a_print(kind: str, rig: Rig
     assert not any("days old" in note for note in calibration_of(rig).notes), "the newest counts"
 
 
+@pytest.mark.slow
 def test_light_is_sought_with_the_point_spread_of_its_rig(
     rig: RigConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_full_disk_is_the_error_that_is_told(job: Path, tmp_path: Path, monkey
     assert read_run(tmp_path / "run").state is PrintState.HELD and not emulated.emulated.controller.light
 
 
+@pytest.mark.slow
 def test_a_print_in_real_time_stops(job: Path, tmp_path: Path) -> None:
     wanted = planned(job, speed=240.0, turns=8)
     emulated, _ = stand(wanted, ResinModel(critical=1.0, width=0.2), paced=True)

@@ -198,6 +198,7 @@ def test_the_dose_is_the_one_that_was_proved(
 
 
 @pytest.mark.parametrize(("turns", "status"), [(1, 3), pytest.param(6, 0, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_another_dose_is_told_and_never_green(
     part: Path, turns: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

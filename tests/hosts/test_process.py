@@ -118,6 +118,7 @@ def test_the_process_of_a_real_print_loads_no_emulator() -> None:
     assert not told
 
 
+@pytest.mark.slow
 def test_buttons_of_a_page_that_came_later_act_there_and_their_errors_come_back(job: Path) -> None:
     with started(order(job, turns=20, page=False), Board()) as watch:
         lit(watch)

@@ -162,6 +162,7 @@ def test_a_swap_comes_in_time_until_its_lead_and_is_dropped_after(run: Path, dep
     assert all((seen[:, turn] == COUNT).sum() == 1 and seen[:, turn].sum() == COUNT for turn in range(3)), "whole turns"
 
 
+@pytest.mark.slow
 def test_threads_pack_no_frame_of_a_turn_that_may_be_replaced(run: Path) -> None:
     vial = Vial(run, turns=3, paced=True)
     for turn in (1, 2):

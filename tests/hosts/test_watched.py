@@ -150,6 +150,7 @@ def test_the_job_s_light_prints_whatever_its_unit_and_beam(
     assert str(alone).splitlines()[0].endswith(f"complete after {TURNS} turns")
 
 
+@pytest.mark.slow
 def test_the_loop_plans_by_the_job_s_own_beam_and_names_its_device(dull: Path, run: Path) -> None:
     live(dull, turns=2, folder=run)
     record, beam = LiveRecord(run / "live"), prove(dull, "cpu").proof.operator.beam
@@ -164,6 +165,7 @@ def test_the_loop_plans_by_the_job_s_own_beam_and_names_its_device(dull: Path, r
 
 
 @pytest.mark.parametrize("function", ["raises", "nan", "silent"])
+@pytest.mark.slow
 def test_whatever_becomes_of_the_loop_the_print_ends_as_planned(
     nut: Path, run: Path, monkeypatch: pytest.MonkeyPatch, function: str
 ) -> None:

@@ -123,6 +123,7 @@ def test_slabs_on_workers_find_the_light_of_one_process(tmp_path: Path, monkeypa
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.slow
 def test_a_job_that_is_replaced_is_solved_anew_whoever_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plans are kept beside what stands at the place, which stays until the new job is whole."""
     begun = list[bool]()

@@ -18,6 +18,7 @@ SETTINGS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_limit_and_shorter_exposures_reach_the_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "part.toml").write_text(JOB, encoding="utf-8")
     words = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]

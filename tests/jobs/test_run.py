@@ -186,6 +186,7 @@ def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
         prove(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> None:
     coarse = ["target.pitch=900 um", "beam.pitch=900 um", "turntable.angles=12", "solve.device=cpu"]
     coarse += ["target.shape=nut", "target.height=6 mm"]
@@ -210,6 +211,7 @@ def test_a_proof_tells_how_wide_a_window_any_light_can_have(tmp_path: Path) -> N
     assert "process window, at most" in page and f"{bound.value:+.4f}" in page
 
 
+@pytest.mark.slow
 def test_a_proof_at_corners_tells_how_wide_a_window_is_at_all_of_them(tmp_path: Path) -> None:
     coarse = ["target.pitch=1200 um", "beam.pitch=1200 um", "turntable.angles=12", "solve.device=cpu"]
     off = ["tolerances.axis=300 um", "solve.iterations=20"]

@@ -30,6 +30,7 @@ def job(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_every_combination_is_solved_and_proven_once(
     job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -62,6 +62,7 @@ def quick() -> str:
 
 
 @pytest.mark.parametrize(("kind", "rings"), [("matched", True), ("refracting", False), ("refracting", True)])
+@pytest.mark.slow
 def test_conversion_is_known_to_five_percent(kind: str, rings: bool, quick: str) -> None:
     tomograph = Tomograph(camera(kind, quick), Turbidity(extinction=(0.0, FULL)), rings=rings)
     assert isinstance(tomograph.operator, vam.RingProjection) == rings

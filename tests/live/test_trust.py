@@ -134,7 +134,7 @@ def test_lost_frames_do_not_count_in_a_level() -> None:
     assert mean_level(np.full_like(images, np.nan), (3, 2, 2)) is None and mean_level(images, (3, 2, 3)) is None
 
 
-@pytest.mark.parametrize("lost", [1, PLANNED, PLANNED + 1])
+@LOST
 def test_a_lost_turn_costs_one_decision_and_no_more(lost: int) -> None:
     """A lamp of 80 % needs three turns more than planned."""
     made, part, light = setup()

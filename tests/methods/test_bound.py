@@ -55,6 +55,7 @@ def circle() -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["cross", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ring", "bars"))])
+@pytest.mark.slow
 def test_it_comes_near_the_optimum_and_never_beyond(fast_device: Device, entries: Any, name: str) -> None:
     inside, near = part(name), circle()
     plan = optimize(operator(fast_device), inside[:, :, None].astype(np.float32), PDHG(), evaluations=1000)
@@ -94,6 +95,7 @@ def assert_certified(prices: np.ndarray, inside: np.ndarray, near: np.ndarray, v
 
 
 @pytest.mark.parametrize("name", ["cross", pytest.param("bars", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_bound_in_a_vial_is_just_above_what_light_has(fast_device: Device, name: str) -> None:
     """There the part can have the greatest dose everywhere, and its own prices come to less than those outside."""
     radius = 0.5 * SIZE * PITCH / 0.79 * 1.5

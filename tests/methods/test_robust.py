@@ -77,6 +77,7 @@ def judged(light: np.ndarray, name: str, axis: float, spread: float) -> tuple[fl
     return dose[near & (depth >= 0.5)].min(), dose[near & (depth <= -0.5)].max(), dose[near].max()
 
 
+@pytest.mark.slow
 def test_light_holds_at_corners_and_at_points_inside_the_box() -> None:
     """Half a pixel from the surface while the vial turns; light that knows no corner does not."""
     A = vam.Projection(projection().grid, projection().beam, vam.Turntable(30))

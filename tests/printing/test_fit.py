@@ -72,6 +72,7 @@ def test_most_of_the_window_is_left() -> None:
     {"flat_field": 0.7 + 0.3 * np.random.default_rng(3).random((2, 48)), "flip_r": True, "shift": (2.0, 0.0),
      "flip_z": True},
 ])  # fmt: skip
+@pytest.mark.slow
 def test_any_projector_will_do(plan: vam.Plan, case: dict[str, Any]) -> None:
     diffused, fitted = (vam.pack(plan, bits=1, dither=how, **case) for how in ("error-diffusion", "fit"))
     assert proved(plan, fitted) > max(proved(plan, diffused), 0.0) + 0.05
@@ -95,12 +96,14 @@ def test_light_is_driven_to_its_ends_before_pixels_are_flipped(
     assert proved(plan, driven) > flipped + 0.05 and flipped > 0.05 > diffused
 
 
+@pytest.mark.slow
 def test_light_that_frames_lose_is_not_counted_on(plan: vam.Plan, bits: vam.Frames) -> None:
     """Columns that are shifted off show nothing; the others make up for them."""
     moved = vam.pack(plan, bits=1, dither="fit", shift=(9.0, 0.0))
     assert proved(plan, moved) > proved(plan, bits) - 0.04
 
 
+@pytest.mark.slow
 def test_bits_take_no_longer_than_the_light_may() -> None:
     A = vam.Projection(vam.Grid((N, N, 1), PITCH), vam.Beam((48, 1), PITCH), vam.Turntable(60), VIAL)
     lamp: dict[str, Any] = {"irradiance": "65 mW/cm2", "critical_dose": "50 mJ/cm3"}
@@ -119,6 +122,7 @@ def test_dark_light_is_told(plan: vam.Plan, scale: float | None) -> None:
         vam.pack(plan, bits=1, dither="fit", scale=scale, shift=(100.0, 0.0))
 
 
+@pytest.mark.slow
 def test_devices_agree(fast_device: Device) -> None:
     reference = plan_on(vam.open_device("numpy"), angles=16)
     scale = 0.5 * float(reference.sinogram.numpy().max())
@@ -170,6 +174,7 @@ def test_corners_are_those_of_the_bits() -> None:
     assert kept.corners is not None and kept.corners.statement() == shown.statement()
 
 
+@pytest.mark.slow
 def test_rings_are_fitted_by_rays() -> None:
     A = vam.RingProjection(vam.Grid((N, N, 2), PITCH), vam.Beam((48, 2), PITCH), vam.Turntable(60), VIAL)
     plan = vam.optimize(A, cross(), "lbfgs", evaluations=20, progress=False)
@@ -223,6 +228,7 @@ def test_what_8_bits_are_fitted_by_default(plan: vam.Plan) -> None:
     assert vam.pack(light).settings.dither == "round" and vam.pack(light, dither="fit").settings.dither == "fit"
 
 
+@pytest.mark.slow
 def test_bits_keep_most_of_the_dose_by_default(plan: vam.Plan) -> None:
     """By the dose of all pixels where it is known, else by carrying errors on, where angles are lit as long."""
     frames, rounded = vam.pack(plan, bits=1), vam.pack(plan, bits=1, dither="round")

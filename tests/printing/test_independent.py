@@ -201,6 +201,7 @@ def test_the_grid_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize(("angles", "places"), [(24, 40), pytest.param(90, 20, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_frame_is_lit_while_the_container_turns(angles: int, places: int) -> None:
     """Against the mean over containers at rest at many places of each arc; even doses would hide a mistake."""
     grid, beam = vam.Grid((40, 39, 1), 0.2), vam.Beam((60, 1), 0.2)

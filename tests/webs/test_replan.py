@@ -89,6 +89,7 @@ def misses(proof: WebProof, first: int = HORIZON) -> float:
     return total
 
 
+@pytest.mark.slow
 def test_a_lamp_that_is_weak_from_half_way_on_is_made_up_for(plan: WebFolder, tmp_path: Path) -> None:
     gain = weak(plan.frames)
     nominal, unchanged = proved(plan, np.ones(plan.frames)), proved(plan, gain)

@@ -50,6 +50,7 @@ def proven(job: Stream, place: Path) -> float:
     return float((dose[target].min() - dose[~target].max()) / dose.max())
 
 
+@pytest.mark.slow
 def test_a_web_in_segments_is_as_wide_as_the_web_in_one_piece(fast_device: Device, tmp_path: Path) -> None:
     target = blobs(LONG)
     limit = bound(whole(fast_device), target, evaluations=1000)
