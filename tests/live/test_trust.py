@@ -19,6 +19,8 @@ from vamgpu.live.report import page
 from vamgpu.live.trust import Trust, darkening, mean_level, share_of
 
 OLD = Truth(inhibitor=0.7)
+TURNS = [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, PLANNED + 1)), PLANNED]
+"""Numbers of turns whose images are lost."""
 Images = Callable[[np.ndarray], np.ndarray]
 
 
@@ -134,7 +136,7 @@ def test_lost_frames_do_not_count_in_a_level() -> None:
     assert mean_level(np.full_like(images, np.nan), (3, 2, 2)) is None and mean_level(images, (3, 2, 3)) is None
 
 
-@LOST
+@pytest.mark.parametrize("lost", TURNS)
 def test_a_lost_turn_costs_one_decision_and_no_more(lost: int) -> None:
     """A lamp of 80 % needs three turns more than planned."""
     made, part, light = setup()
