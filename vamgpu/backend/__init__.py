@@ -60,7 +60,7 @@ def open_device(name: str | Device | None = None) -> Device:
     Args:
         name: A name that `devices` lists or a part of it such as ``cuda``, ``gpu`` or ``cpu`` for the best of a kind,
             several joined by ``+``, all that begin alike as in ``warp:cuda:*``, an open device, or None for the
-            default. In any case of letters.
+            default. Upper or lower case does not matter.
 
     Returns:
         The device.

@@ -35,7 +35,7 @@ def superpose(
 ) -> DualPlan:
     """Find visible and UV light [angle, r, z] ≥ 0 whose difference of doses is the design, on the colors' device.
 
-    Doses add linearly and UV dose cancels ``colors.strength`` times the visible dose, without chemistry.
+    Doses add linearly, and one unit of UV dose cancels ``colors.strength`` units of visible dose, without chemistry.
 
     Args:
         colors: Operators of both colors.
