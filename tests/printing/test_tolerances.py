@@ -166,7 +166,7 @@ def test_what_does_not_apply_says_why() -> None:
     assert not straight.limits("absorption") and straight.limits("axis of rotation")
     square = Print(Vat(width=8.0, absorption=0.05))
     notes = {row.note for row in square.table.rows if row.name == "axis of rotation"}
-    assert notes == {"a Vat that is off the axis looks different at every angle"}
+    assert notes == {"a Vat that is not centered on the axis differs at every angle"}
 
 
 def off_by(limit: float) -> Scenario:
