@@ -152,7 +152,7 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(BadInput, match="no voxel of the part"):
         tolerance_window(slabs(dose), later(lambda *axes: -np.ones_like(ball(*axes))), GRID.pitch)
     with pytest.raises(BadInput, match="voxel"):
-        tolerance_window(slabs(dose), ball, 0.0)
+        tolerance_window(slabs(dose), later(ball), 0.0)
     for bins in (0, 0.5, np.nan, "a"):
         with pytest.raises(BadInput, match="bins"):
             tolerance_window(slabs(dose), later(ball), GRID.pitch, bins=bins)  # type: ignore[arg-type]

@@ -23,8 +23,8 @@ from vamgpu.metrics.depth import signed_depth, surrounded
 from vamgpu.metrics.interpolation import interpolated
 
 Array = npt.NDArray[np.floating]
-Depth = Callable[[Array, Array, Array], Array]
-"""Signed depth [mm] in the part, > 0 inside, at the points of three axes [mm], [x, y, z]."""
+Depth = Callable[[Array, Array, Array], Callable[[], Array]]
+"""Given three axes [mm], returns what finds the signed depth [mm] in the part, > 0 inside, [x, y, z], on the host."""
 
 WIDEST = 2.0
 """Tolerances are drawn from 0 to this many voxels."""
