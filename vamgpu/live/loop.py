@@ -318,11 +318,10 @@ class LiveLoop:
         before, turns = at.before, self._allowed(at)
         if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
             turns = 0
-        swapped = before.light is not self._planned and not np.array_equal(before.light, self.light)
+        swapped = not np.array_equal(before.light, self.light)
         action = "stop" if not turns else "swap" if swapped else "keep"
-        light = self._planned if swapped else before.light
-        return Decision(at.turn, action, before.version + swapped, light, turns, reason=f"by the plan: {doubt}",
-                        doubt=doubt)  # fmt: skip
+        return Decision(at.turn, action, before.version + swapped, self._planned, turns,
+                        reason=f"by the plan: {doubt}", doubt=doubt)  # fmt: skip
 
     def _allowed(self, at: _Turn) -> int:
         """Turns of planned light that the dose of the plan has room for."""

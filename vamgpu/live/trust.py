@@ -52,7 +52,7 @@ class Trust:
 
 
 def digest(frames: np.ndarray) -> str:
-    """Digest of a turn's images; empty where none arrived."""
+    """Digest of images or patterns; empty where no number is finite, as where no image arrived."""
     values = np.asarray(frames)
     if values.dtype.kind not in "fiu" or not np.isfinite(values).any():
         return ""
@@ -64,8 +64,9 @@ def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
     values = np.asarray(frames)
     if values.shape != shape or values.dtype.kind not in "fiu":
         return None  # what looks at the images says what is wrong with them
-    arrived = np.isfinite(values).all(axis=(1, 2))
-    return np.log(np.maximum(values[arrived], 1.0)).mean(axis=0, dtype=float) if arrived.any() else None
+    arrived = [frame for frame in values if np.isfinite(frame).all()]  # one after the other: no copy of them all
+    total = sum((np.log(np.maximum(frame, 1.0)) for frame in arrived), np.zeros(shape[1:]))
+    return total / len(arrived) if arrived else None
 
 
 def darkening(change: np.ndarray) -> np.ndarray:
