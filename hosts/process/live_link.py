@@ -164,12 +164,16 @@ class LiveLink:
                 self._process.kill()
                 self._process.wait()
 
+    def _ended(self, event: str, text: str) -> None:
+        """Wake whoever waits for a proposal, as none will come, and report why."""
+        self._gone = True
+        with self._ready:
+            self._ready.notify_all()
+        self._tell(event, text)
+
     def _lost(self, why: str) -> None:
         if not self._gone and not self._over.is_set():
-            self._gone = True
-            with self._ready:
-                self._ready.notify_all()
-            self._tell(
+            self._ended(
                 "live lost",
                 f"the planning process is lost: {why}; {self._versions.unit}s continue as planned ({self._version()})",
             )
@@ -230,13 +234,8 @@ class LiveLink:
         """Handle a message, if possible."""
         try:
             if "done" in told and not self._gone:
-                self._gone = True
-                with self._ready:
-                    self._ready.notify_all()
-                self._tell(
-                    "live ended",
-                    f"the planning process has finished; the {self._versions.unit}s are {self._version()}",
-                )
+                now = self._version()
+                self._ended("live ended", f"the planning process has finished; the {self._versions.unit}s are {now}")
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
             if "maps" in told:
