@@ -89,9 +89,8 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
     lit = (shown["dark"] == 0) & (shown["frame"] >= 0)
     engines = max(int((kept or {}).get("engines", 1)), int(shown["engine"].max(initial=0)) + 1)
     unsure = np.zeros(len(shown), bool)
-    for event in run.events:
-        if event["event"] == "unseen":
-            unsure |= (shown["slot"] >= event["first"]) & (shown["slot"] < event["stop"])
+    for first, stop in run.doubt:
+        unsure |= (shown["slot"] >= first) & (shown["slot"] < stop)
 
     def counted(wanted: np.ndarray, among: np.ndarray | bool = True) -> LightAccount:
         got = []

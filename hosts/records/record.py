@@ -184,6 +184,11 @@ class RunRecord:
     events: tuple[dict[str, Any], ...]
     torn: int  # bytes of an incomplete last record
 
+    @property
+    def doubt(self) -> tuple[tuple[int, int], ...]:
+        """First and stop of slots that were lit for an unknown time."""
+        return tuple((each["first"], each["stop"]) for each in self.events if each["event"] == "unseen")
+
 
 def read_run(path: str | Path) -> RunRecord:
     """Read the folder of a run, also of a killed one. Raises `StorageError` for other folders."""

@@ -29,6 +29,11 @@ from vamgpu.printing.scatter import ScatterReading
 
 
 def asked(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
+    """The answer to a program that has the token."""
+    return stranger(panel, path, method, **{"Authorization": f"Bearer {panel.token}"} | headers)
+
+
+def stranger(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
     line = http.client.HTTPConnection("127.0.0.1", panel.port)
     line.request(method, path, headers=headers)
     answer = line.getresponse()
