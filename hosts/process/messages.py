@@ -16,7 +16,7 @@ from contextlib import suppress
 from enum import Enum
 from functools import cache
 from math import isfinite
-from multiprocessing.connection import Connection, Listener, address_type
+from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -142,12 +142,12 @@ def running(folder: Path) -> bool:
     """Whether the process named in a run's folder takes connections."""
     try:
         place = parse_json(read_text(folder / LIVE, MOST_TOML))["address"]
-        if address_type(place) != "AF_UNIX":
-            return os.path.exists(place)
+        if place.startswith(r"\\"):
+            return os.path.exists(place)  # a named pipe
         with socket.socket(socket.AF_UNIX) as line:
             line.settimeout(ANSWER)
             line.connect(place)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return False
     return True
 

@@ -44,8 +44,8 @@ class Trust:
         """Why not to trust a reconstruction; empty without a reason."""
         if seen.misfit <= self.limit(seen):
             return ""
-        return (f"images differ from any field by {seen.misfit:.3g} times their noise (expected at most "
-                f"{self.misfit:g}): check open field, noise, orientation and place of the camera")  # fmt: skip
+        return (f"images differ from any field by {seen.misfit:.3g} times their noise (at most {self.limit(seen):.3g} "
+                "expected): check open field, noise, orientation and place of the camera")  # fmt: skip
 
     def of_estimate(self, found: Estimate) -> str:
         """Why not to trust an estimate; empty without a reason."""
