@@ -107,7 +107,8 @@ class Print:
         self.states.listen(folder.state)
         self.states.listen(self._told)
         self.board.on_stop(self.stop)
-        self.board.show(slots=len(schedule), unit=schedule.unit)
+        period = schedule.frames if schedule.unit == "deg" else 0
+        self.board.show(slots=len(schedule), unit=schedule.unit, period=period)
         self._arm()  # for a print that continues with a version
 
     # ---- from any thread -------------------------------------------------------------------------------------
@@ -471,11 +472,12 @@ class Print:
     def _show(self, seen: StatusPoll) -> None:
         schedule, slot = self.player.schedule, max(self.next - 1, 0)
         frame, focus, budget = int(schedule.frame[slot]), float(schedule.focus[slot]), self.guard.budget
+        last = max(self._end_slot - 1, slot)
         self.board.show(
             slot=slot, frame=frame, position=seen.position, focus=None if np.isnan(focus) else focus, fill=seen.fill,
             margin=round(seen.margin * SECOND), spent=0.0 if budget is None else budget.spent / budget.limit,
             dark=self.board.now.dark + sum(shown.dark for shown in seen.frames),
-            left=float(schedule.light[-1] + schedule.on[-1] - schedule.light[slot]) / SECOND,
+            left=float(schedule.light[last] + schedule.on[last] - schedule.light[slot]) / SECOND,
             lease=self.limits.lease / SECOND if self._leased else None,
             renewed=None if (age := self.lease.age()) is None else age / SECOND, polled=time.monotonic(),
         )  # fmt: skip
@@ -490,6 +492,8 @@ class Print:
     def _event(self, kind: str, **facts: object) -> None:
         self._signed = self.player.clock.now()
         self.folder.event(kind, self._signed, **facts)
+        if kind == "unseen":
+            self.board.show(doubt=(*self.board.now.doubt, (facts["first"], facts["stop"])))
 
 
 NEAR, NEAR_TIME = 2, 0.05  # slots, and time [s], around the present one, in which a lens may be at their powers

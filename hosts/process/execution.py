@@ -161,6 +161,7 @@ def carry_out(
     with ExitStack() as held:
         record = _record(held, planned, machines, folder, left, versions, process)
         shown = board or Board()
+        shown.show(rehearsed=planned.rehearsed, guarantees=tuple(one.record() for one in planned.guarantees))
         watch = _scatter_watch(planned, machines, record, shown)
         ends: Any = {} if watch is None else {name: getattr(watch, name) for name in ("enough", "short", "recover")}
         if live is not None and versions is not None:
@@ -168,7 +169,8 @@ def carry_out(
         ends |= {"senses": partial(senses, machines), "watch": partial(inspect, machines)}
         job = Print(playing, record, limits=limits(planned.rig), board=shown, mend=mend, dose=planned.dose, **ends)
         if left is not None:
-            job.restore(read_run(folder).shown, left.pause)
+            job.restore((run := read_run(folder)).shown, left.pause)
+            shown.show(doubt=run.doubt)
         first, asked = None if left is None else left.first, None if go_on is None else partial(go_on, job)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             if board is not None:

@@ -112,9 +112,8 @@ def account(
     lit = (shown["dark"] == 0) & (shown["frame"] >= 0)
     engines = max(int((kept or {}).get("engines", 1)), int(shown["engine"].max(initial=0)) + 1)
     unsure = np.zeros(len(shown), bool)
-    for event in run.events:
-        if event["event"] == "unseen":
-            unsure |= (shown["slot"] >= event["first"]) & (shown["slot"] < event["stop"])
+    for first, stop in run.doubt:
+        unsure |= (shown["slot"] >= first) & (shown["slot"] < stop)
 
     died = run.state is PrintState.PRINTING and not ended
     for engine in range(engines) if died else ():  # its last frame may have been cut

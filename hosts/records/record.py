@@ -215,6 +215,11 @@ class RunRecord:
     events: tuple[dict[str, Any], ...]
     torn: int  # bytes of an incomplete last record
 
+    @property
+    def doubt(self) -> tuple[tuple[int, int], ...]:
+        """First and stop of slots that were lit for an unknown time."""
+        return tuple((each["first"], each["stop"]) for each in self.events if each["event"] == "unseen")
+
 
 def take(file: int, size: int) -> None:
     """Take space for the next bytes of an open file, where the system can. Raises `OSError` if there is too little."""

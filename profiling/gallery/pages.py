@@ -22,13 +22,15 @@ from PIL import Image
 import vamgpu
 from vamgpu.errors import BadInput
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.records.state import Board, Estimated, PrintState
+from vamgpu.hosts.records.state import Board, Estimated, ImageCheck, PrintState
+from vamgpu.hosts.rigs.config import read_rig
+from vamgpu.hosts.rigs.guarantees import guarantees
 from vamgpu.live.maps import cuts
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading
 from vamgpu.targets import shapes
 
-DESK, PHONE = (1100, 760), (390, 844)
+DESK, PHONE = (1100, 900), (360, 800)
 SHEET: Any = {"width": 900, "height": 1200}
 COLORS = 192
 """Of the pictures of proofs, which are large otherwise."""
@@ -56,19 +58,32 @@ def believed() -> dict[str, np.ndarray]:
     }
 
 
+def claims(rig: str = "emulated") -> list[dict[str, Any]]:
+    """What a rig guarantees at a usual speed, as a print shows it."""
+    return [one.record() for one in guarantees(read_rig(rig).setup, 40.0)]
+
+
 def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
     """The size of the page and the snapshot, by the name of its picture."""
     vial = {
         "state": "printing", "job": "benchy.vam", "slots": 14400, "slot": 5230, "frame": 190, "position": 5230.4,
         "light": True, "power": 0.8, "fill": 0.93, "margin": 214_000_000, "spent": 0.361, "left": 229.0,
-        "lease": 1.0, "renewed": 0.04, "preview": frame(0.4), "polled": True,
+        "lease": 1.0, "renewed": 0.04, "preview": frame(0.4), "polled": True, "period": 720, "interlock_closed": True,
+        "guarantees": claims(),
     }  # fmt: skip
-    dark = vial | {"light": False, "renewed": None, "interlock_closed": True}
+    dark = vial | {"light": False, "renewed": None}
     curve = [ScatterReading(float(t), 0.3 / (1 + np.exp((70 - t) / 9)), False) for t in range(0, 88)]
-    web = {"job": "web.vam", "unit": "mm", "focus": -1.25, "position": 871.2, "slots": 0}
+    web = {"job": "web.vam", "unit": "mm", "focus": -1.25, "position": 871.2, "slots": 0, "period": 0}
+    bare = {"guarantees": claims("docs/rigs/vialux_zaber.toml"), "interlock_closed": None, "renewed": None}
+    dry = {"rehearsed": True, "job": "dry run of benchy.vam"}
+    good = [ImageCheck("images", t, 4.1 + (t * 37 % 11) / 3, 15.0) for t in range(1, 10)]
+    good += [ImageCheck("conversion", t, 0.13 - 0.004 * t, 0.35) for t in range(3, 10)]
+    wrong = [ImageCheck("images", t, v, 15.0) for t, v in enumerate((6.1, 7.0, 9.4, 13.8, 21.3), 1)]
     ended = dark | {"left": None}
     return {
-        "standby": (DESK, {"job": "benchy.vam", "slots": 14400}),
+        "standby": (DESK, {"job": "benchy.vam", "slots": 14400, "period": 720}),
+        "dry-run": (DESK, vial | dry),
+        "printing-bare": (DESK, vial | bare),
         "printing-vial": (DESK, vial | {"scatter": curve, "threshold": 0.35, "camera": frame(1.2) // 2 + 40}),
         "printing-web": (DESK, vial | web),
         "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
@@ -77,13 +92,18 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
                 Estimated("sensitivity", 0.812, 0.021, (0.6, 1.4)), Estimated("absorption", 1.131, 0.042, (0.8, 1.2)),
                 Estimated("across", 0.062, 0.008, (-0.1, 0.1)), Estimated("inhibitor", 0.735, 0.03, (0.38, 1.62)),
                 Estimated("estimated after turn", 9, 0.0), Estimated("expected stop [turn]", 13, 0.0),
-            ), "maps": believed(),
+            ), "maps": believed(), "checks": good,
+        }),
+        "live-doubted": (DESK, vial | {
+            "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 16, "checks": wrong,
+            "live": "images do not decide: images differ from any field by 21.3 times their noise (expected at most "
+            "15): check open field, noise, orientation and place of the camera; the planned light continues",
         }),
         "paused": (DESK, dark | {"state": "paused"}),
         "held": (DESK, dark | {
             "state": "held",
             "message": "the light went off: the controller closed the light: interlock; 9169 of 14400 slots remain",
-            "interlock_closed": False, "deadline": time.monotonic() + 24.9,
+            "interlock_closed": False, "deadline": time.monotonic() + 24.9, "doubt": ((5230, 5231),),
         }),
         "complete": (DESK, ended | {"state": "complete", "slot": 14399, "spent": 0.99}),
         "incomplete": (DESK, ended | {"state": "incomplete", "slot": 14399, "dark": 7, "message": "7 lack light"}),
@@ -92,6 +112,7 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         "lost": (DESK, vial),
         "phone": (PHONE, vial | {"others": (frame(1.3),)}),
         "phone-lost": (PHONE, vial),
+        "phone-dry": (PHONE, vial | dry | {"checks": good}),
     }  # fmt: skip
 
 

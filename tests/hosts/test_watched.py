@@ -113,6 +113,13 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     assert abs(found[-1]["inhibitor"] - OFF.inhibitor) < 0.2
     lit = told.shown[told.shown["frame"] >= 0]
     assert len(lit) / 40 < TURNS, "aged resin is done sooner"
+    checked = {each["turn"]: each["checks"] for each in ended.decisions}
+    assert {(each.turn, each.name): [each.value, each.limit] for each in board.now.checks} == {
+        (turn, name): pair for turn, checks in checked.items() for name, pair in checks.items()
+    }
+    assert {name for checks in checked.values() for name in checks} == {"images", "conversion"}
+    assert not [event for event in told.events if event["event"] == "live doubted"]
+    assert board.now.period == 40 and board.now.stop == len(lit) / 40 and board.now.left < 0.5 * 9.0 / 40
     names = [each.name for each in board.now.parameters]
     assert {"sensitivity", "inhibitor", "expected stop [turn]"} <= set(names)
     assert {name.partition(";")[0] for name in board.now.maps} == {"dose", "conversion seen"}
