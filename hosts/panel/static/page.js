@@ -201,7 +201,7 @@ function claims(now) { // as the record of the run lists them
   at("machine").hidden = !now.guarantees.length;
   at("claims").replaceChildren();
   for (const each of now.guarantees) {
-    const row = made("tr", at("claims")), sure = each.kind || (each.holds ? "guaranteed" : "believed");
+    const row = made("tr", at("claims")), sure = each.kind;
     made("th", row, each.about).scope = "row"; // its role stays where a phone sets the cells below each other
     const cell = made("td", row, undefined, sure.replace(" ", "-"));
     made("span", cell, `${SURE[sure] || ""} `).ariaHidden = "true";
