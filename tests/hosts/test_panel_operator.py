@@ -294,6 +294,8 @@ def test_a_print_tells_what_is_in_doubt_as_its_record_does(tmp_path: Path) -> No
     board, _ = printed(tmp_path, act=cut)
     run = read_run(tmp_path / "part.run")
     assert run.doubt and tuple(map(tuple, board.now.doubt)) == run.doubt
+    (told,) = history.past(tmp_path)
+    assert told["doubt"] == sum(stop - first for first, stop in run.doubt) > 0
 
 
 def test_programs_get_what_the_page_draws() -> None:
