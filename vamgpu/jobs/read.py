@@ -103,10 +103,20 @@ def validated(
         return model.model_validate(data, context={"folder": folder, "files": files}), data
     except ValidationError as error:
         lines = key_lines(text)
-        every = error.errors()
+        raised = error.errors()
+        every = [entry for entry in raised if not _misspelled(entry, raised)]
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
         found += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
         raise JobError("\n".join(found)) from error
+
+
+def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
+    """Whether a missing key is there under a similar name, whose own error suggests it."""
+    *table, name = entry["loc"] or [""]
+    return entry["type"] == "missing" and any(
+        other["type"] == "extra_forbidden" and list(other["loc"][:-1]) == table
+        and nearest_of(other["loc"][-1], [str(name)]) for other in others
+    )  # fmt: skip
 
 
 def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ class ProvedDose:
     least: float
     most: float
     right: bool  # whether it prints at the proved dose
+    faults: str = ""  # what is wrong if it does not
 
     @classmethod
     def of(cls, proof: Proof) -> Self:
@@ -40,7 +41,8 @@ class ProvedDose:
                            "the frames with both")  # fmt: skip
         verdict, times = proof.verdict, proof.exposure
         least, most = verdict.latitude if verdict.prints else (1.0 - WITHIN, 1.0 + WITHIN)
-        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints)
+        faults = "; ".join(fault.said for fault in verdict.faults)
+        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints, faults)
 
 
 @dataclass(frozen=True)
