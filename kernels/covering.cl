@@ -44,8 +44,7 @@ FIELD_KERNEL level_cover(ARRAY rows, float reach, __global float *cover, SIZES) 
 #ifdef COMPILE_cover_scale
 FIELD_KERNEL cover_scale(ARRAY paid, ARRAY cost, ARRAY cover, float keep, __global float *restrict highs, SIZES,
                          int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector high[VECTORS];
     EACH_VECTOR high[v] = ZERO;
     EACH_VECTOR_AT {

@@ -3,8 +3,7 @@
 #ifdef COMPILE_dark_loss
 FIELD_KERNEL dark_loss(__global float *dose, __global const float *restrict weight, float most,
                        __global float *restrict parts, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {
@@ -72,8 +71,7 @@ static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample
 
 static inline void evaluate(__global float *dose, ARRAY target, ARRAY weight, int weighted, int binary, float reach,
                             __global float *restrict parts, SIZES, int n_sample, int n_part, PARAMETERS) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {

@@ -24,6 +24,12 @@ def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
 
 
 @wp.func
+def no_sums():
+    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return zero, zero, zero, zero, zero, zero, zero, zero
+
+
+@wp.func
 def slid(
     source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
     s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
@@ -59,27 +65,6 @@ def slid(
 
 
 @wp.func
-def stepped(
-    source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int, first: int,
-    step: int, length: int,
-    s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
-):  # fmt: skip
-    """The same where the sums are some steps apart, or the band reaches beyond the source."""
-    for k in range(count):
-        w = weights[chunk + k // 4, k % 4]
-        i = first + k
-        s0 += w * seen(source, slab, i, length, at, column)
-        s1 += w * seen(source, slab, i + step, length, at, column)
-        s2 += w * seen(source, slab, i + 2 * step, length, at, column)
-        s3 += w * seen(source, slab, i + 3 * step, length, at, column)
-        s4 += w * seen(source, slab, i + 4 * step, length, at, column)
-        s5 += w * seen(source, slab, i + 5 * step, length, at, column)
-        s6 += w * seen(source, slab, i + 6 * step, length, at, column)
-        s7 += w * seen(source, slab, i + 7 * step, length, at, column)
-    return s0, s1, s2, s3, s4, s5, s6, s7
-
-
-@wp.func
 def write_first(
     target: Flat, slab: int, at: int, stride: int, count: int, a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4
 ):  # fmt: skip
@@ -110,15 +95,7 @@ def shift_window(
     for tile in range(begin, tiles, launched):  # where phases leave remainders, threads come round again
         phase = tile % phases
         m = tile // phases * TOGETHER
-        zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        s0 = zero
-        s1 = zero
-        s2 = zero
-        s3 = zero
-        s4 = zero
-        s5 = zero
-        s6 = zero
-        s7 = zero
+        s0, s1, s2, s3, s4, s5, s6, s7 = no_sums()
         row = phase * n_target_minor + n
         for b in range(rows[row], rows[row + 1]):
             first = m * step + bands[b, 1]
@@ -132,10 +109,17 @@ def shift_window(
                     source, weights, slab, at + first * column, column, chunk, count, s0, s1, s2, s3, s4, s5, s6, s7
                 )  # fmt: skip
             else:
-                s0, s1, s2, s3, s4, s5, s6, s7 = stepped(
-                    source, weights, slab, at, column, chunk, count, first, step, n_source_major,
-                    s0, s1, s2, s3, s4, s5, s6, s7,
-                )  # fmt: skip
+                for k in range(count):
+                    w = weights[chunk + k // 4, k % 4]
+                    i = first + k
+                    s0 += w * seen(source, slab, i, n_source_major, at, column)
+                    s1 += w * seen(source, slab, i + step, n_source_major, at, column)
+                    s2 += w * seen(source, slab, i + 2 * step, n_source_major, at, column)
+                    s3 += w * seen(source, slab, i + 3 * step, n_source_major, at, column)
+                    s4 += w * seen(source, slab, i + 4 * step, n_source_major, at, column)
+                    s5 += w * seen(source, slab, i + 5 * step, n_source_major, at, column)
+                    s6 += w * seen(source, slab, i + 6 * step, n_source_major, at, column)
+                    s7 += w * seen(source, slab, i + 7 * step, n_source_major, at, column)
         stride = phases * n_target_minor * lanes
         out = ((m * phases + phase) * n_target_minor + n) * lanes + lane
         left = (n_target_major - phase + phases - 1) // phases - m

@@ -21,8 +21,7 @@ static inline Vector raised(Vector x, float power) {
 
 FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, float most, __global float *gradient,
                            __global float *restrict parts, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector sum[VECTORS];
     EACH_VECTOR sum[v] = ZERO;
     EACH_VECTOR_AT {
