@@ -428,9 +428,9 @@ def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], t
     from dataclasses import replace
 
     from vamgpu.errors import StorageError
+    from vamgpu.hosts.records.proof import prove_given
     from vamgpu.hosts.rigs.rehearsal import as_frames
     from vamgpu.jobs.run import prove
-    from vamgpu.printing.given_dose import prove_given
 
     dose = planned.dose
     if dose is not None and turns is not None:
