@@ -45,8 +45,7 @@ FIELD_KERNEL level_cover(ARRAY rows, float reach, __global float *cover, SIZES) 
 FIELD_KERNEL cover_scale(ARRAY paid, ARRAY cost, ARRAY cover, float keep, __global float *restrict highs, SIZES,
                          int n_part) {
     OWN_PART;
-    Vector high[VECTORS];
-    EACH_VECTOR high[v] = ZERO;
+    SUMS(high);
     EACH_VECTOR_AT {
         const Vector lack = keep * LOAD(paid + at) - LOAD(cost + at), covered = LOAD(cover + at);
         const Lanes reached = covered > ZERO;

@@ -59,12 +59,13 @@ def edge(x: float, outer: float, inner: float, sigma: float, inverse_sigma: floa
 
 @wp.func
 def footprint(
-    light: wp.array3d[float], n_r: int, c: float, s: float, arc: float, x: float, y: float, bent: int, ratio: float,
-    strength: float, fill: float, sigma: float, radius: float,
+    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
+    ratio: float, strength: float, fill: float, sigma: float, radius: float,
 ):  # fmt: skip
     """Column and footprint of one voxel at one pose; voxels outside the radius reach nothing."""
     if x * x + y * y > radius * radius:
         return Ray(0.0, 1.0, 0.0, 0.0, -BEYOND)
+    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
     across = y * c - x * s
     along = -x * c - y * s
     u = across * ratio + 0.5 * float(n_r - 1)
@@ -91,16 +92,6 @@ def footprint(
     outer = 0.5 * (wide + thin)
     reach = wp.max(outer + 0.5 * fill + TAIL * sigma, FAR * sigma)
     return Ray(u, outer, 0.5 * (wide - thin), gain / (wide * thin * fill), reach)
-
-
-@wp.func
-def footprint_at(
-    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
-    ratio: float, strength: float, fill: float, sigma: float, radius: float,
-):  # fmt: skip
-    """The footprint of a voxel at a pose."""
-    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
-    return footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma, radius)
 
 
 @wp.func
@@ -200,7 +191,7 @@ def back_footprint(
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)
-                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
+                ray = footprint(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
                 number(at.slots + 2 * work, True, int(wp.ceil(ray[0] - ray[4])))
                 number(at.slots + 2 * work + 1, True, int(wp.floor(ray[0] + ray[4])))
             meet(at.members)
@@ -216,7 +207,7 @@ def back_footprint(
                 pose = first_pose + turn
                 x = voxel(row + i // 2, n_x)
                 y = voxel(column + i % 2, n_y)
-                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
+                ray = footprint(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
                 share_columns(slot, i, pose * n_r + first, lanes, count, ray, first, fill, sigma)
             meet(at.members)
             count = samples_before(at.windows, turns)
@@ -267,7 +258,7 @@ def forward_footprint(
                     j = wp.where(span.along_y == 1, plane, cell)
                     x = voxel(i, n_x)
                     y = voxel(j, n_y)
-                    ray = footprint_at(light, n_r, directions, angle, x, y, bent, ratio, strength, fill, sigma, radius)
+                    ray = footprint(light, n_r, directions, angle, x, y, bent, ratio, strength, fill, sigma, radius)
                     share(slot, -2, four_shares(ray, r, fill, sigma))
                     number(slot, True, (i * n_y + j) * lanes)
             meet(at.members)

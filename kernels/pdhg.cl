@@ -4,8 +4,7 @@
 FIELD_KERNEL primal_step(ARRAY light, ARRAY columns, float step, __global float *restrict ahead,
                           __global float *restrict after, __global float *restrict moved, SIZES, int n_part) {
     OWN_PART;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_VECTOR_AT {
         const Vector from = LOAD(light + at), weight = LOAD(columns + at);
         const Lanes lit = weight > ZERO;

@@ -5,8 +5,7 @@ FIELD_KERNEL partial_sum(__global const float *restrict a, __global float *restr
                          int n_part) {
     OWN_PART;
     __global const float *source = a + slab_offset(n_i, n_j);
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_SAMPLE EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(source + SAMPLE(i, j, n_j)));
     parts[part] = sum_of(sum);
 }
@@ -17,8 +16,7 @@ FIELD_KERNEL partial_dot(__global const float *a, __global const float *b, __glo
                          int n_j, int n_z, int n_part) {
     OWN_PART;
     const size_t slab = slab_offset(n_i, n_j);
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_SAMPLE {
         const size_t at = slab + SAMPLE(i, j, n_j);
         EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(a + at) * LOAD(b + at));

@@ -22,8 +22,7 @@ static inline Vector raised(Vector x, float power) {
 FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, float most, __global float *gradient,
                            __global float *restrict parts, SIZES, int n_part) {
     OWN_PART;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_VECTOR_AT {
         const Vector from = LOAD(light + at), lit = fmax(from, ZERO);
         Vector value = LOAD(gradient + at);
