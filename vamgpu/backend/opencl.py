@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
-import warnings
 import weakref
 from functools import lru_cache
 from math import prod
@@ -19,6 +18,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
+from vamgpu.backend.opencl_platforms import quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
@@ -203,8 +203,7 @@ class OpenclDevice(Device):
         if self._is_nvidia and registers:
             options.append(f"-cl-nv-maxrregcount={registers}")
         try:
-            with warnings.catch_warnings():  # a compiler that merely talks is no news
-                warnings.simplefilter("ignore", cl.CompilerWarning)
+            with quiet_build():
                 program = cl.Program(self.context, kernel.source.read_text())
                 cache: Any = None if cached else False
                 function = cl.Kernel(program.build(options, cache_dir=cache), kernel.name)
