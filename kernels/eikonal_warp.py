@@ -1,4 +1,4 @@
-"""Warp siblings of `eikonal`; a thread marches one ray."""
+"""Warp version of `eikonal`; a thread marches one ray."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Warp siblings of `footprint`: tiles of 2 × 2 voxels, or of four columns of a pose (see `tile_warp`).
+"""Warp version of `footprint`: tiles of 2 × 2 voxels, or of four columns of an angle (see `tile_warp`).
 
-Footprints cost more than the lanes they serve: the members of a tile work out those of the next poses, or planes,
+Footprints take longer than the lanes that use them: the members of a tile compute those of the next angles, or planes,
 together.
 """
 
@@ -61,7 +61,7 @@ def footprint(
     light: wp.array3d[float], n_r: int, c: float, s: float, arc: float, x: float, y: float, bent: int, ratio: float,
     strength: float, fill: float, sigma: float,
 ):  # fmt: skip
-    """Column and footprint of one voxel at one pose."""
+    """Column and footprint of one voxel at one angle."""
     across = y * c - x * s
     along = -x * c - y * s
     u = across * ratio + 0.5 * float(n_r - 1)
@@ -78,7 +78,7 @@ def footprint(
     b = wp.abs(by_across * c - by_along * s)
     moved = wp.abs(by_across * along - by_along * across) * arc
     thin = wp.min(a, b)
-    if moved > 0.0:  # the widest of three boxes stays, the other two are merged
+    if moved > 0.0:  # the widest of three boxes is kept, the other two are merged
         side = wp.max(a, b)
         other = wp.min(side, moved)
         thin = wp.min(wp.max(side, moved), wp.sqrt(thin * thin + other * other))
@@ -95,14 +95,14 @@ def footprint_at(
     light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
     ratio: float, strength: float, fill: float, sigma: float,
 ):  # fmt: skip
-    """The footprint of a voxel at a pose."""
+    """The footprint of a voxel at an angle."""
     c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
     return footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
 
 
 @wp.func
 def faded(distance: float, reach: float, fade: float):
-    """The part of a share that counts: all but near the end of its reach."""
+    """Weight of a share: 1 except near the end of its reach."""
     return wp.clamp((reach - wp.abs(distance)) * fade, 0.0, 1.0)
 
 
@@ -113,7 +113,7 @@ def voxel(x: int, n: int):
 
 @wp.func
 def find_window(at: Tile, turn: int, skip: int, widest: int, n_r: int):
-    """The columns of a pose that light the four voxels of a tile, from so many skipped on."""
+    """The columns of an angle that light the four voxels of a tile, after ``skip`` of them."""
     first = int(1000000)
     final = int(-1)
     for i in range(4):
@@ -142,13 +142,13 @@ def back_footprint(
     t1 = wp.mat44(0.0)
     t2 = wp.mat44(0.0)
     t3 = wp.mat44(0.0)
-    widest = taps + int(1.4143 * ratio) + 1  # columns of a tile, at most
+    widest = taps + int(1.4143 * ratio) + 1  # greatest number of columns of a tile
     at_once = wp.clamp(at.samples // wp.max(widest, 8), 1, TURNS)
     for first_pose in range(0, n_angle, at_once):
         turns = wp.min(at_once, n_angle - first_pose)
         for skip in range(0, widest, at.samples):
             meet(at.members)
-            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the samples to come
+            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the following samples
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)

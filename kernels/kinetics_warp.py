@@ -1,4 +1,4 @@
-"""Warp sibling of `kinetics`: one thread an item."""
+"""Warp version of `kinetics`: one thread per item."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Matrix:
 @wp.struct
 class State:
     y: wp.vec3
-    rest: wp.vec3  # what rounding lost of the last step
+    rest: wp.vec3  # rounding error of the last step
     trial: float
     taken: float
 
@@ -116,7 +116,7 @@ def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
 
 @wp.func
 def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, y: wp.vec3):
-    """The terms of a resin under light, where the state is y."""
+    """The terms of a resin under light, in the state y."""
     terms = Terms()
     terms.scale = rates[resin, 4]
     terms.a = rates[resin, 0] * visible
@@ -137,7 +137,8 @@ def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, 
 
 @wp.func
 def tried(state: State, terms: Terms, left: float, tolerance: float):
-    """The state after a step, or as it was where the step was too long: the next is as long as the error lets it be."""
+    """The state after a step, or the same state if the step was too long; the next step is as long as the error
+    allows."""
     y = state.y
     change = change_of(y, terms)
     h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))

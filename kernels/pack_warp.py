@@ -1,4 +1,4 @@
-"""Warp siblings of `pack`; a thread owns four lanes of z."""
+"""Warp version of `pack`; a thread owns four lanes of z."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def count_light(
     slab, _, r, lane = wp.tid()
     column = place(r, n_r, flip_r != 0)
     last = int(-1)
-    run = int(0)  # neighbors often share a bin; adding a run at once spares the others' waiting
+    run = int(0)  # neighbors often share a bin; adding a run at once avoids waiting
     for angle in range(n_angle):
         for k in range(4):
             z = 4 * (slab * sinogram.shape[3] + lane) + k

@@ -1,4 +1,4 @@
-"""Warp siblings of `watch`; a thread owns four lanes of z of one voxel's column, or one voxel that is picked."""
+"""Warp version of `watch`; a thread owns four lanes of z of one voxel's column, or one picked voxel."""
 
 from __future__ import annotations
 

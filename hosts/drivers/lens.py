@@ -14,7 +14,7 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 class LensDriver(Closing):
-    """A lens driver: one handshake, then settings without answers, so that no schedule waits."""
+    """A lens driver: one handshake, then settings without answers; no schedule waits for it."""
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire

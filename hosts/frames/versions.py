@@ -286,7 +286,8 @@ class VersionedPacker(PlanePacker):
         made = None if packs is None else packs(self._batch)
         if made is None or made.shape != self.shape:
             raise BadInput(
-                f"the frames of version {number} are no frames of {self.shape} for the job's device: put them there"
+                f"the frames of version {number} have a shape other than {self.shape} or are on another device: put "
+                f"them on the job's device"
             )
         self._made[number] = made
 

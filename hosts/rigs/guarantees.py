@@ -163,7 +163,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
     if clock == "controller":
         return Guarantee("step", True, "each frame is triggered by the controller's own steps"), 0.0
     if clock == "stage":
-        return Guarantee("step", True, "each frame is triggered by the stage at its pose"), 0.0
+        return Guarantee("step", True, "each frame is triggered by the stage at its angle"), 0.0
     if clock == "vblank" and setup.motion.reports:
         return Guarantee("step", True, "the angle that the stage reports selects the frame of every refresh"), 0.0
     display: Any = setup.display[0]  # only a video cable's is left
@@ -182,7 +182,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
 
 
 def _rounded_up(drift: float) -> float:
-    """Round a drift up to two digits, so that the number in the message is enough to accept it."""
+    """Round a drift up to two digits, which makes the number in the message large enough to accept it."""
     if drift <= 0:
         return 0.0
     digit = 10.0 ** (floor(log10(drift)) - 1)

@@ -1,4 +1,5 @@
-"""A rig measured by its own drivers: focus, axis, gray levels and sharpness, beside the truth of emulated optics."""
+"""A rig calibrated by its own drivers: focus, axis, gray levels and sharpness, compared with the true values of
+emulated optics."""
 
 from __future__ import annotations
 

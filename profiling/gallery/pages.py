@@ -1,4 +1,4 @@
-"""Draw the live page in its states and the page of three proofs; needs Playwright and Chromium.
+"""Draw the live page in its states and the reports of three proofs; needs Playwright and Chromium.
 
 ``python -m profiling.gallery.pages [FOLDER]``
 """
@@ -31,9 +31,9 @@ from vamgpu.targets import shapes
 DESK, PHONE = (1100, 760), (390, 844)
 SHEET: Any = {"width": 900, "height": 1200}
 COLORS = 192
-"""Of the pictures of proofs, which are large otherwise."""
+"""Scale of the pictures of proofs, which would be large otherwise."""
 KEPT = ("printing-vial", "printing-two", "held", "live", "phone")
-"""Which stand in docs/; all others are drawn to be looked at."""
+"""Pictures for docs/; all others are for inspection."""
 
 
 def frame(angle: float, rows: int = 240, columns: int = 320) -> np.ndarray:
@@ -114,7 +114,7 @@ def runs(place: Path) -> None:
 
 
 def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
-    """Draw the wanted pages, or all."""
+    """Draw the requested pages, or all."""
     from playwright.sync_api import sync_playwright
 
     drawn = []
@@ -153,7 +153,8 @@ def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
 
 
 def proofs() -> Iterator[tuple[str, Proof]]:
-    """A gear in a vial: light that prints, light that does not, and the first with lit columns beside the part."""
+    """A gear in a vial: patterns that print, patterns that do not, and the first with additional lit columns beside the
+    part."""
     vial = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     beam = vamgpu.Beam((54, 32), 0.4)
     width = vamgpu.resin_pixel(beam, vial)[0]
@@ -169,7 +170,7 @@ def proofs() -> Iterator[tuple[str, Proof]]:
 
 
 def shoot_proofs(out: Path) -> list[Path]:
-    """Draw the head of the page of each proof, and the surface in three dimensions below it."""
+    """Draw the head of each proof's report, with the surface in three dimensions below it."""
     from playwright.sync_api import sync_playwright
 
     drawn = []

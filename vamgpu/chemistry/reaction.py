@@ -20,7 +20,7 @@ class Reaction:
     k_2: NonNegative  # [m³/(mol·s)]
     initial: Positive = 1.0  # [C] before printing [mol/m³]
     order: int = 1  # of the splitting in [C]; 0 while C lasts
-    cross: NonNegative = 0.0  # radicals that ultraviolet light starts, over those of as much visible light
+    cross: NonNegative = 0.0  # radicals per amount of ultraviolet light, relative to visible light
     optical: Positive = 1.0  # T_opt: dose [mJ/mm²] of light whose radicals met no inhibitor
     mechanical: Positive = 2.0  # T_mec [mJ/mm²]
 
@@ -35,6 +35,6 @@ class Reaction:
 
     @classmethod
     def of(cls, rates: Rates, cross: float = 0.0, optical: float = 1.0, mechanical: float = 2.0) -> Reaction:
-        """The reaction of a resin's kinetics, C splitting as fast as ``rates`` says at its supply."""
+        """The reaction for a resin's kinetics; C splits at the rate that ``rates`` gives at its supply."""
         k, supply = (rates.k_a, rates.k_b, rates.k_c, rates.k_2), rates.supply or 1.0
         return cls(*k, supply, rates.order, cross, optical, mechanical)

@@ -15,7 +15,7 @@ ROLES = ("motion", "clock", "display", "light", "lens", "feedback")
 
 @group.command
 def check(rig: str, /, *, speed: float | None = None, settings: Settings = None) -> int:
-    """List the parts that fill the roles of a rig, and what they do and do not guarantee together.
+    """List the machine in each role of a rig, and what these machines do and do not guarantee together.
 
     Args:
         rig: the TOML file of the rig, or emulated

@@ -16,8 +16,8 @@ from vamgpu.webs.proof import WebProof, prove_web
 Proof = TypeVar("Proof")
 Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
-JOB = """\
-# A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured in air:
+JOB = """\ # A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured
+in air:
 # refraction narrows its columns to 80 um in the resin, which is also the width of voxels unless target.pitch sets it.
 # The lens blurs by half a pixel unless beam.spread sets the blur: a length, or the result of `vam calibrate mtf`.
 #
@@ -111,7 +111,8 @@ def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgre
 
 
 def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = quiet) -> Demo[WebProof]:
-    """Solve, write and prove a gyroid film; replaces an earlier demo, as `demo` does. Raises `StorageError`."""
+    """Solve, write and prove a gyroid film; replaces the files of an earlier demo, as `demo` does. Raises
+    `StorageError`."""
     job, left = _begun(WebJob, WEB_JOB, out, "gyroid", settings, "web.html")
     solve_web(job, left.folder, overwrite=True, progress=progress)
     progress("proof", 0.0)

@@ -15,7 +15,7 @@ from vamgpu.reports import chart
 from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
 
 SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor")
-"""Estimates that have a curve."""
+"""Estimates that are drawn as a curve."""
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
 """The attribute of `Truth` for each estimate."""

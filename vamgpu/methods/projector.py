@@ -1,4 +1,4 @@
-"""What methods project with: a volume that turns, or a web that passes, in light of any kind."""
+"""Projectors for methods: a volume that turns, or a web that passes, in light of any kind."""
 
 from __future__ import annotations
 

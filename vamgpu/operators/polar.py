@@ -1,4 +1,5 @@
-"""Rings about the axis of rotation as voxels of a volume: what even angles map onto itself."""
+"""Rings about the axis of rotation as voxels of a volume: a rotation by one of the even angles maps them onto
+themselves."""
 
 from __future__ import annotations
 
@@ -22,16 +23,17 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
 PARTS = 2
-"""Parts of a cell along the radius and along the angle whose footprints are added."""
+"""Number of parts of a cell along the radius and along the angle whose footprints are added."""
 ALIKE = 1e-5
-"""Difference of light from its mirror image, over the greatest or in columns, up to which one half stands for both."""
+"""Difference between light and its mirror image, relative to the greatest light or in columns, up to which one half
+represents both."""
 
 
 @dataclass(frozen=True)
 class RingBand:
     """Neighboring rings of equally many cells."""
 
-    # begin, stop: of the rings.  cell: first of its cells of a turn.  samples: of a ring between two angles.
+    # begin, stop: range of the rings. cell: first of its cells per turn. samples: number per ring between two angles.
 
     begin: int
     stop: int
@@ -44,7 +46,7 @@ class RingBand:
 
     @property
     def tiles(self) -> list[RingBand]:
-        """Every `ROWS` of its rings."""
+        """The groups of `ROWS` rings."""
         return [replace(self, begin=ring, stop=ring + ROWS) for ring in range(self.begin, self.stop, ROWS)]
 
 
@@ -52,9 +54,9 @@ class RingBand:
 class PolarGrid:
     """Rings of voxels about the axis of rotation: cells are about as long as rings are wide.
 
-    Each ring has a whole number of cells between two angles of the turntable, so that turning it by one of them maps
-    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at
-    ``[t, band.cell + q · band.rings + j − band.begin]``.
+    Each ring has a whole number of cells between two angles of the turntable; a rotation by one angle therefore maps
+    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at ``[t,
+    band.cell + q · band.rings + j − band.begin]``.
 
     Args:
         rings: Number of rings, a multiple of eight.
@@ -97,12 +99,12 @@ class PolarGrid:
         return tuple(found)
 
     def _samples(self, first: int) -> int:
-        """Cells between two angles of the `ROWS` rings from one on."""
+        """Number of cells between two angles, for the `ROWS` rings from one on."""
         return ceil(2.0 * pi * (first + ROWS) / self.angles - 1e-9)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Angles, cells between two of them, slices."""
+        """Number of angles, of cells between two of them, and of slices."""
         last = self.bands[-1]
         return (self.angles, last.cell + last.rings * last.samples, self.slices)
 
@@ -123,7 +125,7 @@ class PolarGrid:
 
     @cached_property
     def areas(self) -> np.ndarray:
-        """Area of each cell over that of a square of the pitch, (cells,)."""
+        """Ratio of the area of each cell to that of a square of the pitch, (cells,)."""
         samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.bands])
         return 2.0 * pi * self.places[0] / self.pitch / samples
 
@@ -140,14 +142,14 @@ class PolarGrid:
 
     @classmethod
     def within(cls, grid: Grid, angles: int) -> PolarGrid:
-        """Rings as wide as the voxels of a box, out to the cylinder in it that every angle lights.
+        """Rings as wide as the voxels of a box, out to the cylinder in it that light reaches at every angle.
 
         Args:
             grid: The voxels.
             angles: Even angles of the turntable.
 
         Returns:
-            The rings, with a slice more than the box where that has an odd number.
+            The rings, with one slice more than the box if that has an odd number.
 
         Raises:
             BadInput: There are fewer than two angles.
@@ -165,8 +167,8 @@ def pose_on_rings(
     grid: PolarGrid, beam: Beam, vessel: Vessel, square: float | None = None
 ) -> Iterator[np.ndarray]:  # fmt: skip
     """Yield the light of each column in the cells of each band at θ = 0 [mm], (rings, cells of a ring, columns)."""
-    # Means over a cell × pitch² / pixel pitch; a cell is cut into parts that light sees as trapezoids. square: side
-    # [mm] of squares about the middles of the cells, facing the axis, that take the place of cells and pitch.
+    # Means over a cell × pitch² / pixel pitch; a cell is cut into parts whose projections are trapezoids. square: side
+    # [mm] of squares about the middles of the cells, facing the axis, that replace cells and pitch.
     for band in grid.bands:
         found = np.zeros((band.rings, grid.angles * band.samples, beam.pixels[0]))
         _footprints(grid, band, beam, vessel, square).add(found, beam)
@@ -174,14 +176,14 @@ def pose_on_rings(
 
 
 class PoseTile(Protocol):
-    """The light of one pose in `ROWS` rings."""
+    """The light of one angle in `ROWS` rings."""
 
     def is_mirrored(self, columns: int) -> bool:
-        """Whether cells on either side see columns on either side."""
+        """Whether cells on one side see only columns on that side."""
         ...
 
     def last(self, beam: Beam) -> int:
-        """The last column that may light a cell; −1 where none does."""
+        """The last column that may light a cell; −1 if there is none."""
         ...
 
     def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
@@ -191,9 +193,9 @@ class PoseTile(Protocol):
 
 @dataclass(frozen=True)
 class _Footprints:
-    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring)."""
+    """Trapezoids for the parts of cells, each (parts · rings, parts · cells of a ring)."""
 
-    # column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].
+    # column: the one that lights the middle. strength: of a column's light. a, b: widths [columns].
 
     column: np.ndarray
     strength: np.ndarray
@@ -202,12 +204,12 @@ class _Footprints:
     parts: int
 
     def rings(self, begin: int, stop: int) -> _Footprints:
-        """Those of some of the rings."""
+        """The trapezoids of some of the rings."""
         own = slice(begin * self.parts, stop * self.parts)
         return _Footprints(self.column[own], self.strength[own], self.a[own], self.b[own], self.parts)
 
     def is_mirrored(self, columns: int) -> bool:
-        """Whether cells on either side see columns on either side."""
+        """Whether cells on one side see only columns on that side."""
 
         def beyond(values: np.ndarray) -> np.ndarray:  # parts lie on both sides of a cell's middle
             return np.roll(values[:, ::-1], 1 if self.parts == 1 else self.parts, axis=1)
@@ -220,7 +222,7 @@ class _Footprints:
         )
 
     def last(self, beam: Beam) -> int:
-        """The last column that may light a cell; −1 where none does."""
+        """The last column that may light a cell; −1 if there is none."""
         reach = half_support(*sides(self.a, self.b, beam.sigma), beam.fill**0.5, beam.sigma)
         return min(int(np.floor(self.column + reach)[self.strength > 0.0].max(initial=-1)), beam.pixels[0] - 1)
 
@@ -260,7 +262,7 @@ def _footprints(
 
 def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, side: float, splines: bool) -> _Footprints:
     """Squares about the middles of a band's cells."""
-    # splines overshoot where light ends: with them, unlit outer rings repeat the last lit one.
+    # splines overshoot where light ends: with splines, unlit outer rings therefore repeat the last lit one.
     count = grid.angles * band.samples
     rho = (np.arange(band.begin, band.stop) + 0.5)[:, None] * grid.pitch
     lit = rho <= vessel.lit_radius
@@ -284,7 +286,8 @@ def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, sid
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries, tiles and what lights these, as in `vamgpu.kernels.spectrum`; no entry exceeds ``greatest``."""
+    """Entries, tiles and the light that they belong to, as in `vamgpu.kernels.spectrum`; no entry exceeds
+    ``greatest``."""
 
     entries: np.ndarray
     greatest: float
@@ -299,13 +302,13 @@ def ring_table(
     arc: float = 0.0,
     tiles_of_pose: Sequence[PoseTile] | None = None,
 ) -> RingTable:  # fmt: skip
-    """The products of each angular frequency, from the light of one pose; arguments as for `pose_on_rings`."""
-    # faint: share of the greatest entry up to which those of a tile's outermost columns count as none.  splines:
-    # whether entries give coefficients of `ring_splines`, not doses.  room: allocates the entries.  arc: of the turn
-    # [rad] during which an angle is lit.  tiles_of_pose: what the pose leaves in every `ROWS` rings, where the vessel
-    # does not say it.
+    """The products of each angular frequency, from the light of one angle; arguments as for `pose_on_rings`."""
+    # faint: share of the greatest entry below which entries of a tile's outermost columns are dropped. splines: whether
+    # entries give coefficients of `ring_splines` instead of doses. room: allocates the entries. arc: of the turn [rad]
+    # during which an angle is lit. tiles_of_pose: light of the angle in every `ROWS` rings, if the vessel does not give
+    # it.
     with workers(min(threads(), FEW)) as pool:
-        # squares of a ring do not depend on those of another: as many pieces as tiles
+        # squares of different rings are independent: as many pieces as tiles
         pieces = [tile for band in grid.bands for tile in band.tiles] if square is not None else list(grid.bands)
         footprints: Sequence[PoseTile] = tiles_of_pose or []
         if not footprints:
@@ -318,7 +321,7 @@ def ring_table(
         half = columns // 2 if mirrored else 0
         all_pairs = _in_rows(columns - half)
         last = [each.last(beam) for each in footprints]
-        if splines:  # coefficients reach on, each ring a third as much: as far as the samples of the next tile
+        if splines:  # coefficients fall to a third per ring; include those of the next tile
             last = [*last[1:], 2 * last[-1] - last[-2] if last[1:] else all_pairs + half]
         wide = [min(_in_rows(each + 1 - half), all_pairs) for each in last]
         tiles, own, size = _tiles(grid, wide)
@@ -344,7 +347,8 @@ def ring_table(
 
 
 def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]], list[list[int]], int]:
-    """Where each tile begins, its pairs and its mate; the tiles of each footprint, so many pairs wide; and the end."""
+    """Where each tile begins, its pairs and its mirror tile; the tiles of each footprint, by number of pairs; and the
+    end."""
     tiles, own = list[tuple[int, int, int]](), [list[int]() for _ in wide]
     start = number = 0
     for band in grid.bands:
@@ -359,18 +363,18 @@ def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]]
 
 
 def _greatest(entries: np.ndarray) -> np.ndarray:
-    """The greatest of each frequency and pair, of entries (frequency, pair, 2, `ROWS`)."""
+    """The greatest entry of each frequency and pair, of entries (frequency, pair, 2, `ROWS`)."""
     return np.hypot(entries[:, :, 0], entries[:, :, 1]).max(axis=2)
 
 
 def _lit(seen: np.ndarray) -> np.ndarray:
-    """The number of pairs, in whole `ROWS`, up to the last one seen, of (frequency, pair)."""
+    """The number of pairs, in whole `ROWS`, up to the last visible one, of (frequency, pair)."""
     ends = np.where(seen, np.arange(1, seen.shape[1] + 1), 0).max(axis=1, initial=0)
     return -(-ends // ROWS) * ROWS
 
 
 def _in_rows(count: int) -> int:
-    """The least multiple of `ROWS` that holds so many."""
+    """The least multiple of `ROWS` that is at least a number."""
     return -(-max(count, 0) // ROWS) * ROWS
 
 
@@ -378,7 +382,7 @@ def _spectrum(
     footprints: PoseTile, beam: Beam, turns: int, samples: int, first_column: int, width: int, arc: float
 ) -> list[np.ndarray]:
     """Entries (k, ``width`` columns, 2, `ROWS`) of `ROWS` rings for each j < samples, at frequencies k + j·turns."""
-    # Turning by an arc while lit leaves the share sin(x) / x of a wave, x = frequency · arc / 2.
+    # Turning by an arc while lit multiplies a wave by sin(x) / x, x = frequency · arc / 2.
     from scipy.fft import rfft
 
     columns = min(width, beam.pixels[0] - first_column)

@@ -1,9 +1,9 @@
-"""Splines through samples on rings: 4 × 4 coefficients about a place make a field there.
+"""Splines through samples on rings: 4 × 4 coefficients about a point give the field there.
 
-Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that come nearest to smooth functions:
-T. Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients come of samples by a division of
-each angular frequency and an elimination along the radius. Both are linear and the same at every angle: a table of
-angular frequencies takes them in once, and products give coefficients where they gave samples.
+Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that approximate smooth functions best: T.
+Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients follow from samples by a division
+for each angular frequency and an elimination along the radius. Both are linear and the same at every angle: they are
+applied once to a table of angular frequencies, and products then give coefficients instead of samples.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from vamgpu.operators.polar import PolarGrid
 
 TAPS = np.arange(-1, 3)
-"""Coefficients about a place that make what is there."""
+"""Number of coefficients about a point that determine the field there."""
 OWN, NEXT = 13 / 21, 4 / 21
-"""Weight of a coefficient in its own sample, and in either next one."""
+"""Weight of a coefficient in its own sample, and in the next one on either side."""
 AT_ONCE = 32
-"""Frequencies that are filtered together."""
+"""Number of frequencies that are filtered together."""
 
 
 def shares(place: np.ndarray) -> list[np.ndarray]:
-    """Weight of each of `TAPS` for places (n,) after the second of them, 0..1; four arrays (n,)."""
+    """Weight of each of `TAPS` for positions (n,) after the second of them, 0..1; four arrays (n,)."""
     return [_spline(np.abs(place - tap)) for tap in TAPS.tolist()]
 
 
@@ -40,7 +40,8 @@ def _spline(x: np.ndarray) -> np.ndarray:
 
 
 def to_coefficients(entries: np.ndarray, tiles: list[tuple[int, int, int]], grid: PolarGrid, pool: Executor) -> None:
-    """Turn entries (frequencies, entries) of samples into those of coefficients, in place, by frequency in ``pool``."""
+    """Convert entries (frequencies, entries) of samples to those of coefficients, in place, with frequencies divided
+    over ``pool``."""
     pivots = _pivots(grid.rings)
     some = [slice(first, first + AT_ONCE) for first in range(0, len(entries), AT_ONCE)]
     tasks = [(part, m, track) for m, track in _tracks(grid).items() for part in some]
@@ -59,12 +60,12 @@ def _tracks(grid: PolarGrid) -> dict[int, list[tuple[int, int, int]]]:
 
 
 def _pivots(rings: int) -> np.ndarray:
-    """Factors of the elimination along the radius, (rings, 2): across the axis odd waves change their sign."""
+    """Factors of the elimination along the radius, (rings, 2): across the axis, odd waves change their sign."""
     found = np.empty((rings, 2))
     found[0] = OWN + NEXT, OWN - NEXT
     for ring in range(1, rings):
         found[ring] = OWN - NEXT**2 / found[ring - 1]
-    found[-1] += NEXT  # as if the last sample went on
+    found[-1] += NEXT  # as if the last sample continued
     return found
 
 
@@ -95,6 +96,6 @@ def _filter(
 
 
 def of_tile(entries: np.ndarray, tile: tuple[int, int, int]) -> np.ndarray:
-    """Those of a tile, (frequency, pair, 2, `ROWS`)."""
+    """The entries of a tile, (frequency, pair, 2, `ROWS`)."""
     begin, pairs, _ = tile
     return entries[:, begin : begin + 2 * ROWS * pairs].reshape(len(entries), pairs, 2, ROWS)

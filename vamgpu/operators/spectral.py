@@ -35,32 +35,32 @@ from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
 from vamgpu.schema.quantities import finite
 
 MOST = 4
-"""_Passes that there may be."""
+"""Largest number of passes."""
 
 
 @final
 class SpectralProjection(LinearOperator):
     """Rays of a beam through rings of voxels that a turntable turns, in air or inside a vessel at rest.
 
-    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the mean, over
-    cell j, of the light that the box of pixel i sends, blurred by the beam's point spread, × pitch² / pixel pitch, as
-    of a voxel of a box; multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction,
-    absorption and the point spread are in the light of one angle, and cost nothing.
+    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the light of pixel
+    i's box, blurred by the beam's point spread, averaged over cell j, × pitch² / pixel pitch, as for a voxel of a box;
+    multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction, absorption and the point
+    spread are part of the light of one angle, and take no additional time.
 
     Args:
-        grid: Rings of the volume, made for the angles.
+        grid: Rings of the volume, made for these angles.
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
-        square: Side [mm] of squares about the middles of the cells, over which doses are means instead of over cells;
-            ``pitch`` above is then theirs.
-        faint: Share of the greatest entry of its table up to which entries of the outermost columns count as zero.
+        square: Side [mm] of squares about the middles of the cells, over which doses are averaged instead of over
+            cells; ``pitch`` above is then this side.
+        faint: Share of the greatest entry of its table below which entries of the outermost columns count as zero.
         tf32: Use eleven bits of each number in products (TensorFloat-32) on devices with units for them: NVIDIA's in
             OpenCL. It has no effect on other devices.
-        motion: Turntable of the grid's angles, and the share of the steps that is lit; None for one that turns all the
-            time.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only with
-            a square.
+        motion: Turntable of the grid's angles, with the lit share of its steps; None for one that is lit during the
+            whole step.
+        splines: Return coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only
+            with a square.
         tiles: Dose of the light of one angle in every eight rings, if it is not that of the vessel.
 
     Raises:
@@ -126,10 +126,10 @@ class SpectralProjection(LinearOperator):
             Its arguments by name.
 
         Raises:
-            BadInput: It was given tiles.
+            BadInput: The operator was made from tiles.
         """
         if self._has_tiles:
-            raise BadInput(f"got {self!r} of tiles, which are not kept; expected one of a vessel: pickle what made it")
+            raise BadInput(f"got {self!r}, made of tiles; expected one of a vessel: pickle the operator of its tiles")
         return {"grid": self.grid, "beam": self.beam, "vessel": self.vessel, **self._given}
 
     def __repr__(self) -> str:
@@ -152,7 +152,7 @@ class SpectralProjection(LinearOperator):
 
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
-        """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
+        """GPUs transform rings over the angles first, like light, then over the cells between two angles."""
         angles, bands = self.grid.angles, self.grid.bands
         if not on_gpu(self.device) or not any(factors(angles)):
             return None
@@ -178,7 +178,7 @@ class SpectralProjection(LinearOperator):
         self._in_turn(self._gathered(x), rows)
 
     def _gathered(self, x: DeviceArray) -> DeviceArray:
-        """`_gather` by angular frequencies, in a field that is worked in."""
+        """`_gather` for angular frequencies, in a work field."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
         light = work("light 0", self._light_shape)
@@ -186,25 +186,25 @@ class SpectralProjection(LinearOperator):
         return light
 
     def _in_turn(self, light: DeviceArray, rows: DeviceArray) -> None:
-        """Light by angular frequencies, in "light 0", back at its angles."""
+        """Transform light in "light 0" from angular frequencies to angles."""
         self._of_light.run(1.0, light, lambda number: self._work(f"light {1 - number}", self._light_shape), last=rows)
 
     def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
-        """The dose of columns in slices, the transpose of `_gather`."""
+        """The dose of columns in slices; the transpose of `_gather`."""
         self._on_rings(self._by_frequency(rows), out)
 
     def _by_frequency(self, rows: DeviceArray) -> DeviceArray:
-        """Light by its angular frequencies, in a field that is worked in."""
+        """Angular frequencies of light, in a work field."""
         return self._of_light.run(-1.0, rows, lambda number: self._work(f"light {number}", self._light_shape))
 
     def _on_rings(self, light: DeviceArray, out: DeviceArray) -> None:
-        """The dose of light by its angular frequencies."""
+        """The dose of light given by its angular frequencies."""
         spectrum = self._work("rings 0", out.shape)
         self.device.launch(light_rings, light=light, **self._entries, spectrum=spectrum)
         self._to_rings.run(1.0, spectrum, lambda number: self._work(f"rings {1 - number}", out.shape), last=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
+        """A work field, kept for the next product: new memory takes longer than a pass over it."""
         held = vars(self._held)  # of each thread
         if name not in held:
             held[name] = self.device.empty(shape)
@@ -212,13 +212,13 @@ class SpectralProjection(LinearOperator):
 
 
 Place = tuple[int, int, int, int]
-"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
+"""First sample, n, and steps a and b, as in `vamgpu.kernels.spectrum.RingBands`."""
 
 
 class _Passes:
-    """Fourier transforms of rings, a pass after the other."""
+    """Fourier transforms of rings, in passes one after another."""
 
-    # bands: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
+    # bands: (samples, rings, position in the source, in the sink). radices: of the passes of each; chosen by default.
 
     def __init__(
         self, device: Device, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
@@ -237,7 +237,7 @@ class _Passes:
     def _pass(
         self, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
     ) -> dict[str, Any]:
-        """The arguments of one pass; the first reads where the source lies, all others where the sink does."""
+        """The arguments of one pass; the first reads in the order of the source, all others in that of the sink."""
         found, item, wave = [], 0, 0
         for (n, rings, source, sink), own in zip(bands, radices, strict=True):
             read = sink if number else source
@@ -252,7 +252,7 @@ class _Passes:
     def run(
         self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
     ) -> DeviceArray:
-        """Transform by way of work(0) and work(1), which may be the source; return where the result is."""
+        """Transform by way of work(0) and work(1), which may be the source; return the one with the result."""
         for number, own in enumerate(self._tables):
             sink = last if last is not None and number == self.count - 1 else work(number % 2)
             self._device.launch(fourier, source=source, **own, waves=self._waves, sign=sign, sink=sink)
@@ -261,24 +261,25 @@ class _Passes:
 
 
 def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> _Passes:
-    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
+    """Transforms over the angles of light [angle, r, z] with this number of columns, or of the first of those
+    ``given``."""
     return _Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
 def on_gpu(device: Device) -> bool:
-    """Whether it is one in OpenCL, which computes some transforms in its own way."""
+    """Whether it is a device in OpenCL, which computes some transforms differently."""
     return device.name.startswith("opencl") and getattr(device, "is_gpu", False)
 
 
 def _fits(device: Device) -> Callable[[int], bool]:
-    """Which radices a device has short work with."""
+    """The radices that are fast on a device."""
     if not device.name.startswith("opencl"):
         return ONE_SUM.__ge__
     return (lambda radix: any(factors(radix))) if on_gpu(device) else AT_ONCE.__ge__
 
 
 def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
-    """Radices of each transform, as many for all: as few passes as make them all fit, else those of the least work."""
+    """Radices of each transform, the same number for all: as few passes as possible, or those of the least work."""
     for count in range(1, MOST + 1):
         short = [_radices(n, count, fits) for n in lengths]
         if all(short):
@@ -288,7 +289,7 @@ def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, .
 
 
 def _radices(n: int, passes: int, fits: Callable[[int], bool] = bool) -> tuple[int, ...]:
-    """Factors of n that fit, one a pass, none of them 1, whose sum is least; nothing where there are none."""
+    """Factors of n that fit, one per pass, none of them 1, with the least sum; empty if there are none."""
     if passes == 1:
         return (n,) if n > 1 and fits(n) else ()
     rest = ((d, *_radices(n // d, passes - 1, fits)) for d in range(2, n) if n % d == 0 and fits(d))

@@ -12,16 +12,17 @@ from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
 NODES = 64  # of the scan that brackets the first root
-CHUNK = 2048  # points at once, so that the scan stays in the cache
-STEP_DONE = 1e-8  # Newton doubles the digits: a step of this size leaves an error near rounding
+CHUNK = 2048  # number of points at a time that fits the cache
+STEP_DONE = 1e-8  # Newton doubles the number of digits: a step of this size leaves an error near rounding
 MOST_STEPS = 100
 
 
 def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Column u [mm] of the ray through each (x, y) [mm], and its dX_perpendicular/du: 0 where no ray comes."""
+    """Column u [mm] of the ray through each (x, y) [mm], and dX_perpendicular/du of that ray; 0 where there is no
+    ray."""
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
-    # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
-    # = aperture·sin ψ, in which d is smooth up to the last ray.
+    # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method uses ψ with u =
+    # aperture·sin ψ, because d is smooth in ψ up to the last ray.
     u, spacing = pointwise(partial(_piece, faces, aperture, ratio), np.abs(x), y)
     return np.copysign(u, x), spacing
 
@@ -33,7 +34,7 @@ def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: F
     node, before, after = np.empty(x.size, np.int64), np.empty_like(x), np.empty_like(x)
     for start in range(0, x.size, CHUNK):
         some = slice(start, start + CHUNK)
-        # no product of BLAS, whose threads would add to ours
+        # avoid BLAS, whose threads would compete with ours
         values = x[some, None] * cos_d + (y[some, None] * sin_d - ratio * columns)
         node[some] = at = np.argmax(values[:, 1:] <= 0.0, axis=1)
         row = np.arange(at.size)
@@ -53,7 +54,7 @@ def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: F
 def _newton(
     faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats, low: Floats, high: Floats, psi: Floats
 ) -> Floats:
-    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method with bisection as the safeguard."""
+    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method safeguarded by bisection."""
     root = psi.copy()
     live = np.arange(x.size)
     for _ in range(MOST_STEPS):

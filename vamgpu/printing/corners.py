@@ -16,8 +16,8 @@ from vamgpu.printing.simulate import ShownLight
 
 
 def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerances) -> CornerDoses:
-    """Doses of frames at every corner, for arguments as of `simulate`. Raises `ToleranceError`, `BadInput`."""
-    # From rays traced for each corner if its operator is a `Projection`, otherwise from the operator itself.
+    """Doses of frames at every corner; arguments as for `simulate`. Raises `ToleranceError`, `BadInput`."""
+    # Rays are traced for each corner if its operator is a `Projection`; otherwise the operator itself is used.
     A = direct(A)
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)

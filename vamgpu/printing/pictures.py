@@ -1,4 +1,4 @@
-"""Pictures of volumes and sinograms as data addresses."""
+"""Pictures of volumes and sinograms as data URLs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from vamgpu.reports.chart import colored, picture
 from vamgpu.reports.page import Image
 
 SLICES = 64
-"""Slices of the viewer at most."""
+"""Greatest number of slices in the viewer."""
 
 EDGE = 192
-"""Edge [px] of a slice of the viewer at most."""
+"""Greatest edge of a slice in the viewer [px]."""
 
 HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
-"""Verdicts on a voxel; 0 is one rightly left unprinted."""
+"""Verdicts on a voxel; 0 is a voxel that is correctly unprinted."""
 
 COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
 """Color of each verdict."""
@@ -37,7 +37,7 @@ def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, leve
 
 
 def upright(plane: np.ndarray) -> np.ndarray:
-    """A plane [horizontal, vertical] as picture rows, the vertical axis pointing up."""
+    """A plane [horizontal, vertical] as rows of a picture; the vertical axis points up."""
     return plane.T[::-1]
 
 
@@ -58,7 +58,7 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
 
 
 def viewer(sheet: dict[str, Any], heights: list[float], first: int) -> dict[str, Any]:
-    """Data of the page's slices: their image, their z [mm], and which to show first."""
+    """Data of the page's slices: their image, their z [mm], and the slice to show first."""
     return {"sheet": sheet, "heights": heights, "first": first, "heat": ramp("magma"), "colors": COLORS.tolist()}
 
 

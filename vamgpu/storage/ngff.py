@@ -1,4 +1,4 @@
-"""OME-Zarr 0.5: what viewers of microscopy read of a job folder, the place and size of its voxels."""
+"""OME-Zarr 0.5: the part of a job folder that viewers of microscopy read, with position and size of its voxels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 VERSION = "0.5"
 SPACE = ("x", "y", "z", "row", "column")
-"""Names of axes along which an array reaches through space; others count."""
+"""Names of axes that are directions in space; other axes are numbers."""
 FIRST = ("dose", "target", "frames")
 """Arrays for a viewer that shows one image, the best first."""
 
@@ -24,7 +24,7 @@ class Image:
     spacing: float  # distance of neighbors in space [mm]
 
     def multiscale(self) -> dict[str, Any]:
-        """The image at its one resolution, centered on the axis of rotation, or on that of the light."""
+        """The image at its only resolution, centered on the axis of rotation, or on that of the light."""
         space = [axis in SPACE for axis in self.axes]
         scale = [self.spacing if inside else 1.0 for inside in space]
         lengths = zip(space, self.shape, strict=True)
@@ -37,7 +37,7 @@ class Image:
 
 
 def describe(folder: Path, images: Iterable[Image]) -> None:
-    """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are."""
+    """Record in the Zarr group of a folder which of its arrays are images, and the positions of their voxels."""
     import zarr
 
     rank = {name: place for place, name in enumerate(FIRST)}

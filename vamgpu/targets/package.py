@@ -1,4 +1,4 @@
-"""The package around a 3MF mesh: what it holds is weighed before it is unpacked."""
+"""The package around a 3MF mesh; its contents are measured before they are unpacked."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from vamgpu.storage.memory import afford, size
 from vamgpu.storage.zips import open_zip, unpacked
 
 WORK = 12
-"""Bytes of memory that reading takes, by byte of a model's text."""
+"""Bytes of memory that reading takes, per byte of a model's text."""
 DENSEST, SMALL = 200, 1 << 24
-"""Meshes as text pack ten times smaller; beyond `SMALL` bytes a model that packs so much smaller is none."""
+"""Mesh text compresses about tenfold; a member beyond `SMALL` bytes that compresses more than this factor is not a
+model."""
 DOCTYPES = (b"<!DOCTYPE", "<!DOCTYPE".encode("utf-16-le")[:-1])
-"""What a 3MF file must not have (3MF core, 2.3): entities that multiply, and names of other files."""
+"""Text that a 3MF file must not contain (3MF core, 2.3): entities that multiply, and names of other files."""
 
 
 def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str, bytes]:
@@ -30,11 +31,11 @@ def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str
                 if member.file_size > max(SMALL, DENSEST * member.compress_size):
                     raise MeshError(
                         f"{name!r} holds {member.filename!r}, which unpacks from {size(member.compress_size)} to "
-                        f"{size(member.file_size)}; no mesh does: export the part again"
+                        f"{size(member.file_size)}; a mesh does not: export the part again"
                     )
                 text = unpacked(package, member)
                 if any(mark in text for mark in DOCTYPES):
-                    raise MeshError(f"{name!r} declares a DOCTYPE, which no 3MF may: export the part again")
+                    raise MeshError(f"{name!r} has a DOCTYPE, which 3MF forbids: export the part again")
                 found[_path(member)] = text
     except MeshError:
         raise

@@ -1,4 +1,4 @@
-"""The limits of a web machine as lines to be read."""
+"""The limits of a web machine as lines of text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PER_MINUTE = 60.0
 
 
 def lines(limits: WebLimits) -> tuple[Line, ...]:
-    """Every number of the report with its meaning: the expected speed, what limits it, film, angles."""
+    """Every number of the report with its meaning: the expected speed, its limit, film, angles."""
     return (*_expected(limits), *_speeds(limits), *_film(limits), *_angles(limits))
 
 
@@ -38,7 +38,7 @@ def _speeds(limits: WebLimits) -> tuple[Line, ...]:
     return (
         *(Line(f"most by {limit.name}", speed(limit.speed), limit.reason) for limit in limits.speeds),
         Line("greatest speed", speed(limiting.speed), f"limited by {limiting.name}: {limiting.reason}"),
-        Line("sampling at 1 mm/s", sampling, "angles per mm for which the lens settles"),
+        Line("{limits.viscosity / Pa_s:.4g} Pa·s at hand", sampling, "angles per mm for which the lens settles"),
     )
 
 

@@ -1,4 +1,4 @@
-"""Species that keep a resin from curing."""
+"""Species that inhibit curing."""
 
 from __future__ import annotations
 

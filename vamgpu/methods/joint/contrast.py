@@ -12,7 +12,7 @@ from vamgpu.errors import EmptyMesh
 
 @dataclass(frozen=True)
 class EffectiveContrast:
-    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it."""
+    """Effective doses, 1 at the end of the induction, inside the part (fraction ≥ ½) and outside it."""
 
     in_least: float
     in_most: float
@@ -20,16 +20,16 @@ class EffectiveContrast:
     in_low: float  # fifth percentile in the part
     out_high: float  # ninety-fifth percentile out of it
     uncured: float  # share of the part below 1
-    overcured: float  # share of the rest at 1 or above
+    overcured: float  # share of the other voxels at 1 or above
 
     @property
     def window(self) -> float:
-        """(Least dose in the part − greatest out of it) / the greatest in the part."""
+        """(Least dose in the part − greatest outside) / greatest in the part."""
         return (self.in_least - self.out_most) / max(self.in_most, 1e-30)
 
     @property
     def bulk(self) -> float:
-        """The same of the fifth and the ninety-fifth percentile."""
+        """The same with the fifth and the ninety-fifth percentile."""
         return (self.in_low - self.out_high) / max(self.in_most, 1e-30)
 
     @classmethod

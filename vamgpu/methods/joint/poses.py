@@ -1,4 +1,4 @@
-"""A turn of a projector, in short runs of poses one after another."""
+"""A turn of a projector, divided into short runs of angles one after another."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from vamgpu.operators.projection import Projection
 
 
 class PoseRuns:
-    """The operators of the runs that the poses of a turn are cut into. Raises `BadInput` for fewer poses than runs."""
+    """The operators of the runs into which the angles of a turn are divided. Raises `BadInput` for fewer angles than
+    runs."""
 
     def __init__(self, operator: Projection, count: int) -> None:
         if not isinstance(operator, Projection):
@@ -30,14 +31,14 @@ class PoseRuns:
         return len(self.parts)
 
     def expose(self, run: int, light: DeviceArray, out: DeviceArray) -> None:
-        """out = dose [x, y, z] of one run of poses of a turn's light [angle, r, z]."""
+        """out = dose [x, y, z] of one run of angles of a turn's light [angle, r, z]."""
         device, part = self.whole.device, self.parts[run]
         rows = device.empty(part.range.shape)
         device.launch(take_poses, light=light, first=self.first[run], part=rows)
         part.T(rows, out=out)
 
     def project(self, run: int, volume: DeviceArray, light: DeviceArray) -> None:
-        """Write the projection of a volume [x, y, z] into the poses of a run."""
+        """Write the projection of a volume [x, y, z] into the angles of a run."""
         device, part = self.whole.device, self.parts[run]
         rows = device.empty(part.range.shape)
         part(volume, out=rows)
