@@ -41,8 +41,7 @@ class Renamed:
 
 
 def named_arguments(*names: str) -> Callable[[F], F]:
-    """Decorate a function to still accept by position, after its first argument, arguments that must now be given by
-    name."""
+    """Decorate a function to still accept arguments by position that must now be given by name."""
 
     def decorated(function: F) -> F:
         @wraps(function)

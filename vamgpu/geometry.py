@@ -112,8 +112,7 @@ class Grid:
 class Beam:
     """A collimated beam of light pixels, centered on the axis of rotation.
 
-    A pixel lights a square box, blurred by a Gaussian point spread. The spread and the fill factor do not change its
-    power.
+    A pixel lights a square box, blurred by a Gaussian point spread; neither spread nor fill factor changes its power.
 
     Args:
         pixels: Columns along r, rows along z. A single row represents a print that is the same at every height: its

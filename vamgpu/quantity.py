@@ -50,8 +50,7 @@ PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
 
 
 def spelled(unit: str) -> str:
-    """A unit in the spelling of `SPELLINGS`: ``mJ/cm³``, ``mJ/cm^3``, ``mJ cm-3`` and ``mJ cm⁻³`` are all
-    ``mJ/cm3``."""
+    """A unit as `SPELLINGS` writes it: ``mJ/cm³``, ``mJ/cm^3``, ``mJ cm-3``, ``mJ cm⁻³`` are ``mJ/cm3``."""
     plain = unit.translate(RAISED)
     per = PER.fullmatch(plain)
     return plain if per is None else f"{per[1]}/{per[2]}{per[3] if per[3] != '1' else ''}"
@@ -79,8 +78,7 @@ def unit_of(kind: str) -> str:
 
 
 def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
-    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` that states what was
-    expected."""
+    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` with what it expects."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
         raise ValueError(f"expected {kind} with its unit in quotes: {example}")

@@ -1,5 +1,4 @@
-"""The components of a web: a film that a roller carries past the light of one angle, and that light in the film laid
-flat.
+"""The components of a web: a film that a roller carries past the light of one angle, and the light in the flat film.
 
 Axes are ``[l, rho, z]``: l along the web, rho from the roller's side (0) to the outer face, z across the web. At angle
 k the window of light begins ``k · step`` further along the web; everything else is the same at every angle.
@@ -96,8 +95,7 @@ class Propagation:
 
     @property
     def moving(self) -> Propagation:
-        """The mean over the film's motion, linear between whole columns; light that would leave the window stays at its
-        end."""
+        """The mean over the film's motion, linear between whole columns; light at the window's edge stays there."""
         if self.way <= 0.0:
             return self
         way, shares = way_taps(self.way)
@@ -139,8 +137,7 @@ class Wrap(Protocol):
         ...
 
     def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
-        """Light of one angle over a window of ``grid``'s voxels; only the grid's rho and z extents and pitches
-        count."""
+        """Light of one angle over a window of ``grid``'s voxels; only its rho and z extents and pitches count."""
         ...
 
 

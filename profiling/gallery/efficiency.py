@@ -79,10 +79,9 @@ def efficiency(
         "pairing it is 2β/(α − 2β), dashed. In a turning vial, light weakens on its way in, here UV more than visible "
         "light; W therefore falls towards the axis. The light at a point near the rim changes most within a turn; W "
         "there depends on the starting angle. Inhibitor radicals that pair up sooner are lost, so a shorter life "
-        "lowers W. "
-        "The paper's Figs S1–S4 are not in its text, so only their trends are compared. Below: three constants fitted "
-        "to its only kinetic data. The fit drives the production of B to its maximum: k_C ends at the limit of its "
-        "range, and errors of up to a second remain."
+        "lowers W. The paper's Figs S1–S4 are not in its text, so only their trends are compared. Below: three "
+        "constants fitted to its only kinetic data. The fit drives the production of B to its maximum: k_C ends at the "
+        "limit of its range, and errors of up to a second remain."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

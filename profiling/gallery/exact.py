@@ -47,11 +47,10 @@ def exact(
                   (".2g", ".3g", ".3g", ".0f"), tuple(rows))  # fmt: skip
     caption = (
         f"{n} × {n} points, {turn} angles, μR = 1 for light that adds and {subtraction:g} for light that subtracts. "
-        "Points are processed one after another. Each is corrected only at angles at which no earlier point shares "
-        "its bin; a correct dose therefore never changes again. The buildup is absolute, never rescaled. It is exact "
-        "at the points if every point has a free angle, which needs narrow bins; otherwise the light grows without "
-        "limit. Between the points, where there is also resin, the dose is not exact; the finer buildup shows the "
-        "error."
+        "Points are processed one after another. Each is corrected only at angles at which no earlier point shares its "
+        "bin; a correct dose therefore never changes again. The buildup is absolute, never rescaled. It is exact at "
+        "the points if every point has a free angle, which needs narrow bins; otherwise the light grows without limit. "
+        "Between the points, where there is also resin, the dose is not exact; the finer buildup shows the error."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

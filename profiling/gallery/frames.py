@@ -71,13 +71,11 @@ def frames(
     caption = (
         "Patterns are converted to bytes. A full-on pixel corresponds to the brightest one that is not an outlier; "
         "each pixel gets the level whose measured light, black level included, is nearest. With 1 bit, each pixel "
-        "passes "
-        "its rounding error to the next angle. The dose sums over angles; most of the part therefore survives. "
+        "passes its rounding error to the next angle. The dose sums over angles; most of the part therefore survives. "
         "Rounding to the nearest bit loses it. Bits chosen together by their dose leave a window like that of the "
-        "plan, or a wider "
-        "one if the plan's run was short. The table judges only the dose of the bytes, decoded as the mirrors show "
-        "them; their black level adds light that is not in the plan. The error is the norm of the difference in light, "
-        "divided by the norm of the light."
+        "plan, or a wider one if the plan's run was short. The table judges only the dose of the bytes, decoded as the "
+        "mirrors show them; their black level adds light that is not in the plan. The error is the norm of the "
+        "difference in light, divided by the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)
 

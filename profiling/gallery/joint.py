@@ -85,10 +85,9 @@ def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
         f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
         "assumed. The linear model, visible − k·ultraviolet, ignores order and decay; it therefore relies on "
         "ultraviolet light whose effect has ended. The kinetics, differentiated exactly through all turns, place "
-        "ultraviolet light where and when its effect lasts. Nothing here keeps the part clear before the last turn: "
-        f"in {early} of {len(LABELS)} cases the greatest dose in it exceeds 1 earlier. Middle row, the voxels with "
-        "dose ≥ 1: correct in black, missing in blue, "
-        "excess in red."
+        "ultraviolet light where and when its effect lasts. Nothing here keeps the part clear before the last turn: in "
+        f"{early} of {len(LABELS)} cases the greatest dose in it exceeds 1 earlier. Middle row, the voxels with dose ≥ "
+        "1: correct in black, missing in blue, excess in red."
     )
 
 

@@ -60,9 +60,8 @@ def layerwise(
     )
     caption = (
         "The platform stops for every slice; the dose therefore jumps from layer to layer. The correction gives the "
-        "far edge "
-        "of every layer the critical dose, and the void nothing. Because level 0 is not dark, a little of the void in "
-        "front of every feature still cures. Right: the contributions of single slices."
+        "far edge of every layer the critical dose, and the void nothing. Because level 0 is not dark, a little of the "
+        "void in front of every feature still cures. Right: the contributions of single slices."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

@@ -62,11 +62,10 @@ def precompensation(
         "Oxygen diffuses into regions that the light has depleted, so thin walls cure late. The blur is the mean of "
         "heat kernels over the exposure. The target dose is deconvolved; a small weight penalizes its distance from "
         f"the plain target, and it never falls below zero. A background of {100 * background:g} % lets it dip beside "
-        "an edge. "
-        "The table shows the value of that background. This part's edges are smooth over more than a voxel, which "
-        "flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target dose, "
-        "not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate that "
-        "assumes 293 K and 500 g/mol, which the paper does not give."
+        "an edge. The table shows the value of that background. This part's edges are smooth over more than a voxel, "
+        "which flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target "
+        "dose, not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate "
+        "that assumes 293 K and 500 g/mol, which the paper does not give."
     )
     table = _table(part, grid, diffusion, device)
     return Picture(_drawn(part, plain, found, made_up), caption, facts, table, PAPERS)

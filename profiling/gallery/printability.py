@@ -85,13 +85,12 @@ def printability(
         "Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the outside point that "
         f"gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn, no "
         "point of the part may exceed T_opt; (b) after it, all points must exceed T_mec; (c) no point outside may "
-        "exceed T_opt. Top, "
-        "a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough power to be firm, and "
-        "with little enough not to overcure; two colors at any turn; one color with more inhibitor and more turns. "
-        f"Below, the allowed power against the number of turns; pale: the range that also tolerates ± {100 * off:g} % "
-        f"in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has {n} × {n} voxels and {poses} "
-        f"angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for "
-        "any number of turns."
+        "exceed T_opt. Top, a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough "
+        "power to be firm, and with little enough not to overcure; two colors at any turn; one color with more "
+        "inhibitor and more turns. Below, the allowed power against the number of turns; pale: the range that also "
+        f"tolerates ± {100 * off:g} % in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has "
+        f"{n} × {n} voxels and {poses} angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, "
+        "not measured; 999 stands for any number of turns."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

@@ -54,10 +54,9 @@ def recipe(
     table = Table(("pass", "strict process window"), ("+.4f",), rows)
     caption = (
         f"The target has a background of {100 * background:g} % of its dose, because light cannot be negative. Its "
-        "projection is filtered by a ramp and clipped at zero. Where the dose then differs from the "
-        "target, the model is corrected by the ratio, and the next pass starts from there. All sections and sinograms "
-        "are at one height, just above the deck. The table gives the strict window after each pass; the correction "
-        "does not optimize it."
+        "projection is filtered by a ramp and clipped at zero. Where the dose then differs from the target, the model "
+        "is corrected by the ratio, and the next pass starts from there. All sections and sinograms are at one height, "
+        "just above the deck. The table gives the strict window after each pass; the correction does not optimize it."
     )
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE, RAMP))
 

@@ -67,8 +67,7 @@ def transport(
         "left at each angle attenuates the light of its frame. At the rim, which passes through bright and dark, "
         "concentrations therefore rise and fall every turn. Light makes polymer only where A and B are used up; where "
         "C is used up, ultraviolet light itself starts to cure. At these diffusivities and voxel sizes diffusion is "
-        "hardly visible. Rates are chosen "
-        "to show the course of a print; the paper's own are only in its scripts."
+        "hardly visible. Rates are chosen to show the course of a print; the paper's own are only in its scripts."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

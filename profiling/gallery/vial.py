@@ -53,12 +53,10 @@ def vial(
     caption = (
         "Parallel light meets a vial of resin that turns in air. It bends towards the axis; the outer resin therefore "
         "stays dark at some angles. Only inside the printable radius does exactly one ray light every point at every "
-        "angle. "
-        "The farther a ray passes from the axis, the more the two faces reflect. Rays converge; light therefore grows "
-        "denser downstream. A uniform beam leaves more dose at the rim than on the axis. The back projection, which "
-        "gathers "
-        "the ray through each voxel, agrees inside that radius with a scatter of every ray's energy, which also covers "
-        "the rim."
+        "angle. The farther a ray passes from the axis, the more the two faces reflect. Rays converge; light therefore "
+        "grows denser downstream. A uniform beam leaves more dose at the rim than on the axis. The back projection, "
+        "which gathers the ray through each voxel, agrees inside that radius with a scatter of every ray's energy, "
+        "which also covers the rim."
     )
     return Picture(figure, caption, facts, papers=(AUTOMATIC_EXPOSURE, VIAL))
 

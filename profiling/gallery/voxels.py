@@ -49,9 +49,8 @@ def voxels(device: Device, quick: bool = False, pitch: float = 0.067) -> Picture
     caption = (
         "Each voxel holds the fraction that the part fills; details smaller than a voxel therefore keep their size. "
         "Spokes of one pixel survive at any angle, and widths summed across them are correct although edges cut "
-        "through voxels. "
-        "Volumes of the boat are accurate on coarse grids; voxels that are either full or empty give larger, random "
-        "errors."
+        "through voxels. Volumes of the boat are accurate on coarse grids; voxels that are either full or empty give "
+        "larger, random errors."
     )
     table = Table(("voxels along the height of the boat", "fractions [%]", "full or empty [%]"), ("+.5f", "+.3f"), rows)
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))

@@ -46,9 +46,8 @@ def web(
     caption = (
         "The light of one angle is traced once. At the next angle, the web has moved by one column and meets the same "
         "light. The projection at every angle is therefore one gather over a shifting window, and the dose is its "
-        "exact transpose. Usually the window of every angle is first copied into a matrix; here no such matrix "
-        "exists. A "
-        "window that lies only partly on the web ignores what is beyond its ends. Steps that end between two columns "
+        "exact transpose. Usually the window of every angle is first copied into a matrix; here no such matrix exists. "
+        "A window that lies only partly on the web ignores what is beyond its ends. Steps that end between two columns "
         "interpolate."
     )
     return Picture(figure, caption, _facts(A, film.numpy(), shown), papers=(ROLL_TO_ROLL,))

@@ -29,8 +29,7 @@ HOST = (1, 0)
 
 
 class Device(ABC):
-    """A device that runs kernels. All transfers between host and device go through ``upload`` and ``download``, and
-    ``ledger`` records them."""
+    """A device that runs kernels. Its transfers, ``upload`` and ``download``, are recorded in ``ledger``."""
 
     is_gpu = False
     """Whether it is a graphics processor with its own memory."""
@@ -50,8 +49,7 @@ class Device(ABC):
 
     @final
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the name, from which another process opens its own device; raises `DeviceError` for a device without a
-        name."""
+        """Pickle the name, from which another process opens its own device; raises `DeviceError` without one."""
         try:
             is_named = open_device(self.name) is self
         except DeviceError:
@@ -389,8 +387,7 @@ class Device(ABC):
 
     @final
     def download(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
-        """A NumPy copy of a device array in logical shape; a table's copy may go to ``out``, a matching C contiguous
-        array."""
+        """A NumPy copy of a device array in logical shape; a table's copy may go to ``out``, C contiguous."""
         self.check_mine(array)
         if out is not None:
             if array.lanes or out.shape != array.shape or out.dtype != array.dtype or not out.flags.c_contiguous:

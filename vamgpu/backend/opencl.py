@@ -169,8 +169,7 @@ class OpenclDevice(Device):
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
     ) -> cl.Kernel:
-        """A kernel for a layout of ``lanes`` and fixed numbers; kernels that are not cached report their arguments
-        everywhere."""
+        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones always report their arguments."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         constants = self._constants(kernel, lanes) | {name.upper(): value for name, value in fixed if value}

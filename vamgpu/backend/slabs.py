@@ -261,8 +261,7 @@ class SlabDevice(Device):
         self._done(spanned, bound[source])
 
     def _bring(self, piece: DeviceArray, begin: int, end: int, first: int, wide: DeviceArray) -> None:
-        """Copy slices of a piece to a field, perhaps of another member, that begins with the piece's slice
-        ``first``."""
+        """Copy slices of a piece to a field, perhaps of another member, that begins with the slice ``first``."""
         if piece.device is wide.device:
             return _copy(piece, first, wide)
         strips = [self._scratch(array.device, (*piece.shape[:2], end - begin)) for array in (piece, wide)]

@@ -217,8 +217,7 @@ class WarpDevice(Device):
 
 
 def _seen(value: Any, declared: Any) -> Any:
-    """A field in the form for its kernel: ``[slab, major, minor, lanes / 4]``, or flat per slab if it declares
-    array2d."""
+    """A field in the form for its kernel: ``[slab, major, minor, lanes / 4]``, or flat per slab for array2d."""
     if isinstance(value, wp.array) and value.ndim == 4 and declared.ndim == 2:
         return value.reshape((value.shape[0], -1))
     return value

@@ -1,5 +1,4 @@
-"""Position of the roller's axis on the mirrors, from a scan of one lit line: the two edges of its shadow, with
-sub-pixel accuracy.
+"""Position of the roller's axis on the mirrors, from a scan of one lit line, whose shadow has two sub-pixel edges.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S6. Light runs backwards
 through the projector: one column of mirrors after another sends it to a photodiode, and the roller casts a shadow on
@@ -121,8 +120,7 @@ def _levels(read: np.ndarray, dark: float | None) -> tuple[float, float, float]:
 
 
 def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[tuple[int, bool]]:
-    """First reading after every transition between light and shadow, and whether it is into light; noise does not
-    count."""
+    """First reading after every transition between light and shadow, and whether it is into light; noise is ignored."""
     middle, slack = 0.5 * (low + high), min(0.3 * (high - low), max(0.1 * (high - low), 5.0 * noise))
     bright = bool(np.median(read[: max(3, read.size // 100)]) > middle)
     found: list[tuple[int, bool]] = []
@@ -138,8 +136,7 @@ def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[
 
 
 def _step(x: np.ndarray, column: float, shadow: float, light: float, tilt: float, width: float) -> np.ndarray:
-    """A blurred step from shadow to light, whose level may grow with x, as seen by a line one column wide; width < 0
-    falls."""
+    """A blurred step from shadow to light that may grow with x, seen by a line one column wide; width < 0 falls."""
     from scipy.special import ndtr
 
     def below(u: np.ndarray) -> np.ndarray:

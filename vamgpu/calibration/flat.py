@@ -41,8 +41,7 @@ def cuts(length: int, count: int) -> np.ndarray:
 
 
 def fit_flat(readings: ArrayLike, dark: ArrayLike, mirrors: tuple[int, int], order: int = ORDER) -> FlatReading:
-    """The smooth surface that fits readings [row block, column block, repeat] best. Raises `BadInput`,
-    `ShapeMismatch`."""
+    """Smooth surface that best fits readings [row block, column block, repeat]. Raises `BadInput`, `ShapeMismatch`."""
     read, base = np.asarray(readings, np.float64), np.asarray(dark, np.float64)
     if read.ndim != 3 or read.shape[2] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(

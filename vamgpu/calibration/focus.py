@@ -88,8 +88,7 @@ def lorentzian(x: np.ndarray, center: float, width: float, height: float, floor:
 
 
 def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
-    """The Lorentzian that fits sharpness over lens powers [dpt] best, both (powers,). Raises `BadInput` without a
-    peak."""
+    """Lorentzian that best fits sharpness over lens powers [dpt], both (powers,). Raises `BadInput` without a peak."""
     power, sharp = _readings(powers, sharpness)
     span, floor, top = float(np.ptp(power)), float(np.quantile(sharp, 0.1)), int(np.argmax(sharp))
     height = float(sharp[top]) - floor

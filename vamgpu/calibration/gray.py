@@ -67,8 +67,7 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
 
 
 def _errors(read: np.ndarray) -> np.ndarray:
-    """Standard error of each level's mean; few repeats estimate it badly, and it is therefore at least that of a
-    typical level."""
+    """Standard error of each level's mean, but at least that of a typical level, as few repeats estimate it badly."""
     own = read.std(axis=1, ddof=1)
     typical = float(np.sqrt((own**2).mean()))
     least = 1e-9 * max(float(np.abs(read).max()), 1e-300)

@@ -91,8 +91,7 @@ class PointSpread:
 
         Raises:
             StorageError: the file cannot be read.
-            BadInput: it holds no calibration of this kind, no position within the extent, or a blur finer than the
-                pixels.
+            BadInput: it holds no calibration of this kind or near this position, or the blur is finer than the pixels.
 
         Returns:
             Both standard deviations [mm].

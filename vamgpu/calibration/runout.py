@@ -2,8 +2,7 @@
 
 A pin on the turntable circles the axis of rotation once per turn. Its position across the light is the axis (the mean),
 plus its eccentricity (a sine of one period), plus the error of the bearing. The same holds for its slope: the mean is
-the lean of the axis against the mirrors' columns, the sine is the wobble of the pin, and with it of the vial, about the
-axis.
+the lean of the axis against the mirrors' columns, the sine is the wobble of the pin, and of the vial, about the axis.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ LEAST_CONTRAST = 8.0
 SHARE = 0.2
 """Share of a lit line's peak that is subtracted before the mean gives its position."""
 OUTLYING = 4.0
-"""Distance of a lit line from its expected position, as a multiple of the usual one, beyond which the pin's edge has
-shifted it."""
+"""Distance of a lit line from its expected position, relative to the usual one, that shows a moved edge of the pin."""
 ROWS = 4
 """Rows of the camera that are averaged before a pin is fitted."""
 

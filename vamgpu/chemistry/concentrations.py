@@ -16,8 +16,7 @@ NEVER = -1.0
 
 @dataclass(eq=False)
 class Concentrations:
-    """Fields of A, B and C [mol/m³ or normalized], the dose that has started chains, and the time of crossing; all on
-    one device."""
+    """Fields of A, B and C [mol/m³ or normalized], the dose that started chains, and crossing time; on one device."""
 
     a: DeviceArray
     b: DeviceArray

@@ -93,8 +93,7 @@ def heat_taps(variance: float) -> np.ndarray:
 
 @final
 class Spread(LinearOperator):
-    """Doses [x, y, z] after diffusion, on a device; the dose is 0 beyond the volume, and what leaves the volume does
-    not return.
+    """Doses [x, y, z] after diffusion, on a device; the dose is 0 outside the volume and does not return from there.
 
     Each Gaussian is made from the previous one by the difference of their variances, with three short convolutions.
 

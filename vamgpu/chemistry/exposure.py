@@ -31,8 +31,7 @@ class ColorExtinction:
 
 @dataclass(frozen=True, eq=False)
 class ColorExposure:
-    """Sinograms of both colors, [angle, r, z] in mW/mm² at the entrance of the resin; each angle is lit for the same
-    time."""
+    """Sinograms of both colors, [angle, r, z] in mW/mm² at the resin's entrance; all angles last equally long."""
 
     box: Box  # of the resin, with its radius; its slices are the rows of the light
     visible: np.ndarray | None

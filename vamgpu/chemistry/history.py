@@ -66,8 +66,7 @@ class ResinHistory:
         return self._next("stir", self.oxygen + _share("air", air) * (1.0 - self.oxygen), self.depth, note=note)
 
     def rested(self, seconds: float, diffusivity: float, note: str = "") -> ResinHistory:
-        """The state after a pause under air, during which oxygen diffuses in from the surface [mm²/s]. Raises
-        `BadInput`."""
+        """The state after a pause under air; oxygen diffuses in from the surface [mm²/s]. Raises `BadInput`."""
         gained = recovery(diffusivity, seconds, self.depth)
         return self._next("rest", self.oxygen + gained * (1.0 - self.oxygen), self.depth, seconds=seconds, note=note)
 

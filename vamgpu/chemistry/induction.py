@@ -1,7 +1,6 @@
 """The four induction times of the photoinhibition paper, and the rate constants that fit them.
 
-All quantities are normalized: [A] before printing is 1, and each irradiance is 1 while its lamp is on, as in the
-experiment.
+All quantities are normalized: [A] before printing is 1, and each lamp's irradiance in the experiment is 1.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
 MEASURED = (30.0, 38.0, 50.0, 68.0)
-"""Induction [s]: without UV; with UV before visible light; with UV after visible light had used up the oxygen; with
-both together.
+"""Induction [s]: without UV; with UV before visible light; with UV after visible light without oxygen; with both.
 
 "Binary photoinhibition", Discussion: the only kinetic data of the paper.
 """

@@ -44,8 +44,7 @@ class Thresholds:
         return self.mechanical - self.optical
 
     def delayed(self, dose: float) -> Thresholds:
-        """Thresholds with more dissolved inhibitor: both are higher by ``dose``. Raises `BadInput` if T_opt falls below
-        0."""
+        """Thresholds with more dissolved inhibitor: both are higher by ``dose``. Raises `BadInput` if T_opt < 0."""
         return Thresholds(self.optical + dose, self.mechanical + dose)
 
 
@@ -106,8 +105,7 @@ class PowerVerdict:
 
     @classmethod
     def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> PowerVerdict:
-        """Check doses before and after the last turn, for light whose effect is not proportional to the number of
-        turns."""
+        """Check doses before and after the last turn, for light whose effect is not proportional to turns."""
         return cls(thresholds.optical - before.in_most, after.in_least - thresholds.mechanical,
                    thresholds.optical - after.out_most)  # fmt: skip
 
@@ -164,8 +162,7 @@ def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
 
 
 def static_inhibition(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> LegalRange:
-    """The delay [dose] that makes ``turns`` turns at a power allowed: (b) and (c) together are N_R·ΔD > ΔT. Raises
-    `BadInput`."""
+    """The delay [dose] that allows ``turns`` turns at a power: (b) and (c) give N_R·ΔD > ΔT. Raises `BadInput`."""
     n, power = counts("turns", (turns,), 1)[0], positive("power", power)
     hottest = max(n * doses.out_most, (n - 1) * doses.in_most)
     low = max(power * hottest - thresholds.optical, -thresholds.optical)

@@ -17,8 +17,7 @@ Floats = NDArray[np.float64]
 PAPER = "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via binary photoinhibition"
 
 SPECIES = {"A": "oxygen", "B": "lophyl", "C": "o-Cl-HABI"}
-"""Letter in the equations → name. A is the dissolved inhibitor, B the inhibitor that UV makes, C the substance from
-which it is made."""
+"""Letter in the equations → name. A is the dissolved inhibitor; UV makes the inhibitor B from C."""
 
 
 @dataclass(frozen=True)

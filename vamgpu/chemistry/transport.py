@@ -20,16 +20,14 @@ from vamgpu.geometry import centers, counts, positive
 from vamgpu.kernels.transport import transport
 
 FUSED, CACHE = 5, 2_500_000
-"""Greatest number of steps that an item computes with a block of columns at a time, and bytes for the intermediate
-results."""
+"""Greatest number of steps that an item computes with a block of columns, and bytes for intermediate results."""
 SPACING = 256
 FACES = ("x low", "x high", "y low", "y high", "z low", "z high")
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """A face with a fixed concentration [mol/m³, or normalized like the field]. Raises `BadInput` for negative
-    values."""
+    """A face with a fixed concentration [mol/m³, or normalized like the field]. Raises `BadInput` if negative."""
 
     value: float
 
@@ -188,8 +186,7 @@ class Transport:
         state.time += span
 
     def _tables(self, step: float) -> tuple[DeviceArray, DeviceArray]:
-        """Diffusion and reaction rates of a step, stored for the next one; C of first order splits at the rate k_c at
-        its initial amount."""
+        """Diffusion and reaction rates of a step, stored for the next one; C splits at the rate k_c at first."""
         if step not in self._kept:
             k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
             k_c = k.k_c / k.initial if k.order else k.k_c

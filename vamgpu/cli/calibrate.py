@@ -148,8 +148,7 @@ def mtf(
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default. beam.spread of a job may name it
         at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
-        focused: result of vam calibrate focus, with which the lens focuses on each position; by default the lens does
-            not change
+        focused: result of vam calibrate focus, used to focus on each position; by default the lens does not change
         angle: angle between the edge and the columns [deg]
         repeats: number of images that are averaged
         projector: number of the projector, from 0

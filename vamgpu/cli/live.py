@@ -77,10 +77,7 @@ def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, st
     swaps = [decision for decision in decisions if decision["action"] == "swap" and "effective" in decision]
     shown = [decision["effective"] - decision["turn"] for decision in swaps if decision["effective"] is not None]
     if shown:
-        yield (
-            "shown",
-            f"{len(shown)} of {len(swaps)} swaps took effect, at most {max(shown)} turns after the last image",
-        )
+        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {max(shown)} turns after the last image"
     late = [str(decision["turn"]) for decision in swaps if decision["effective"] is None]
     if late:
         yield "late", f"swaps of turns {', '.join(late)} never took effect"

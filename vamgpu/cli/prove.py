@@ -35,8 +35,7 @@ def prove(
         job: the job folder, or the folder of a vial's run
         report: the HTML file; by default part.html for part.vam, and part.run.html for part.run
         device: where to compute; the best device here by default
-        bound: also bound the window of any patterns, with 1500 projector evaluations; with --tolerances, for each
-            corner
+        bound: also bound the window of any patterns, with 1500 projector evaluations; with --tolerances, at all corners
         tolerances: also prove the job at every corner of its [tolerances], with one threshold for all
         slices: first slice, and the one after the last, used for --bound; fewer slices are faster, and their bound
             holds for the whole print
@@ -84,9 +83,7 @@ def prove(
         show_verdict(screen, proven.proof.verdict)
     show_lines(screen, proven.proof.lines())
     if needs:
-        screen.print(
-            f"[yellow]note[/] no report, because it needs {size(needs)} of memory; leave out --memory to get it"
-        )
+        screen.print(f"[yellow]note[/] no report: it needs {size(needs)} of memory; leave out --memory to get it")
     else:
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")

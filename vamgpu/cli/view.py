@@ -29,9 +29,7 @@ def view(job: Path, /, *, device: str | None = None) -> None:
     job = named(job)
     napari = opened()
     if is_web_folder(job):
-        raise BadInput(
-            f"{str(job)!r} is an endless web, which the viewer cannot show; write its report: vam prove {job}"
-        )
+        raise BadInput(f"{str(job)!r} is an endless web, which cannot be viewed; write its report: vam prove {job}")
     with shown(console()) as progress:
         proof = prove(job, device, progress=progress).proof
     viewer = napari.Viewer(title=proof.name)

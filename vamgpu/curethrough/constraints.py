@@ -42,8 +42,7 @@ def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.n
 
 
 def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
-    """Number of slices in which light Φ brings Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite if Φ never
-    does."""
+    """Number of slices in which light Φ brings Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η, or infinity."""
     if dose_0 >= 1.0:
         return 0.0
     return log10((phi - dose_0) / (phi - 1.0)) / eta if phi > 1.0 else float("inf")

@@ -98,8 +98,7 @@ def doses(
 
 
 class Judge:
-    """Cured height of the void and uncured height of the part, summed over a stack that passes with the last block
-    first."""
+    """Cured height of the void and uncured height of the part, summed over a stack in reverse order of blocks."""
 
     machine: Machine
     shape: tuple[int, int]

@@ -47,8 +47,7 @@ def last_back_sides(stack: Stack, threshold: int = 128, block: int = 32) -> np.n
 
 
 def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
-    """The maps of a corrector that has run through ``stack``; raises `BadInput` for a printer that stops for every
-    slice."""
+    """The maps of a corrector that has run through ``stack``; raises `BadInput` for layer-by-layer printers."""
     printer = corrector.correction.machine
     if not isinstance(printer, Printer):
         raise BadInput("speeds are those of continuous printers; for layers, see `LayerPrinter.least_cure_through`")
@@ -62,12 +61,10 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
 
 
 def least_void(printer: Printer, open_dose: float | None = None) -> float:
-    """Length, in whole slices, of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1
-    again.
+    """Length in whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1.
 
     open_dose: by default the printer's own. Light changes only at slice borders; fall and rise therefore take whole
-    slices each. A void of one slice, both of whose borders are sides of features, never opens. Infinite if no void
-    opens.
+    slices each. A void of one slice between features never opens. Infinite if no void opens.
     """
     needed = printer.opened if open_dose is None else open_dose
     if needed >= 1.0:

@@ -91,8 +91,7 @@ def _gray(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _check_whole(data: bytes, name: str) -> None:
-    """Check the check sum of every chunk of a PNG up to its end: picture readers tolerate errors that a print must not
-    have."""
+    """Check the check sum of every chunk of a PNG up to its end, because picture readers tolerate errors."""
     at, size = len(SIGNATURE), len(data)
     view = memoryview(data)
     while at + 12 <= size:

@@ -24,8 +24,7 @@ WEIGHT = 20.0
 PULL = 0.3
 """Scale of the bounds of light in the augmented Lagrangian."""
 MARGINS = (2.0, 8.0, 30.0, 100.0)
-"""Margins of the required doses beyond the critical one, in steps of half a level; the best resulting column is
-used."""
+"""Margins of the required doses beyond the critical one, in half levels; the best resulting column is used."""
 MOST_WEIGHED = 1 << 27
 """Greatest number of bytes of columns that are corrected as a whole."""
 WEIGHED_AT_ONCE = 1024
@@ -39,8 +38,7 @@ BetterColumns = tuple[np.ndarray, np.ndarray, np.ndarray]
 def better_columns(
     correction: Correction, stack: Stack, device: Device, progress: StageProgress
 ) -> BetterColumns | None:  # fmt: skip
-    """Better levels of columns that cannot be printed, None if there are none. Raises `BadInput` if there are too
-    many."""
+    """Better levels of columns that cannot be printed, or None. Raises `BadInput` for too many columns."""
     corrector = Corrector(correction, stack.shape, device)
     for block in corrector.run(stack):
         progress("survey", 1.0 - block.start / corrector.slices)
@@ -49,9 +47,8 @@ def better_columns(
         return None
     if len(rows) * stack.shape[0] > MOST_WEIGHED:
         raise BadInput(
-            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids that cannot be printed; "
-            f"expected at most {MOST_WEIGHED // stack.shape[0]:,} for least squares: print slower or with more light, "
-            "or do without least squares"
+            f"{len(rows):,} columns of {stack.shape[0]:,} slices have unprintable features or voids; expected at most "
+            f"{MOST_WEIGHED // stack.shape[0]:,} for least squares: print slower, or without least squares"
         )
     target = np.empty((stack.shape[0], len(rows)), np.uint8)
     for start, stop in blocks(stack.shape[0]):
@@ -65,8 +62,7 @@ def better_columns(
 
 
 def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> np.ndarray:
-    """Levels of corrected columns, uint8 [slice + tail, column], optimized as a whole if necessary. Raises
-    `BadInput`."""
+    """Levels of corrected columns, uint8 [slice + tail, column], optimized if necessary. Raises `BadInput`."""
     if columns.ndim != 2 or columns.dtype != np.uint8:
         raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; expected uint8 [slice, column]")
     if correction.machine.layered:

@@ -28,8 +28,7 @@ def is_slice(name: str) -> bool:
 
 
 def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
-    """Names of slices in natural order; the first number that varies must count them one by one. Raises
-    `SliceError`."""
+    """Names of slices in natural order; the first number that varies must count them. Raises `SliceError`."""
     found = tuple(sorted(names, key=natural))
     if not found:
         raise SliceError(f"{place} holds no slices; expected pictures ending in {', '.join(ENDINGS)}")
@@ -77,8 +76,7 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
 
 
 def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:
-    """Names for ``count`` slices after the last one, ``name``, with continued numbers of as many digits. Raises
-    `SliceError`."""
+    """Names for ``count`` slices after ``name``, with continued numbers of as many digits. Raises `SliceError`."""
     path = PurePosixPath(name)
     parts = DIGITS.split(path.stem)
     first = DIGITS.split(PurePosixPath(taken[0]).stem)

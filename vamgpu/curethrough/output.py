@@ -1,5 +1,4 @@
-"""Slices written to files: whole stacks appear under their name at once, or not at all, and never over the
-originals."""
+"""Slices written to files: a stack appears under its name when it is complete, and never replaces the originals."""
 
 from __future__ import annotations
 

@@ -253,8 +253,7 @@ class Printer(Machine):
 
     @property
     def tail(self) -> int:
-        """Number of slices to show after the last one to give its back side its dose; raises `BadInput` if none
-        suffices."""
+        """Number of slices to add so that the back side gets its dose; raises `BadInput` if none suffices."""
         slices = constraints.build_up_slices(0.0, self.phi_max, self.eta)
         if not np.isfinite(slices):
             raise BadInput(
@@ -311,6 +310,5 @@ class Printer(Machine):
 
     @property
     def sight(self) -> int:
-        """Number of slices from the back side over which an inner profile differs, until full light has nearly reached
-        its limit."""
+        """Number of slices from the back side over which an inner profile differs, until full light nears its limit."""
         return ceil(3.0 / self.eta) if self.eta > 0.003 else 1000

@@ -62,8 +62,7 @@ class Sample:
 
 
 def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
-    """Columns to follow: side × side over the part's box, and the row and the column of pixels with most of the part,
-    judged by a few slices."""
+    """Columns to follow: side × side over the part's box, and the row and column of pixels with most of the part."""
     slices, ny, nx = stack.shape
     seen = np.zeros((ny, nx), int)
     for k in np.unique(np.linspace(0, slices - 1, PEEKED).astype(int)):

@@ -38,8 +38,7 @@ PIXEL_HELD = 40
 
 
 class FileStack(ABC):
-    """Slices in files, decoded on all processors; those before the requested ones are decoded ahead. Use it as a
-    context manager, which closes it."""
+    """Slices in files, decoded ahead on all processors. Use it as a context manager, which closes it."""
 
     place: Path
     names: tuple[str, ...]  # of the slices, from the platform on
@@ -62,8 +61,7 @@ class FileStack(ABC):
         return len(self.names)
 
     def __getitem__(self, key: slice, /) -> np.ndarray:
-        """Slices, uint8 [slice, y, x]. Raises `SliceError` for a file that cannot be read or differs from the
-        others."""
+        """Slices, uint8 [slice, y, x]. Raises `SliceError` for an unreadable file or one unlike the others."""
         start, stop, step = key.indices(len(self.names))
         if step != 1:
             raise SliceError(f"slices come in steps of 1; got {step}")
@@ -94,8 +92,7 @@ class FileStack(ABC):
         return repr(str(self.place / name))
 
     def _plane(self) -> tuple[int, int]:
-        """Pixels of all slices from the headers of their PNGs; TIFFs after the first are not read. Raises
-        `SliceError`."""
+        """Pixels of all slices from the headers of their PNGs, or of the first TIFF. Raises `SliceError`."""
         first: Header | None = None
         for name in self.names:
             png = name.lower().endswith(".png")

@@ -27,8 +27,7 @@ class Targets:
 
 
 def sampled(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], back: np.ndarray, front: np.ndarray) -> np.ndarray:
-    """A profile at distances [mm] from the back side and to the front. Raises `BadInput` for values that are not
-    doses."""
+    """A profile at distances [mm] from the back side and to the front. Raises `BadInput` unless it holds doses."""
     step = back[1] if len(back) > 1 else 0.0
     grid = np.broadcast_arrays(back[:, None] + step, front[None, :])
     values = np.asarray(profile(*grid), dtype=np.float64)

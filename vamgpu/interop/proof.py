@@ -15,8 +15,7 @@ from vamgpu.printing.independent_exposure import IndependentExposure
 
 @final
 class ProofDose(LinearOperator):
-    """Map light [angle, r, z] to the dose that `simulate` judges: traced independently of the operator, on finer
-    voxels.
+    """Map light [angle, r, z] to the dose that `simulate` judges, traced independently of the operator on finer voxels.
 
     The transpose is exact but computed on the host in float64: at 128³ voxels and 360 angles it takes minutes.
 

@@ -67,14 +67,12 @@ def target_of(job: Job, device: Device) -> Target:
 
 
 def pitch_of(file: JobFile) -> float:
-    """Edge of a voxel of a job [mm]: that of the job, or by default a pixel in the resin (along z, if it is smaller
-    there)."""
+    """Edge of a voxel of a job [mm]: that of the job; by default a pixel in the resin, or along z if smaller."""
     return file.target.pitch or min(resin_pixel(_pixel(file), _light(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
-    """The bodies of a job whose paths are relative to ``folder``; None for a single part. Raises `JobError`,
-    `BadInput`."""
+    """The bodies of a job with paths relative to ``folder``, or None. Raises `JobError`, `BadInput`."""
     if not file.body:
         return None
     given = {key: getattr(file.target, key) for key in ("orientation", "origin", "void")}

@@ -51,8 +51,7 @@ DIFFERENT = 1e-3
 
 
 class PrinterSection(Section):
-    """Printer and resin: ``speed`` for a continuous printer, ``exposure`` of a slice for one that prints layer by
-    layer.
+    """Printer and resin: ``speed`` for a continuous printer, ``exposure`` of a slice for a layer-by-layer printer.
 
     absorption_height: depth in which light falls to a tenth.  critical_dose: dose at which the resin solidifies.
     slice_height: height of a slice.  speed: speed of the platform.  exposure: time of each slice.  dead_zone: depth

@@ -111,8 +111,7 @@ def demo(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgre
 
 
 def demo_web(out: str | Path, settings: Iterable[str] = (), *, progress: StageProgress = quiet) -> Demo[WebProof]:
-    """Solve, write and prove a gyroid film; replaces the files of an earlier demo, as `demo` does. Raises
-    `StorageError`."""
+    """Solve, write and prove a gyroid film; replaces an earlier demo, as `demo` does. Raises `StorageError`."""
     job, left = _begun(WebJob, WEB_JOB, out, "gyroid", settings, "web.html")
     solve_web(job, left.folder, overwrite=True, progress=progress)
     progress("proof", 0.0)

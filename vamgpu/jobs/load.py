@@ -51,8 +51,7 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
 
 
 def _plan_of(folder: Folder, device: Device) -> Plan | None:
-    """The plan of a folder that stores patterns; None if it stores bytes, or if only Python can describe its
-    operator."""
+    """The plan of a folder that stores patterns; None for bytes, or for an operator that only Python describes."""
     if "geometry" not in folder.manifest.inputs or folder.record("frames").dtype == "uint8":
         return None
     try:

@@ -125,8 +125,7 @@ def solve(
 
 @contextmanager
 def _kept_on_the_way(place: Path, onward: bool) -> Iterator[Path]:
-    """Folder in which plans are saved until a job is done: the job's own, or one beside it if other patterns there will
-    be replaced."""
+    """Folder in which plans are saved until a job is done: the job's own, or one beside it to replace patterns."""
     if not os.path.lexists(place) or (onward and is_interrupted(place)):
         yield place
         return
@@ -162,8 +161,7 @@ def _solve(
     job: Job, method: Any, place: Path, device: Device, *, overwrite: bool, start: str | Path | None, pareto: bool,
     progress: StageProgress, kept: Path | None, due: _Due | None = None,
 ) -> Folder:  # fmt: skip
-    """`solve` on a device. Plans that are ``due`` are saved at ``kept``; if that folder exists, the run continues from
-    it."""
+    """`solve` on a device. Plans that are ``due`` are saved at ``kept``; a run continues from an existing ``kept``."""
     file = job.file
     packing = packing_of(file.frames, job.folder)
     progress("voxels", 0.0)

@@ -274,8 +274,7 @@ class MonitoringCamera:
         return through * np.where(reached > 0, 1.0 / np.maximum(reached, LEAST), 0.0)
 
     def _curvature(self, path: np.ndarray) -> np.ndarray:
-        """Σ of the second derivatives of optical path [mm] across an image, divided by the index of the resin
-        [1/mm]."""
+        """Σ of the second derivatives of optical path [mm] across an image, divided by the resin's index [1/mm]."""
         pitch, vessel = self.projection.beam.pitch, self.projection.vessel
         bent = np.zeros_like(path)
         for axis in (1, 2):

@@ -63,8 +63,7 @@ class Estimate:
         values: Value of each of `NAMES`, (7,).
         covariance: Covariance matrix, (7, 7), larger if the residuals exceed the noise.
         delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
-        lit: The part of ``delivered`` from the light since the last estimate, from only the parameters, [x, y, z] on
-            the device.
+        lit: The part of ``delivered`` since the last estimate, by the parameters only, [x, y, z] on the device.
         std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Number of voxels used for the parameters.
@@ -144,9 +143,8 @@ class Estimator:
 
         minimize Σ ((M(D(p)) − seen) / deviation)² + (p − mean)ᵀ covariance⁻¹ (p − mean)
 
-    by Gauss-Newton. The dose D and its derivatives come from operators that are moved and absorb more by the
-    parameters. The remaining deviation of a voxel gives it a relative gain of its own, which is smoothed over its
-    neighbors and drawn towards 0.
+    by Gauss-Newton. The dose D and its derivatives come from operators with moved and more absorbing resin. The
+    remaining deviation gives each voxel a relative gain, which is smoothed over its neighbors and drawn towards 0.
 
     Args:
         operator: The operator of the plan.
@@ -335,8 +333,7 @@ class Estimator:
         return values, data, residuals
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
-        """Conversion and its deviation on the device, 0 at unseen voxels, and a mask of seen voxels (None if all are
-        seen)."""
+        """Conversion and its deviation on the device, 0 at unseen voxels; mask of seen voxels, None for all."""
         device = self.operator.device
         known = None if isinstance(seen, DeviceArray) else np.isfinite(seen)
         good = None if known is None or known.all() else known

@@ -69,8 +69,7 @@ class Decision:
         doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
             as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
         misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
-        stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes a different
-            time.
+        stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because replays differ in it.
         dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
             (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.
         conversion: Reconstructed conversion, [x, y, z] on the device; not in `entry`. None before the first field.
@@ -152,8 +151,7 @@ class LiveState:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A completed turn: its number, remaining turns, the previous state, and the light shown, pending and committed
-    now."""
+    """A completed turn: its number, remaining turns, the previous state; the light shown, pending and committed."""
 
     # clear: level of images before anything cured; cured: share of the planned print's darkening that is seen now
 
@@ -170,8 +168,7 @@ class _Turn:
 
 @dataclass(frozen=True, eq=False)
 class LiveLoop:
-    """Decides after every turn. Work is counted in projector evaluations, which makes the decisions of a replay the
-    same.
+    """Decides after every turn. Work is counted in projector evaluations: a replay then decides the same.
 
     Consumed inhibitor counts as dose that the resin already has. The camera cannot see light that has not reacted yet;
     that light counts as delivered.
@@ -317,8 +314,7 @@ class LiveLoop:
         return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
 
     def _by_plan(self, at: _Turn, doubt: str) -> Decision:
-        """The planned light, until images are as dark as the planned print makes them, with at most the dose of the
-        plan."""
+        """The planned light until images are as dark as planned, with at most the dose of the plan."""
         before, turns = at.before, self._allowed(at)
         if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
             turns = 0

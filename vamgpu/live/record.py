@@ -198,8 +198,7 @@ class LiveRecord:
         Args:
             frames: Gray levels, [angle, row, column].
             decision: The decision from them.
-            facts: Further facts to store, such as ``showed``, see `LiveLoop.corrected`, and seconds that the decision
-                took.
+            facts: Further facts to store: ``showed``, see `LiveLoop.corrected`, and the time of the decision [s].
 
         Raises:
             StorageError: The folder cannot be written.

@@ -263,8 +263,7 @@ class Replanner:
         self, state: OptimizerState, light: DeviceArray, share: float, dose: DeviceArray, given: DeviceArray,
         wanted: DeviceArray,
     ) -> None:  # fmt: skip
-        """Light that gives ``share`` times a dose, multiplied along each of its rays by the ratio of required to given
-        dose."""
+        """Light that gives ``share`` times a dose, multiplied along each ray by the required over the given dose."""
         missing, there, here = state.volume(), state.sinogram(), state.sinogram()
         combine(1.0, wanted, -1.0, given, missing, floor=0.0)
         state.project(missing, there)

@@ -306,8 +306,7 @@ class _Descent:
 
     @property
     def contrast(self) -> float:
-        """Mean square of the depths, in standard deviations; call `misfit` first, because this overwrites its
-        fields."""
+        """Mean square of the depths, in standard deviations; call `misfit` first: this overwrites its fields."""
         self._A.device.launch(multiply, x=self._depth, y=self._weight, out=self._weighted)
         return dot(self._depth, self._weighted) / self._pixels
 

@@ -60,8 +60,7 @@ def digest(frames: np.ndarray) -> str:
 
 
 def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Mean logarithm of gray levels [angle, row, column] over the angles that arrived, [row, column]; None if none
-    did."""
+    """Mean logarithm of gray levels [angle, row, column] over the angles that arrived, [row, column], or None."""
     values = np.asarray(frames)
     if values.shape != shape or values.dtype.kind not in "fiu":
         return None  # the analysis of the images reports what is wrong with them
@@ -71,15 +70,12 @@ def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def darkening(change: np.ndarray) -> np.ndarray:
-    """Optical depths of pixels minus that of the clearest, sorted; gain and orientation of a camera do not change
-    them."""
+    """Optical depths of pixels minus that of the clearest, sorted; a camera's gain and orientation cancel."""
     return np.sort((change - np.quantile(change, CLEAREST)).ravel())
 
 
 def share_of(seen: np.ndarray, wanted: np.ndarray) -> float:
-    """Share of the expected darkening that is seen: the median over pixels, weighted by the expectation; NaN without
-    any."""
-    # The median ignores a bubble or dust in front of some pixels.
+    """Share of the expected darkening that is seen: the weighted median over pixels, which ignores dust; or NaN."""
     counted = wanted > FAINT * wanted[-1]
     if seen.shape != wanted.shape or not counted.any():
         return float("nan")

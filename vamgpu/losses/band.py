@@ -63,8 +63,7 @@ class Band(KernelLoss):
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
                 f"{self!r}: expected two of slack and gain, centers that are numbers, the others ≥ 0 and below "
-                f"{MOST:g}, "
-                f"and a power from 1 to {GREATEST_POWER:g}"
+                f"{MOST:g}, and a power from 1 to {GREATEST_POWER:g}"
             )
 
     @classmethod

@@ -36,8 +36,7 @@ class Loss(ABC):
     def coupling(self) -> str:
         """Reason why the derivative of a voxel depends on other voxels.
 
-        Empty for a sum over voxels, each with a loss of its own dose and target; such a loss can be minimized segment
-        by segment.
+        Empty for a sum over voxels, each with its own loss; such a loss can be minimized segment by segment.
         """
         return f"{type(self).__name__} is not declared as a sum over voxels; define its coupling as empty if it is one"
 

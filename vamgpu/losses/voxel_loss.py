@@ -82,8 +82,7 @@ class VoxelLoss(KernelLoss):
 
 
 def cross_entropy(response: Response) -> VoxelLoss:
-    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, where c is the minimum of P(d) − d. The derivative by dose is M(d) −
-    f.
+    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c = min(P(d) − d). The derivative by dose is M(d) − f.
 
     For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f divided by s, minus
     that of darkness outside the part. It is convex where M rises, and never negative. For M(d) = d it is half the

@@ -90,11 +90,9 @@ class BCLP(ByDescent):
         return self._band(self.ridge)
 
     def apart(self, excess: float) -> BCLP:
-        """The loss with q = p, and with as much regularization as gives the same minimum; distant parts are then
-        independent.
+        """The loss with q = p and regularization for the same minimum; distant parts are then independent.
 
-        The power q/p of the norm scales its gradient by q/p·excess^(q/p − 1); that of the regularization is divided by
-        this factor.
+        The power q/p scales the norm's gradient by q/p·excess^(q/p − 1); the regularization is divided by this factor.
 
         Args:
             excess: Mean over the voxels of w·max(0, |M(d) − f| − ε)^p at that minimum, ≥ 0.

@@ -24,8 +24,7 @@ class Best:
         self.unseen: Loss | None = None  # that of ``light`` in memory if it has not been evaluated yet
 
     def better(self, loss: float, window: float) -> bool:
-        """Whether light of this loss and strict window is better than the stored light; False if one of them is not
-        finite."""
+        """Whether light of this loss and strict window is better than the stored light, and both are finite."""
         if not (isfinite(loss) and isfinite(window)):
             return False
         return window > self.window if self.criterion == "window" else loss < self.loss

@@ -34,8 +34,7 @@ class Bound:
     """Upper bound on the strict process window of any patterns, which the dual variables prove.
 
     Let dual variables p be ≥ 0 outside the part, and A p ≥ 0 on every pixel. Patterns g ≥ 0 of greatest dose 1 have a
-    dose D = Aᵀg, and 0 ≤ g·A p = p·D. Let a be the least dose in the part and b the greatest in the voids, with a ≥ b;
-    then
+    dose D = Aᵀg, and 0 ≤ g·A p = p·D. Let a ≥ b be the least dose in the part and the greatest in the voids; then
 
         a − b ≤ 1 + Σ p inside + max(0, Σ p outside − 1),
 
@@ -144,8 +143,7 @@ def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float
 
 
 def _lowest(of: Callable[[float], tuple[float, float, float]], most: float) -> tuple[float, float, float]:
-    """Minimum of a convex function between 0 and most, by the first number that it returns; values may be infinite on
-    the left."""
+    """Minimum of a convex function, by its first result, between 0 and most; it may be infinite on the left."""
     low, high = 0.0, most
     first, second = of(high - GOLDEN * (high - low)), of(low + GOLDEN * (high - low))
     for _ in range(TRIED):

@@ -38,8 +38,7 @@ LABELS = {
 def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -> Method:
     """A method by its name in `LABELS`, set to the given thresholds in units of the part's dose. Raises `BadInput`."""
     # Methods of two thresholds take both. Those that fit a sigmoid have one threshold, its middle: the mean of the two.
-    # The recipe has required doses instead of thresholds, and filtered back projection has neither: both stay
-    # unchanged.
+    # The recipe has required doses instead, and filtered back projection has neither: both stay unchanged.
     Band.thresholds(outside, inside)
     middle = Logistic(middle=0.5 * (outside + inside))
     made: dict[str, Method] = {

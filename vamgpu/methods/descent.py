@@ -1,5 +1,4 @@
-"""Minimization of any loss, starting from filtered back projection; other methods that minimize a loss are special
-cases."""
+"""Minimization of any loss from filtered back projection; other methods that minimize a loss are special cases."""
 
 from __future__ import annotations
 

@@ -59,9 +59,8 @@ class LBFGS(ByPairs):
         outside: Greatest dose outside the part, in units of the part's dose.
         inside: Least dose in the part, in units of the part's dose.
         most: Greatest dose in the part, in units of the part's dose.
-        efficiency: Weight of the penalty on bright pixels, relative to the loss of a part whose every voxel is wrong by
-            1. With power 4, it mainly penalizes the few brightest pixels; the ratio of mean to greatest light then
-               rises.
+        efficiency: Weight of the penalty on bright pixels, relative to the loss if every voxel is wrong by 1. With
+            power 4, it mainly penalizes the few brightest pixels; the ratio of mean to greatest light then rises.
         power: Exponent of that penalty, ≥ 1; 1 penalizes all light.
         history: Largest number of stored pairs of sinograms.
         history_bytes: Memory limit of these pairs; None for the device's free memory. A `MemoryNotice` reports if fewer

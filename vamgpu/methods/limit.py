@@ -42,8 +42,7 @@ class ExposureLimit:
     def of(
         cls, exposure_limit: Any, irradiance: Any, critical_dose: Any, absorption: Any = None
     ) -> ExposureLimit | None:
-        """Make a limit from numbers in s, mW, mJ and mm, or text with units; None without a limit. Raises
-        `BadInput`."""
+        """Make a limit from numbers in s, mW, mJ and mm, or text with units, or None. Raises `BadInput`."""
         if exposure_limit is None:
             if irradiance is not None or critical_dose is not None:
                 raise BadInput(
@@ -65,8 +64,7 @@ class ExposureLimit:
         )
 
     def brightness(self, operator: Any) -> float:
-        """Greatest light of a pixel divided by the dose at the threshold, in operators' units [1/mm]. Raises
-        `BadInput`."""
+        """Greatest light of a pixel divided by the dose at the threshold, in 1/mm. Raises `BadInput`."""
         return self.seconds / self._time(operator)
 
     def seconds_of(self, operator: Any, light: DeviceArray, threshold: float) -> float:
@@ -74,8 +72,7 @@ class ExposureLimit:
         return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
 
     def check(self, operator: Any, even: float) -> None:
-        """Reject a time that is too short even if all pixels are full-on; light of 1 gives the part a dose of
-        ``even``."""
+        """Reject a time that is too short for full-on pixels; light of 1 gives the part a dose of ``even``."""
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(

@@ -21,8 +21,7 @@ from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot
 
 RETREATS = 24
-"""Number of successive returns to the best light, each with steps half as long, after which no further gain is
-expected."""
+"""Number of successive returns to the best light, each with half the step, after which the method stops."""
 TRIES = 12
 """Number of lengths that a line search tries."""
 
@@ -39,8 +38,7 @@ class Objective(Protocol):
     loss: Loss
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
-        """Loss and strict window of the current light, or of the light ``ahead`` of it by ``carried`` of the last
-        step."""
+        """Loss and strict window of the current light, or of light ``ahead`` by ``carried`` of the last step."""
         ...
 
     def gradient(self) -> Sequence[DeviceArray]:

@@ -11,8 +11,7 @@ from vamgpu.operators.reductions import dot
 
 
 class Pairs:
-    """Differences of light and of gradient with 1 / their product, oldest first; the open pair holds the previous
-    values."""
+    """Differences of light and of gradient with 1 / their product, oldest first; the open pair has previous values."""
 
     state: OptimizerState
     most: int

@@ -27,9 +27,8 @@ LOST = 1e-6
 """Ratio of the dose of the darkest voxel of a part to that of the brightest voxel anywhere, in uniform light, below
 which there is no solution: float32 rounds sums by about 1e-7, and this voxel's dose would be a rounding error."""
 MET = 1e-3
-"""Share of the greatest projection of a part above which a pixel meets the part; rings and point spreads extend
-farther, but with less light. On a boat whose pixels are 3/4 of a voxel, rings and rays then agree on all but 0.3 % of
-the pixels."""
+"""Share of the greatest projection of a part above which a pixel meets the part; fainter light of rings and point
+spreads extends farther. On a boat with pixels of 3/4 voxel, rings and rays then agree on all but 0.3 % of them."""
 SHARP = 1e5
 """Slope of the step from 0 to 1, divided by its position."""
 HALF = 0.5 * (1.0 - 1e-4)
@@ -84,8 +83,7 @@ def one_limit(target: Any) -> Any:
 
 
 def limited(operator: Any, limits: Limits) -> Any:
-    """A projector whose doses are those of ``operator`` divided by the limits of their voxels; 1 is then the limit of
-    every voxel."""
+    """A projector whose doses are relative to the limits of their voxels; 1 is then the limit everywhere."""
     if limits.dose.shape != operator.domain.shape:
         raise ShapeMismatch(
             f"the target's limits have shape {limits.dose.shape}; expected {operator.domain.shape}, that of the grid"

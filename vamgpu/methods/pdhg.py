@@ -43,8 +43,7 @@ FIELDS = ("light", "lower", "upper", "held")
 SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
 """Each level with its multipliers, and whether it should rise or fall."""
 SOON, LATE, LONGEST = 0.1, 0.4, 250
-"""A round ends when the gap is the first share of its initial value, when it is the second share and grows, or after
-this number of steps."""
+"""A round ends at the first share of its initial gap, at the second if the gap grows, or after this many steps."""
 LENGTHS = (0.8, 2.0)
 """Factor by which steps are longer than is provably safe; longer ones oscillate."""
 TOLD = 60

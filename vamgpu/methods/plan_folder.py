@@ -172,8 +172,7 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def light_of(sinogram: DeviceArray) -> Streamed:
-    """A sinogram [angle, r, z] in the form that a folder stores: [angle, row, column], row 0 the largest z, without
-    rounding."""
+    """A sinogram [angle, r, z] in a folder's form: [angle, row, column], row 0 the largest z, not rounded."""
     angles, columns, rows = sinogram.shape
 
     def part(first: int, last: int) -> np.ndarray:
@@ -274,8 +273,7 @@ def limits_described(target: Target) -> dict[str, Any] | None:
 
 
 def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple[int, ...]) -> Limits | None:
-    """The limits that `limits_described` described; array: function that returns the folder's arrays by name. Raises
-    `StorageError`."""
+    """The limits that `limits_described` described; array: returns arrays by name. Raises `StorageError`."""
     if described is None:
         return None
     try:
@@ -341,8 +339,7 @@ def save_plan(
 
 
 def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entry]]:
-    """A method for the details of a manifest, and its arrays; None for a user's own method, which only Python can
-    make."""
+    """A method for the details of a manifest, and its arrays; None for a user's own method."""
     arrays: dict[str, np.ndarray] = {}
     try:
         noun = {**write(method, arrays=arrays)}
@@ -454,8 +451,7 @@ def _packed(value: Any, kept: dict[str, Entry], seen: dict[int, str]) -> Any:
 
 
 def _unpacked(value: Any, folder: Folder, device: Device) -> Any:
-    """The memory that `_packed` packed. Raises `KeyError`, `TypeError`, `ValueError`, `StorageError` for malformed
-    values."""
+    """The memory that `_packed` packed. Raises `KeyError`, `TypeError`, `ValueError`, `StorageError` if malformed."""
     if not isinstance(value, Mapping):
         return value
     if "array" in value:

@@ -19,9 +19,8 @@ def directions(motion: Turntable) -> np.ndarray:
     """The range [rad] of directions, of 0 to π in all, that each angle represents; shape (angles,).
 
     Angles divide the range between neighbors (the trapezoidal rule on a circle). At the end of a range, an angle
-    represents as much beyond it as towards its neighbor. Parallel light from opposite sides meets the same voxels; a
-    range that is scanned from both sides is therefore divided between both. Even angles over a full or a half turn have
-    π / angles each.
+    represents as much beyond it as towards its neighbor. Parallel light from opposite sides meets the same voxels; such
+    a range is therefore divided between both sides. Even angles over a full or a half turn have π / angles each.
     """
     if motion.theta is None:
         return np.full(motion.angles, 0.5 * FULL_TURN / motion.angles)

@@ -1,5 +1,4 @@
-"""The vial correction of the papers' recipes: light planned for straight rays, re-sorted to the rays that a vessel
-bends."""
+"""The vial correction of the papers' recipes: light for straight rays, re-sorted to the rays that a vessel bends."""
 
 from __future__ import annotations
 

@@ -48,8 +48,7 @@ from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
 DIMMED = 20
-"""Greatest number of times that pixels are dimmed to keep an exposure limit; each time also lowers the threshold
-slightly."""
+"""Greatest number of times that pixels are dimmed to keep an exposure limit; each slightly lowers the threshold."""
 NOT_JUDGED = ("memory did not suffice to judge the light on the target's voxels: its window is that on the voxels of "
               "the optimization, a pixel from the surface")  # fmt: skip
 """Note of a plan."""
@@ -387,8 +386,7 @@ class _Run:
         return light, window
 
     def _judged(self, rays: Any, light: DeviceArray, iteration: int) -> tuple[DeviceArray, float, int] | None:
-        """Light, window and iteration by rays, from the better of the best and the last light; None if memory does not
-        suffice."""
+        """Light, window and iteration by rays, from the better of the best and the last light; None without memory."""
         state = self.state
         try:
             found = [(light, state.window(rays.T(light))[0], iteration)]
@@ -425,8 +423,7 @@ def _posed_on_voxels(operator: Any, target: Any) -> Any:
 
 
 def by_rays(operator: Any) -> Any:
-    """The operator by rays through voxels, for one that computes on rings or for scenarios of such; any other operator
-    itself."""
+    """The operator by rays through voxels, for one that computes on rings; any other operator itself."""
     if isinstance(operator, Scenarios):
         rays = [by_rays(each) for each in operator.operators]
         alike = all(one is each for one, each in zip(rays, operator.operators, strict=True))

@@ -70,11 +70,10 @@ class SurfaceRamp(ByPairs):
         most: Greatest dose in the part, in units of the part's dose.
         dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
         width: Width of the ramp on either side of the surface [pixels in the resin].
-        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; a lower value shortens the
-            exposure.
+        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; lower: shorter exposure.
         history: Largest number of stored pairs of sinograms.
-        history_bytes: Memory limit of these pairs; None for the device's free memory. A `MemoryNotice` reports if fewer
-            pairs fit.
+        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` reports if fewer pairs
+            fit.
 
     Raises:
         BadInput: A value is out of its range.
@@ -191,8 +190,7 @@ def fine_grid(operator: Any) -> Grid | None:
 
 
 def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
-    """clip(½ + d / 2s, 0, 1) for voxels' depths d below a part's surface, s = width [pixels in the resin], [x, y,
-    z]."""
+    """clip(½ + d / 2s, 0, 1) for voxels' depths d in a part, s = width [pixels in the resin], [x, y, z]."""
     grid, beam = fine.grid, fine.beam
     width *= min(resin_pixel(beam, getattr(fine, "vessel", None)))
     if isinstance(target, Target) and target.solid is not None:
@@ -215,8 +213,7 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
 
 
 def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
-    """Depths [voxels] as by `signed_depth` within its reach; beyond it, depths of voxels' middles, right to half a
-    voxel."""
+    """Depths [voxels] as by `signed_depth` within its reach; beyond it, those of voxel centers, ± half a voxel."""
     from scipy.ndimage import distance_transform_edt
 
     near, inside = signed_depth(fraction, reach), fraction >= HALF
@@ -226,8 +223,7 @@ def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Resin beyond the judged cylinder, which must stay dark: its cells, their weights by ring, and their greatest
-    dose."""
+    """Resin beyond the judged cylinder, which must stay dark: cells, weights by ring, and greatest dose."""
 
     resin: AllResin
     cells: tuple[DeviceArray, ...]
@@ -236,8 +232,7 @@ class Beside:
 
     @classmethod
     def of(cls, operator: Any, dark: float) -> Beside | None:
-        """The resin of a projector, or, for scenarios, of the nominal projector, counted once per scenario; None if
-        unknown."""
+        """The resin of a projector, or of the scenarios' nominal projector, counted once per scenario; or None."""
         several = isinstance(operator, Scenarios)
         nominal, count = (operator.operators[0], len(operator)) if several else (operator, 1)
         if not isinstance(nominal, Projection | RingProjection):

@@ -125,8 +125,7 @@ class ADMM:
         }  # fmt: skip
 
     def _find_levels(self) -> None:
-        """a and b at which the part lacks, and voids leak, as much as allowed: Newton's steps from the previous
-        ones."""
+        """a and b at which the part lacks, and voids leak, as much as allowed, by Newton's steps from the last ones."""
         target = self.state.target
         for _ in range(PASSES):
             parts = {name: parts_for(find_levels, self.dose) for name in ("below", "shorts", "above", "over")}

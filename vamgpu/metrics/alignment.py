@@ -18,8 +18,7 @@ _SETTLED = 1e-7
 _PATIENCE, _BETTER = 5, 1e-4
 """Or, after several steps, the best RMS distance improved by no more than this share."""
 _DAMPING = 1e-2
-"""Motions that change the distances less than this share of what others do, such as rotations of a ball, are
-suppressed."""
+"""Motions that change the distances less than this share of others, such as rotations of a ball, are suppressed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,7 @@ def align(
 
 
 def _matched(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
-    """The motion that brings points closest to their nearest points on the surface (W. Kabsch, Acta Cryst. A 32 (1976)
-    922)."""
+    """The motion that brings points closest to the surface points nearest to them (W. Kabsch, 1976)."""
     del normals
     middle, goal = points.mean(axis=0), feet.mean(axis=0)
     u, _, vt = np.linalg.svd((points - middle).T @ (feet - goal))

@@ -12,8 +12,7 @@ from vamgpu.metrics.topology import Labels, Topology
 _LOST = 0.5
 """A body or a cavity is lost if less than this share of it remains."""
 _SPECK, _TINY = 8, 1e-4
-"""Number of voxels, and share of the largest body, below which a body is a fragment that sampling breaks off a sharp
-edge."""
+"""Number of voxels, and share of the largest body, below which a body is a fragment that sampling breaks off."""
 
 
 @dataclass(frozen=True)

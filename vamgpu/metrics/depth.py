@@ -47,8 +47,7 @@ def surrounded(fraction: Array, by: int, flat: bool = False) -> Array:
 
 
 def padded_depth(fraction: Array, reach: float, flat: bool) -> tuple[Array, int]:
-    """Depths [voxels] that are right up to ``reach``, with the border of voxels that they need around a part; and its
-    width."""
+    """Depths [voxels] that are right up to ``reach``, with the border of voxels that this needs; and its width."""
     pad = ceil(reach) + 2
     return signed_depth(surrounded(fraction, pad, flat), reach + 0.5), pad
 
@@ -179,8 +178,7 @@ def _corner(sides: Floats, cut: Floats) -> tuple[Floats, Floats]:
 
 # ---- the nearest seed -----------------------------------------------------------------------------------------------
 def _nearest(shape: tuple[int, ...], seeds: npt.NDArray[np.intp], span: int) -> npt.NDArray[np.uint32]:
-    """Squared distances of voxels to the nearest seed and the steps from it, packed; values from `_NONE` mean no
-    seed."""
+    """Squared distances of voxels to the nearest seed and the steps from it, packed; from `_NONE` on without seed."""
     # Exact for seeds at most ``span`` voxels away along every axis: the smallest packed number has the smallest
     # distance, whatever steps its lower bits hold.
     keys = np.full(shape, _NONE, np.uint32)

@@ -16,8 +16,7 @@ PLANES = 32
 
 
 def interpolated(values: Array, places: Sequence[npt.ArrayLike]) -> Array:
-    """Values [x, y, z] at positions [samples from the first] along each axis; beyond the ends, the values at the
-    ends."""
+    """Values [x, y, z] at positions [samples from the first] along each axis; constant beyond the ends."""
     x, y, z = (np.clip(np.asarray(at, np.float64), 0.0, n - 1) for at, n in zip(places, values.shape, strict=True))
     out = np.empty((x.size, y.size, z.size), np.result_type(values, np.float32))
 

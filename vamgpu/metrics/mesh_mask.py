@@ -38,8 +38,7 @@ def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[in
 def _crossed(
     corners: np.ndarray, some: np.ndarray, low: np.ndarray, wide: np.ndarray, number: np.ndarray, top: int
 ) -> tuple[np.ndarray, ...]:
-    """Where columns x, y cross some triangles: the first grid point above, and +1 for triangles that face up, else
-    −1."""
+    """Crossings of columns x, y and triangles: the first grid point above, and +1 for upward faces, else −1."""
     face = np.repeat(some, number[some])
     step = np.arange(len(face)) - np.repeat(number[some].cumsum() - number[some], number[some])
     x, y = low[face, 0] + step // wide[face, 1], low[face, 1] + step % wide[face, 1]

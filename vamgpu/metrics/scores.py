@@ -120,10 +120,9 @@ def _voxels(parts: Parts) -> tuple[int, int]:
 
 
 def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> float:
-    """The threshold with the greatest intersection over union of print and part."""
+    """The threshold with the greatest intersection over union of print and part, a float32 number."""
     # If the doses of part and void do not overlap, it is midway between them. Otherwise the overlapping range of doses
-    # is searched: each pass refines the bins inside which the intersection over union could still rise. A float32
-    # number.
+    # is searched: each pass refines the bins inside which the intersection over union could still rise.
     least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, OUT])
     if least > greatest:
         return _between(max(greatest, 0.0), least)

@@ -32,8 +32,7 @@ class SegmentWindows:
 
     @property
     def window(self) -> float:
-        """The strict window of the whole web: one threshold for all segments. NaN if no segment contains any of the
-        part."""
+        """The strict window of the whole web, with one threshold for all segments; NaN without any part."""
         least = self.least_in[self.in_voxels > 0]
         return float((least.min() - self.greatest_out.max()) / (self.peak or 1.0)) if least.size else float("nan")
 

@@ -33,8 +33,7 @@ _DENSE = 300_000
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
-"""Greatest number of pieces of triangles compared with a point; enough, except for points equally far from a whole
-part."""
+"""Greatest number of pieces of triangles compared with a point; more matter only if equally far from a whole part."""
 _WIDEST = 4.0
 """Thickness, in voxels of the part, above which nothing counts as a wall."""
 

@@ -100,8 +100,7 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
     a, b, c = np.moveaxis(corners[face], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    # Half a voxel below the surface of a thick part, every voxel is at least half filled: only other points are
-    # searched.
+    # Half a voxel below the surface of a thick part, every voxel is at least half filled: only others are searched.
     doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
     if not doubtful.any():
         return []
@@ -111,8 +110,7 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
 
 
 def _regions(center: Array, thickness: Array, part: np.ndarray, grid: Grid) -> list[ThinRegion]:
-    """Points whose voxels touch, or have one voxel between them, form one region, with the filled volume of the voxels
-    there."""
+    """Regions of points whose voxels touch or have one voxel between them, with the filled volume there."""
     from scipy.ndimage import binary_dilation, label
 
     index = np.floor(center / grid.pitch + 0.5 * np.asarray(grid.shape)).astype(np.int64)

@@ -24,16 +24,14 @@ from vamgpu.metrics.interpolation import interpolated
 
 Array = npt.NDArray[np.floating]
 Depth = Callable[[Array, Array, Array], Callable[[], Array]]
-"""Function of three axes [mm]; returns a function for the signed depth [mm] in the part, > 0 inside, [x, y, z], on the
-host."""
+"""Function of three axes [mm]; returns the signed depth [mm] of points in the part, > 0 inside, [x, y, z]."""
 
 WIDEST = 2.0
 """Largest tolerance of the curve, in voxels."""
 BINS = 128
 """Number of steps of the curve; an even number puts half a voxel on a step."""
 VOXELS, SLICES = 1 << 24, (16, 64)
-"""Number of voxels that a thread judges at a time, and least and greatest number of slices; depths also need slices on
-either side."""
+"""Voxels that a thread judges at a time, and least and greatest number of slices; depths also need slices around."""
 BESIDE, MEMORY = 24, 1 << 32
 """Bytes that computing the depth takes per voxel, and limit of all threads."""
 _ROUNDING = 1e-4
@@ -41,8 +39,7 @@ _ROUNDING = 1e-4
 
 
 class Slab(Protocol):
-    """A dose between two heights: dose [x, y, z], on a device or in NumPy, and the positions of its voxels along the
-    axes [mm]."""
+    """A dose between two heights: dose [x, y, z], on a device or in NumPy, and its voxels' positions [mm]."""
 
     @property
     def dose(self) -> Array | DeviceArray: ...

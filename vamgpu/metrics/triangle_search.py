@@ -165,8 +165,7 @@ def barycentric(points: Array, corners: Array) -> Array:
 
 
 def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
-    """Triangles cut at the middle of their longest edge until all are short, and the original triangle of each
-    piece."""
+    """Triangles cut at the middle of their longest edge until all are short, and the original of each piece."""
     done, parents = [], []
     left, parent = corners, np.arange(len(corners))
     while len(left):

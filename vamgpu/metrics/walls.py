@@ -10,8 +10,7 @@ import numpy.typing as npt
 from vamgpu.metrics.triangle_search import Array, TriangleSearch
 
 FACING = 0.5
-"""Smallest cosine between a wall's direction of thickness and the normal of its far side, which may be turned by 60° at
-most."""
+"""Smallest cosine between a wall's direction of thickness and the normal of its far side: 60° at most."""
 _RAYS = 1000
 """Number of rays processed at a time."""
 _RIM = 1e-9

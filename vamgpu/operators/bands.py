@@ -1,5 +1,4 @@
-"""Bands: the sparse light of one angle as short runs of neighboring columns, in the order in which each direction
-gathers them."""
+"""Bands: the sparse light of one angle as short runs of neighboring columns, in the order of each direction."""
 
 from __future__ import annotations
 

@@ -21,8 +21,7 @@ FINE = 32
 
 @final
 class Blur(LinearOperator):
-    """Images [angle, r, z] blurred along r and along z by symmetric taps, one side of which is given; its own
-    transpose."""
+    """Images [angle, r, z] blurred along r and along z by symmetric taps, given for one side; self-adjoint."""
 
     range: Space
 
@@ -41,8 +40,7 @@ class Blur(LinearOperator):
 
 
 def gaussian(fwhm: float, width: float = 1.0) -> np.ndarray:
-    """One side of Gaussian taps with sum one; seen by voxels ``width`` ≥ 1 pixels wide, a pixel is as wide as
-    ``fwhm``."""
+    """One side of Gaussian taps with sum one; for voxels ``width`` ≥ 1 pixels wide, a pixel is ``fwhm`` wide."""
     reach = np.arange(3 + int(2.6 * fwhm))
     low, high = log(1e-3), log(0.2 * fwhm**2 + 0.5)
     if width_of(_taps(low, reach), width) >= fwhm:

@@ -124,8 +124,7 @@ class RayBundle:
         return self.start.shape[1] == 1 and bool(flat)
 
     def table(self, grid: Grid, beam: Beam, *, level: bool, unit: float) -> np.ndarray:
-        """The rays in the form for the kernels of `trace`; starts are moved to the grid's circle, where float32
-        suffices.
+        """The rays in the form for the kernels of `trace`; they start at the grid's circle, where float32 suffices.
 
         Args:
             grid: Grid whose voxels are the unit of length.

@@ -35,8 +35,7 @@ suggests; the difference grows with the square of the exponent."""
 class Defocus:
     """The width of one pixel's light at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
 
-    It follows the waist of a beam of any quality: at the ends of the depth of focus, light is √2 times as wide as in
-        focus.
+    It follows the waist of any beam: at the ends of the depth of focus, light is √2 times as wide as in focus.
     A projector's two numbers rarely match an ideal Gaussian beam; `quality` gives the deviation.
 
     Args:
@@ -231,8 +230,7 @@ class Defocused(Derived):
         return part
 
     def _blurred(self, k: int) -> Beam:
-        """Pixels whose point spread, together with the boxes of pixel and voxel, is as wide as the node requires; sharp
-        if these boxes suffice."""
+        """Pixels whose point spread, with the boxes of pixel and voxel, is as wide as the node requires; or sharp."""
         beam, ratio = self.operator.beam, self.operator.grid.pitch / self.operator.beam.pitch
         variance = self.nodes[k] - (beam.fill + ratio**2) * beam.pitch**2 / 12.0
         return replace(beam, spread=sqrt(max(variance, 0.0)))

@@ -12,8 +12,7 @@ from vamgpu.operators.web_motion import WebMotion
 class Dwell:
     """Weights images [angle, r, z], of tile after tile, by the ratio of the time of their angle to the mean."""
 
-    # A = D·P: P has the rows of light of every angle, D the times. `weigh` is applied after P, and Pᵀ is applied to the
-    # result of `weighted`.
+    # A = D·P: P has the rows of light of every angle, D the times. `weigh` follows P, and `weighted` precedes Pᵀ.
 
     def __init__(self, motion: Turntable | WebMotion, device: Device) -> None:
         self._device = device

@@ -23,8 +23,7 @@ def straight_parts(motion: Turntable, reach: float) -> int:
 
 
 def ray_parts(motion: Turntable, reach: float) -> int:
-    """Number of parts of a frame's arc, in whose middle one ray per pixel is traced, for voxels out to ``reach``
-    [voxels]."""
+    """Number of parts of a frame's arc with one ray per pixel each, for voxels out to ``reach`` [voxels]."""
     return max(ceil(float(motion.arcs.max()) * reach / APART), 1)
 
 

@@ -38,8 +38,7 @@ DARK = 1e-6
 
 @final
 class GramInverse:
-    """(A Aᵀ + base)⁻¹ for light [angle, r, z], for a projector A whose light at every angle is that of one angle,
-    rotated."""
+    """(A Aᵀ + base)⁻¹ for light [angle, r, z], for a projector A whose light at all angles is the same, rotated."""
 
     # A Aᵀ weights voxels beyond ``reach`` [voxels] by ``rim``. For even angles, it is a matrix (columns × columns) for
     # each angular frequency; their inverses are applied between two Fourier transforms. For rows, the greatest gain of
@@ -91,8 +90,7 @@ class GramInverse:
         self._held, self._wide = empty(even), empty((angles, wide, deep))
 
     def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
-        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. An odd number of rows gets an additional
-        dark one."""
+        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. A dark row makes their number even."""
         launch, even = self.device.launch, self._even
         source, sink = even or (light, out)
         if even is not None:
@@ -202,8 +200,7 @@ def _rings(grid: Grid, angles: int) -> PolarGrid:
 
 
 def _counted(rings: PolarGrid, reach: float, rim: float) -> np.ndarray:
-    """Weight of a cell: its area in voxels, times the number of samples of its ring, by which its transforms are not
-    normalized."""
+    """Weight of a cell: its area in voxels times its ring's number of samples, for unnormalized transforms."""
     samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.bands])
     return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, rim)
 

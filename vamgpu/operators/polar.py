@@ -1,5 +1,4 @@
-"""Rings about the axis of rotation as voxels of a volume: a rotation by one of the even angles maps them onto
-themselves."""
+"""Rings about the axis of rotation as voxels of a volume: rotations by the even angles map them onto themselves."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ from vamgpu.schema.quantities import Length
 PARTS = 2
 """Number of parts of a cell along the radius and along the angle whose footprints are added."""
 ALIKE = 1e-5
-"""Difference between light and its mirror image, relative to the greatest light or in columns, up to which one half
-represents both."""
+"""Greatest difference between light and its mirror image, relative or in columns, for which one half suffices."""
 
 
 @dataclass(frozen=True)
@@ -286,8 +284,7 @@ def _in_squares(grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, sid
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries, tiles and the light that they belong to, as in `vamgpu.kernels.spectrum`; no entry exceeds
-    ``greatest``."""
+    """Entries, tiles and their light, as in `vamgpu.kernels.spectrum`; no entry exceeds ``greatest``."""
 
     entries: np.ndarray
     greatest: float
@@ -347,8 +344,7 @@ def ring_table(
 
 
 def _tiles(grid: PolarGrid, wide: list[int]) -> tuple[list[tuple[int, int, int]], list[list[int]], int]:
-    """Where each tile begins, its pairs and its mirror tile; the tiles of each footprint, by number of pairs; and the
-    end."""
+    """Start, pairs and mirror tile of each tile; the tiles of each footprint by number of pairs; and the end."""
     tiles, own = list[tuple[int, int, int]](), [list[int]() for _ in wide]
     start = number = 0
     for band in grid.bands:

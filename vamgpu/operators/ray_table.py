@@ -24,8 +24,7 @@ TOGETHER = 4
 WIDE = 0.5
 """Angle [rad] between the chords of `TOGETHER` columns above which all voxels of a row are checked."""
 EQUAL = 1.05
-"""Relative difference in width up to which voxels count as equally wide as a column's light, if widths are one
-number."""
+"""Relative difference in width up to which voxels count as equally wide as a column's light."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,7 @@ def _widest(gradient: float | np.ndarray, sigma: float) -> tuple[np.ndarray, np.
 
 
 def _gradient(column: np.ndarray, arc: float = 0.0) -> np.ndarray:
-    """Greatest number of columns per voxel in each cell of the map; ``arc`` [rad] adds the motion of a voxel while an
-    angle is lit."""
+    """Greatest number of columns per voxel in each cell of the map; ``arc`` [rad] adds motion while lit."""
     across, along = np.abs(np.diff(column, axis=0)), np.abs(np.diff(column, axis=1))
     across, along = np.maximum(across[:, 1:], across[:, :-1]), np.maximum(along[1:], along[:-1])
     far = np.abs(np.arange(len(across)) - 0.5 * (len(across) - 1)) + 0.5
@@ -155,8 +153,7 @@ def _reaches(
 
 def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
     """The vessel itself, and the share of its light that each wrapper passes."""
-    # Shares may jump at the edge of a shadow, and those sorted by focus must sum to one; they are therefore not
-    # smoothed.
+    # Shares may jump at the edge of a shadow, and those sorted by focus must sum to one; they are not smoothed.
     shares = []
     while hasattr(vessel, "bare"):
         shares.append(vessel.share)

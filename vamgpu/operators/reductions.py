@@ -54,8 +54,7 @@ def extent(
     upper: float = EVERYWHERE,
     reach: float = EVERYWHERE,
 ) -> tuple[float, float]:
-    """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper; (inf, −inf) if there are
-    none."""
+    """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper, or (inf, −inf)."""
     lows, highs = parts_for(partial_extent, a), parts_for(partial_extent, a)
     chosen = {"mask": a if mask is None else mask, "lower": lower, "upper": upper, "reach": reach}
     a.device.launch(partial_extent, a=a, **chosen, lows=lows, highs=highs)
@@ -63,8 +62,7 @@ def extent(
 
 
 def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float = 0.0) -> tuple[float, float, float]:
-    """Least dose inside the part, greatest dose outside it, greatest dose; a voxel is inside if its fraction is at
-    least one half.
+    """Least dose inside the part, greatest dose outside it, greatest dose; inside: a fraction of one half or more.
 
     reach: radius of the cylinder that counts, in voxels. If a part fills it all, the dose outside is −infinity. margin:
     range of fractions on either side of one half that count as neither.

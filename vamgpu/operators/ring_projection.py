@@ -32,17 +32,15 @@ from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6
-"""Width of a ring relative to that of a voxel, and to that of a column of light in the resin; the smaller width is
-used. Windows of light found by rays in a vial, with columns of 0.33 to 1.33 voxels in the resin, are the same on such
-rings within 0.001. On rings of 0.75 voxels, they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67
-and 1 voxel."""
+"""Width of a ring, the smaller of its ratios to a voxel and to a column of light in the resin. Windows of light found
+by rays in a vial, with columns of 0.33 to 1.33 voxels in the resin, are the same on such rings within 0.001. On rings
+of 0.75 voxels, they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67 and 1 voxel."""
 NARROWEST, WIDEST = 0.1, 2.0
 """Allowed widths: narrower rings are too many, wider ones lose a tenth of the dose."""
 BEYOND = 2
 """Number of rings beyond those that voxels use: at the end of splines, light beyond affects this many rings."""
 FAINT = 3e-4
-"""Share of the greatest entry of the table below which entries are dropped: up to a quarter of the products, 3e-5 of a
-dose."""
+"""Share of the table's greatest entry below which entries are dropped: ≤ 1/4 of the products, 3e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
 """Limit of its work fields [bytes], on processors and on GPUs."""
 Others = Sequence[tuple[SpectralProjection, DeviceArray]]
@@ -391,8 +389,7 @@ def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntr
 
 
 def _at_points(rings: PolarGrid, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of points and cells, and weights, of the taps of points; if rings end before a point's taps, it is
-    dark."""
+    """Numbers of points and cells, and weights, of the taps of points; points beyond the rings are dark."""
     radius, turn = np.hypot(x, y) / rings.pitch - 0.5, np.arctan2(y, x) / FULL_TURN
     inside = np.flatnonzero(radius + TAPS[-1] < rings.rings)
     radius, turn = radius[inside], turn[inside]

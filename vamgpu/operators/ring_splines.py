@@ -40,8 +40,7 @@ def _spline(x: np.ndarray) -> np.ndarray:
 
 
 def to_coefficients(entries: np.ndarray, tiles: list[tuple[int, int, int]], grid: PolarGrid, pool: Executor) -> None:
-    """Convert entries (frequencies, entries) of samples to those of coefficients, in place, with frequencies divided
-    over ``pool``."""
+    """Convert entries (frequencies, entries) from samples to coefficients in place; ``pool`` divides frequencies."""
     pivots = _pivots(grid.rings)
     some = [slice(first, first + AT_ONCE) for first in range(0, len(entries), AT_ONCE)]
     tasks = [(part, m, track) for m, track in _tracks(grid).items() for part in some]

@@ -66,8 +66,7 @@ class RowResampler:
 
     @contextmanager
     def filling(self, rows: DeviceArray, empty: Empty | None = None) -> Iterator[DeviceArray]:
-        """A field [angle, r, slice] to fill, which is then resampled to rows; the rows themselves if each is a
-        slice."""
+        """A field [angle, r, slice] to fill and resample to rows; the rows themselves if each is a slice."""
         slices = rows if self.same else (empty or self.device.empty)((*rows.shape[:2], self.slices))
         yield slices
         if slices is not rows:

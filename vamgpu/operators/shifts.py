@@ -126,8 +126,7 @@ class Tiles(Derived):
     """A volume taller than the beam, exposed in turn with the beam at several heights; range [tile·angle, r, row].
 
     Optimize with the tall projector, then `split` its light. Tiles overlap with complementary weights: together they
-    give the dose of the tall light, and a slightly misplaced beam leaves no seam. Alternatively, optimize the tiles
-    themselves.
+    give the tall light's dose, and a slightly misplaced beam leaves no seam. Or optimize the tiles themselves.
 
     Args:
         operator: A projector whose tall beam covers the volume.

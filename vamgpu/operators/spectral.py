@@ -261,8 +261,7 @@ class _Passes:
 
 
 def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> _Passes:
-    """Transforms over the angles of light [angle, r, z] with this number of columns, or of the first of those
-    ``given``."""
+    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of ``given``."""
     return _Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 

@@ -32,8 +32,7 @@ WHOLE = 1 << 24
 BLOCK = 1 << 24
 """Number of columns of a matrix that are read together."""
 PLANES, POSES = 32, 45
-"""Number of planes of voxels, and of angles, whose entries are gathered together; neighbors then find them in the
-cache."""
+"""Planes of voxels, and angles, whose entries are gathered together; neighbors then find them in the cache."""
 PATIENCE = 8
 """A ray counts as trapped after a path through this number of grids."""
 
@@ -280,8 +279,7 @@ class SparseEntries:
 
 
 def _sorted(place: np.ndarray, places: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each position's entries begin, and all entries in order of positions; those of one position keep their
-    order."""
+    """Start of each position's entries, and all entries by position; those of one position keep their order."""
     from scipy.sparse import csr_array
 
     row = csr_array((np.arange(place.size, dtype=np.int32), place, np.array([0, place.size])), shape=(1, places))

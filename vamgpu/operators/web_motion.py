@@ -18,8 +18,7 @@ DRIFT = 1e-6
 
 @dataclass(frozen=True)
 class WebMotion:
-    """Angles along a web: at angle k the window begins at column ``start + k·step``, which may lie between two
-    columns."""
+    """Angles along a web: angle k begins at column ``start + k·step``, which may lie between two columns."""
 
     poses: int
     step: float
@@ -29,8 +28,7 @@ class WebMotion:
     def past(
         cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None
     ) -> WebMotion:
-        """The angles that see any part of a web of ``columns``, or ``poses`` of them. Raises `BadInput`,
-        `SkippedColumns`."""
+        """The angles that see a web of ``columns``, or ``poses`` of them. Raises `BadInput`, `SkippedColumns`."""
         step = positive("the step in columns a pose", step)
         if step > window:
             raise SkippedColumns(

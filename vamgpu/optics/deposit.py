@@ -1,5 +1,4 @@
-"""Scatter the energy that every ray loses onto the voxels: an energy balance, which the gathering operators cannot
-give."""
+"""Scatter the energy that every ray loses onto the voxels: an energy balance, unlike the gathering operators."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ def deposit(
 
 
 def _segments(chords: Chords, absorption: float, longest: float) -> tuple[Floats, Floats, Floats]:
-    """Position of each segment's middle in the fixed frame [mm], and the share of its column's power that it
-    absorbs."""
+    """Middle of each segment in the fixed frame [mm], and the absorbed share of its column's power."""
     count = max(1, int(np.ceil(np.max(chords.length, initial=0.0) / longest)))
     edges = chords.length[:, None] * np.linspace(0.0, 1.0, count + 1)
     size = np.diff(edges, axis=1)

@@ -79,8 +79,7 @@ class GradedVial(Vessel):
 
     # ---- the faces -------------------------------------------------------------------------------------------------
     def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Position on the inner face (rays, 2), turn of the ray in front of it [rad], index behind it, sine in
-        front."""
+        """Position on the inner face (rays, 2), turn of the ray before it [rad], index behind it, sine before it."""
         turn, sine = np.zeros_like(u), u / self.radius
         before = u.copy()
         if self.wall > 0:

@@ -53,8 +53,7 @@ def fresnel(cos_before: Floats, cos_after: Floats, index_before: Index, index_af
 
 
 def left(shares: Floats, polarization: str) -> Floats:
-    """Share of the light's power that is transmitted, from the transmittances of s and p (..., 2); unpolarized light
-    has half of each."""
+    """Transmitted share of the power, from that of s and p (..., 2); unpolarized light has half of each."""
     return shares.mean(axis=-1) if polarization == "none" else shares[..., POLARIZATIONS.index(polarization) - 1]
 
 

@@ -129,8 +129,7 @@ def _cells(
 
 @final
 class OuterResin(LinearOperator):
-    """Light in cells of resin: ``A.T(light)`` is their dose [angle, cell, z], in the same units as the dose of
-    voxels."""
+    """Light in cells of resin: ``A.T(light)`` is their dose [angle, cell, z], in the units of voxels' dose."""
 
     # A[i, j] is the mean over cell j of the light of pixel i, × the volume of a voxel / the area of a pixel. Angles
     # that are not evenly spaced are divided among the even angles next to them; arcs count by their mean.

@@ -79,8 +79,7 @@ class RaySheet:
 
     @cached_property
     def _levels(self) -> tuple[Floats, Floats, Floats, NDArray[np.int_]]:
-        """Levels of ``along``; ``across`` and share of some rays at these levels, extended straight beyond their ends;
-        their index."""
+        """Levels of ``along``; ``across`` and share of some rays there, straight beyond their ends; their index."""
         rays = np.append(np.arange(0, len(self.across) - 1, COARSE), len(self.across) - 1)
         levels = np.linspace(-self.size, self.size, self.across.shape[1])
         across, share = np.empty((rays.size, levels.size)), np.empty((rays.size, levels.size))
@@ -95,8 +94,7 @@ class RaySheet:
         return levels, across, share, rays
 
     def find(self, x: Floats, y: Floats, middle: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Fractional ray and share through each point, and whether there is one; of several, the first from ``middle``
-        counts."""
+        """Fractional ray and share through each point, and whether there is one; the first from ``middle`` counts."""
         ray, share, met = np.empty_like(x), np.empty_like(x), np.zeros(x.shape, bool)
         for start in range(0, x.size, CHUNK):
             part = slice(start, start + CHUNK)

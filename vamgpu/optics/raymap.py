@@ -18,8 +18,7 @@ MOST_STEPS = 100
 
 
 def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Column u [mm] of the ray through each (x, y) [mm], and dX_perpendicular/du of that ray; 0 where there is no
-    ray."""
+    """Column u [mm] of the ray through each (x, y) [mm], and dX_perpendicular/du of that ray; 0 without a ray."""
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
     # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method uses ψ with u =
     # aperture·sin ψ, because d is smooth in ψ up to the last ray.

@@ -26,8 +26,7 @@ STEEPEST = np.radians(80.0)
 
 @dataclass(frozen=True, init=False)
 class Cone:
-    """A fan whose rows spread like its columns: all light comes from one pupil, and the irradiance falls as 1 /
-    distance².
+    """A fan whose rows spread like its columns: light comes from one pupil; the irradiance falls as 1/distance².
 
     The pupil is at the height of the middle row. The path of a row at the height w is longer by (w / throw)² / 2, which
     is ignored. ``plane`` is the `Fan`.

@@ -1,8 +1,7 @@
 """Energy that straight segments of rays leave in the voxels of the flat film: exact crossings, no steps.
 
-On the roller, the walls of the voxels are circles and radii; in the straight runs they are planes. A segment is cut at
-its point nearest the axis. Each part is then monotonic in l and in rho, and its crossings with the walls are two lists
-in closed form.
+On the roller, the walls of the voxels are circles and radii; in the straight runs they are planes. Cut at its point
+nearest the axis, a segment is monotonic in l and in rho, and its crossings with walls are two lists in closed form.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ SMALLEST_IMPACT = 1e-12
 
 @dataclass(frozen=True)
 class _Lines:
-    """Monotonic segments from ``begin`` to ``finish`` [mm] along their lines; ``before``: path in resin before t =
-    0."""
+    """Monotonic segments from ``begin`` to ``finish`` [mm] along lines; ``before``: path in resin before t = 0."""
 
     column: np.ndarray
     begin: Floats
@@ -143,8 +141,7 @@ def _straights(map: WrapMap, segments: Segments, column: np.ndarray, order: np.n
 
 def _chunks(map: WrapMap, lines: _Lines, pitch: tuple[float, float]
             ) -> Iterator[tuple[_Lines, Reals, Reals]]:  # fmt: skip
-    """Groups of segments with similar numbers of walls, and the walls [mm] that each may cross, along rho and along
-    l."""
+    """Groups of segments with similar numbers of walls, and walls [mm] that each may cross along rho and l."""
     if not lines.column.size:
         return
     spans = []

@@ -52,8 +52,7 @@ class FilmIndex:
         return self.index if isinstance(self.index, (FormulaField, GridField, FunctionField)) else None
 
     def check_reach(self, outer: float, leg: float) -> None:
-        """Raise `BadInput` unless the medium is known everywhere in a film of an outer radius with straight runs
-        [mm]."""
+        """Raise `BadInput` unless the medium is known in all of a film of an outer radius with straight runs [mm]."""
         if isinstance(self.index, GridField):
             corner, shape = self.index.corner, self.index.coefficients.shape
             spans = [(low, low + (n - 3) * self.index.pitch) for low, n in zip(corner, shape, strict=False)]

@@ -106,8 +106,7 @@ class FilmMarcher:
         return face
 
     def _to(self, starts: Any, step: float, steps: int, region: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
-        """Ends, paths and times of a march to a region's border, in float64; the last points of the paths are the
-        ends."""
+        """Ends, paths and times of a march to a region's border, in float64; the paths' last points are the ends."""
         tables = self.marcher.run(starts, step, steps, rows=steps + 1, region=np.array(region))
         ends, path, times = (one.numpy().astype(np.float64) for one in tables)
         return ends, path, times

@@ -81,8 +81,7 @@ class Segments:
     side: np.ndarray
 
     def absorbed(self, absorption: float) -> Floats:
-        """Power absorbed in each segment, as a share of its ray's; the length times the power if nothing is
-        absorbed."""
+        """Power absorbed in each segment, as a share of its ray's; length times power without absorption."""
         if absorption == 0:
             return self.power * self.length
         return self.power * np.exp(-absorption * self.before) * -np.expm1(-absorption * self.length)
@@ -311,8 +310,7 @@ def _reflect(rays: dict[str, Any], where: np.ndarray) -> None:
 
 
 def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarray) -> np.ndarray:
-    """Cross a face with Snell's law and Fresnel's loss; returns the rays that crossed, the others are totally
-    reflected."""
+    """Cross a face with Snell's law and Fresnel's loss; without the totally reflected rays."""
     nx, ny = _normals(rays)
     facing = rays["dx"] * nx + rays["dy"] * ny
     ratio, cosine = before / after, np.minimum(np.abs(facing), 1.0)

@@ -83,8 +83,7 @@ def _whole(angles: float) -> int:
 
 
 def sampling_notes(operator: Any, radius: float) -> tuple[str, ...]:
-    """Sentences about voxels or angles that are too coarse for the pixels of an operator and a part of a radius
-    [mm]."""
+    """Sentences about voxels or angles too coarse for an operator's pixels and a part of a radius [mm]."""
     grid, motion, beam = operator.grid, operator.motion, operator.beam
     if not (isinstance(grid, Grid) and isinstance(motion, Turntable)):
         return ()

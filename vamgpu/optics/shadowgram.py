@@ -53,8 +53,7 @@ class Shadowgram:
 
 
 def cured_index(cured: ArrayLike, grid: Grid, resin_index: float, contrast: float) -> GridField:
-    """The index resin_index + contrast × cured [x, y, z]; fewer than 4 slices are replaced by their mean. Raises
-    `BadInput`."""
+    """The index resin_index + contrast × cured [x, y, z]; < 4 slices are averaged. Raises `BadInput`."""
     values = np.asarray(cured, np.float64)
     if values.shape != grid.shape:
         raise ShapeMismatch(f"the cured field has shape {values.shape}, the grid {grid.shape}; make them equal")
@@ -69,9 +68,8 @@ def shadowgram(
 ) -> Shadowgram:  # fmt: skip
     """The shadow of a print that turns in resin of one index, lit by parallel light.
 
-    Parallel rays enter the largest upright cylinder inside the grid and are marched through it. They then travel
-    straight to the plane on which the camera is focused, and divide their light among the pixels around. Rays beside
-    the cylinder pass unchanged.
+    Parallel rays enter the largest upright cylinder inside the grid and are marched through it. They then travel to the
+    plane of the camera's focus and divide their light among the pixels around. Rays beside the cylinder are unchanged.
 
     Args:
         field: Index in the print's own frame; at the cylinder's border it must be resin_index.

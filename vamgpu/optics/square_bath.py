@@ -21,8 +21,7 @@ from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickn
 
 @dataclass(frozen=True)
 class SquareBath(Vessel):
-    """A round vial that turns in a square bath of liquid; the bath does not turn, and light enters through one flat
-    window.
+    """A round vial that turns in a fixed square bath of liquid; light enters through one flat window.
 
     The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window. At normal
     incidence it continues straight; a window tilted by τ turns it by τ − asin(sin τ · front_index / liquid index) and
@@ -70,8 +69,7 @@ class SquareBath(Vessel):
         if abs(np.sin(self.tilt)) * self.front_index >= least:
             raise BadInput(
                 f"the window is tilted by {np.degrees(self.tilt):g}° in front of an index of {least:g}; expected less "
-                f"than {np.degrees(np.arcsin(min(least / self.front_index, 1.0))):.4g}°, above which all light is "
-                "reflected"
+                f"than {np.degrees(np.arcsin(min(least / self.front_index, 1.0))):.4g}°, above which all is reflected"
             )
 
     @property

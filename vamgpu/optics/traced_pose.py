@@ -31,8 +31,7 @@ class TracedPose:
 
 def trace_pose(rays: Rays, width: float, radius: float, spacing: float) -> TracedPose:
     """Tabulate rays of one angle for voxels of a width [mm], within a radius [mm], at samples of a spacing [mm]."""
-    # A voxel counts as a box across the ray, as wide as itself: the shadow of a square has that variance in every
-    # direction.
+    # A voxel counts as a box across the ray, as wide as itself: a square's shadow has that variance in all directions.
     half = ceil(radius / spacing) + 1
     place: Floats = np.arange(-half, half + 1.0) * spacing
     middle = int(np.argmin(np.abs(rays.cross(0.0).across)))

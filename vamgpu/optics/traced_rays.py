@@ -1,5 +1,4 @@
-"""Rays traced through the media around the resin, row by row of the fixed frame: their positions, slopes and
-irradiances.
+"""Rays traced through the media around the resin, row by row of the fixed frame: position, slope and irradiance.
 
 Proofs use them. Solvers need the ray through a given point, proofs do not; see `vamgpu.optics.traced_pose`.
 """
@@ -147,8 +146,7 @@ def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
 
 
 def trace_vial(vessel: Vial | SquareBath, u: Floats) -> tuple[Floats, Floats]:
-    """Positions [mm] and unit headings (rays, 2) behind a vial's inner face of rays at offsets u [mm], by Snell's
-    law."""
+    """Positions [mm] and unit headings (rays, 2) behind a vial's inner face of rays at u [mm], by Snell's law."""
     vial = vessel if isinstance(vessel, Vial) else vessel.vessel
     place = np.stack([u, np.full_like(u, -2.0 * vial.radius)], axis=1)
     heading = np.broadcast_to([0.0, 1.0], place.shape)

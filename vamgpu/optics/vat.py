@@ -126,9 +126,8 @@ class Vat(Vessel):
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(
-                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
-                f"vat is {self.printable_radius:.4g} mm; scale or center the target, or use a "
-                "larger vat"
+                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vat is "
+                f"{self.printable_radius:.4g} mm; scale or center the target, or use a larger vat"
             )
         if self.window_transmittance < LOW_TRANSMITTANCE:
             warnings.warn(

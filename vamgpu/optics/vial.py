@@ -141,8 +141,7 @@ class Vial(Vessel):
 
         The density is the number of columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along
         it: converging rays grow denser downstream. Inside the printable radius, one ray passes through each point.
-            Outside it, two or three may meet; the one with the smallest |u| is returned, on the point's side of the
-        axis.
+        Outside it, two or three may meet; the one with the smallest |u| is returned, on the point's side of the axis.
 
         Args:
             across: Position X across the light [mm], (...,).

@@ -1,8 +1,7 @@
 """The two domains of a web: wrapped about its roller, where light travels straight, and flat, where it is printed.
 
-In the wrapped domain, the axis of the roller is (0, 0) and light travels towards +y. A point of the curved film is
-(r·sinφ, −r·cosφ) with |φ| ≤ 90°; at both ends a straight run follows, towards +y. In the flat domain, a point is (l,
-rho).
+In the wrapped domain, the axis is (0, 0) and light travels towards +y. A point of the curved film is (r·sinφ, −r·cosφ)
+with |φ| ≤ 90°; at both ends a straight run follows, towards +y. In the flat domain, a point is (l, rho).
 """
 
 from __future__ import annotations
@@ -76,8 +75,7 @@ class WrapMap:
         return (rho >= 0) & (rho <= self.outer - self.inner) & (np.asarray(y) <= self.leg)
 
     def jacobian(self, l: ArrayLike, rho: ArrayLike) -> Floats:  # noqa: E741 - the web's axis
-        """Ratio of wrapped to flat area, and of flat to wrapped energy density, at flat positions: r/neutral; 1 in the
-        straight runs."""
+        """Ratio of wrapped to flat area, and of flat to wrapped dose, at flat positions: r/neutral; straight: 1."""
         along, depth = np.broadcast_arrays(as_offsets("l", l) - self.middle, as_offsets("rho", rho))
         return np.where(np.abs(along) <= 0.5 * self.arc, (self.inner + depth) / self.neutral, 1.0)
 

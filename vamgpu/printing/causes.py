@@ -43,8 +43,7 @@ class Causes:
         self.proof, self.judgement = proof, judgement
 
     def body(self, kind: str, number: int) -> str:
-        """Remedy for one kind of change; features are narrow if moving the surface by a pixel makes the same
-        changes."""
+        """Remedy for one kind of change; features are narrow if a surface moved by a pixel makes the same changes."""
         found = []
         explained = 0
         for moved, remedy in zip(self._surfaces_moved, (THIN, NARROW), strict=True):

@@ -96,8 +96,7 @@ class Canvas:
         if top < 0 or left < 0 or top + levels.shape[0] > rows or left + levels.shape[1] > columns:
             raise BadInput(
                 f"frames of {levels.shape[1]} × {levels.shape[0]} pixels, {self.offset} off the middle, do not fit a "
-                f"canvas of {columns} × {rows}; expected all pixels on the canvas: use a smaller offset or a larger "
-                f"canvas"
+                f"canvas of {columns} × {rows}; expected all on the canvas: use a smaller offset or a larger canvas"
             )
         canvas = np.zeros((rows, columns), np.uint8)
         canvas[top : top + levels.shape[0], left : left + levels.shape[1]] = levels

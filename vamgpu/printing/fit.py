@@ -51,8 +51,7 @@ MOST_ROUNDS, SPENT = 12, 0.1
 """Greatest number of rounds for 8-bit pixels, at one and a half evaluations each, and the largest share of the
 evaluations of their plan."""
 CHANCE = 0.05
-"""Share of the greatest gain above which a pixel moves; at 0.3, pixels that light the same voxels overshoot
-together."""
+"""Share of the greatest gain above which a pixel moves; at 0.3, pixels of the same voxels overshoot together."""
 SMALL = 3e-4
 """Dose that weights these gains, over the peak: about the dose of one level of one pixel. At 3e-3, patterns of two
 thresholds gain nothing, because they leave all voxels near their thresholds."""

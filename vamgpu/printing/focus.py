@@ -177,8 +177,7 @@ def split(shown: Fields, masks: FocusMasks) -> tuple[Fields, ...]:
 
 def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:
     """The plane of every slot, int (angles, bins), in the order in which planes are shown."""
-    # turning: reverse the order at every other angle, which saves one move of the lens per angle, and the long move
-    # back.
+    # turning: reverse the order at every other angle, which saves a move of the lens per angle and the long way back.
     angles, bins = counts("angles and bins", (angles, bins), 2)
     order = np.tile(np.arange(bins), (angles, 1))
     if turning:

@@ -49,9 +49,8 @@ EDGE = 3
 LANES = 64
 """Tables are padded to a multiple of this number of slices: no device has wider vectors."""
 SAMPLES = 128, 256
-"""Fewest and most samples, from the axis to the wall, of a table of one angle; in between, one sample per part voxel.
-With 128 samples the dose inside the printable radius is right to 7e-4; beyond it, where caustics are, it is right to 3
-% (256: 1 %) voxel by voxel."""
+"""Fewest and most samples, from the axis to the wall, of a table of one angle; in between, one per part voxel. With
+128, the dose is right to 7e-4 inside the printable radius, and to 3 % (256: 1 %) per voxel at caustics beyond it."""
 STRAIGHT = 4
 """Samples of a table of straight light; light is linear between them."""
 FAR = 2.0
@@ -137,8 +136,7 @@ class IndependentExposure:
         disc = self._disc(self.pitch, self.grid.inscribed_radius + 2.0 * self.grid.pitch)
         return self._averaged(disc, self._expose(disc, light, z, self.grid.pitch), self.grid).numpy()
 
-    # ---- doses
-    # --------------------------------------------------------------------------------------------------------
+    # ---- doses ------------------------------------------------------------------------------------------------------
     def fine(self, light: DeviceArray, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
         """The dose of light on voxels that are at most half as wide as the part's and as a column in the resin."""
         # Slabs are in order, from the lowest z. A beam of a single row represents a print that is the same at every
@@ -162,10 +160,9 @@ class IndependentExposure:
     def averaged(
         self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None, part: Around | None = None
     ) -> tuple[DeviceArray, Outer | None]:
-        """The dose on the part's own voxels, as means of the fine ones, and the greatest dose beyond but not around a
-        part."""
-        # Along z, the mean over a slice does not depend on how the slice is divided; it is computed in one step. light
-        # [angle, r, z]; returns [x, y, z]
+        """The dose on the part's own voxels, as means of the fine ones, and the greatest dose away from the part."""
+        # Along z, the mean over a slice does not depend on its division; it is computed in one step.
+        # light [angle, r, z]; returns [x, y, z]
         far, pitch, disc = self._is_far, self.grid.pitch, self._near
         around = self.grid if far else self._around
         beyond, greatest = self._above_and_below(light), partial(greatest_beyond, self.grid, self.radius, around=part)
@@ -243,8 +240,7 @@ class IndependentExposure:
         return self.grid.axes()[2][0] + k[(k < 0) | (k >= self.grid.shape[2])] * self.grid.pitch
 
     def _farther(self, light: DeviceArray, z: np.ndarray, outer: Outer | None, greatest: Any) -> Outer | None:
-        """`Outer` out to the wall, on voxels so wide that the whole vessel has no more of them than the grid has fine
-        ones."""
+        """`Outer` out to the wall, on voxels wide enough that the vessel has no more than the grid has fine ones."""
         width = self.grid.pitch * ceil(0.5 * self.radius / self.corner)
         disc = self._disc(width, self.radius)
         for part in self._slabs(disc, z.size):

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 FINEST = 5
 """Greatest number of sampled voxels along an edge for which depths come from the part's mesh."""
 DEEP = 2.0
-"""Pixels from the surface beyond which wrong resin is a fault. Closer to the surface, light cannot make the dose
-jump."""
+"""Pixels from the surface beyond which wrong resin is a fault; closer, light cannot make the dose jump."""
 WHOLE = 2**28
 """Greatest number of fine voxels whose surface is judged; above it, the surface of the part's own voxels is judged."""
 

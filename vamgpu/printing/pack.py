@@ -97,11 +97,9 @@ def pack(
             with a `PackWarning`, if the rounded dose is closer to that of the patterns, up to a factor. "fit" chooses
             each pixel by the dose of all pixels. For 8 bits, some pixels move up or down by one level if that restores
             the window of the plan, in up to twelve rounds of one and a half evaluations each. For 1 bit it returns the
-            widest window that it finds, and also finds the brightness of a full-on pixel if neither ``quantile`` nor
-            ``scale`` sets
-            it; it needs a plan of a vial, moved by whole pixels. The ``plan`` of the frames then has the patterns from
-                which the frames are
-            rounded, and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion", or
+            widest window found, and the brightness of a full-on pixel if neither ``quantile`` nor ``scale`` sets it; it
+            needs a plan of a vial, moved by whole pixels. The ``plan`` of the frames then has the unrounded patterns
+            and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion", or
             "round" for angles of unequal dwell. For 8 bits "fit" for plans whose target has no bodies and no
             tolerances, within a tenth of their evaluations, otherwise "round".
         scale: Irradiance of a full-on pixel, instead of the quantile.
@@ -139,9 +137,7 @@ def pack(
     full = _full(positive("scale", scale) if scale is not None else _quantile(plan, settings, shared))
     carry = float(np.diff(curve.table(bits)).max()) if dither == "error-diffusion" else 0.0
     images = _quantized(curve.table(bits), bits, full, carry, shared)
-    kept = (
-        replace(plan, state={}) if isinstance(plan, Plan) else plan
-    )  # a run's memory is several times that of the light
+    kept = replace(plan, state={}) if isinstance(plan, Plan) else plan  # a run's memory is several times the light
     frames = Frames(images, bits, curve, full, columns, settings, flat, motion, (images, kept))
     if dither == FIT:
         found, asked, window = stepped(plan, frames, lambda asked: again(asked, full, "round"), rounds)
@@ -342,9 +338,7 @@ def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
             raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or the operator and "
                            f"light [angle, r, z]: vam.pack(A, light)")  # fmt: skip
         if target is not None:
-            raise BadInput(
-                "got a target with a plan, which has its own; expected a target only with an operator and light"
-            )
+            raise BadInput("got a target with a plan, which has its own; expected one only with an operator and light")
         return plan
     if not operator:
         raise BadInput(f"got light with a {type(plan).__name__}; expected it with the operator that makes dose from "

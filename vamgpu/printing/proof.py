@@ -65,8 +65,7 @@ class Proof:
         agrees: change of the dose on the next finer voxels, relative to the peak; None if not computed.
         exposure: predicted times, if irradiance and critical dose were given.
         solid: the mesh that the target was made from, in the same place; None for an array or a folder.
-        limits: limits of single voxels, by which `scores` and `slices` judge them; None if all of the part must simply
-            print.
+        limits: limits of single voxels, by which `scores` and `slices` judge them; None for a single threshold.
         bound: upper bound of the window of any patterns, from the operator's own dose, at all corners if tolerances
             were given; None if not computed.
         corners: doses of the frames at every corner of tolerances; None if not computed.
@@ -136,8 +135,7 @@ class Proof:
 
     @property
     def outer_share(self) -> float:
-        """The greatest dose beyond the judged cylinder over the threshold; from 1 on, resin there prints. 0 if
-        unknown."""
+        """The greatest dose beyond the judged cylinder over the threshold; at 1, resin there prints. 0: unknown."""
         return self.outer.dose / (self.solid_from or 1.0) if self.outer else 0.0
 
     @property
@@ -184,8 +182,7 @@ class Proof:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """The print judged below the voxel size, see its `lines`. Computed on first use: about ten projector
-        evaluations."""
+        """The print judged below the voxel size, see its `lines`; its first use takes about ten evaluations."""
         return judged(self)
 
     @cached_property

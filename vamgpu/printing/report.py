@@ -103,9 +103,7 @@ def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
         for top in (max(max(corner.greatest for corner in told.corners), 1e-30),)
         for corner in told.corners
     ]
-    yield Card(
-        "At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the greatest dose."
-    )
+    yield Card("At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the maximum.")
 
 
 def _pareto(plan: Any) -> Iterator[Card]:

@@ -48,13 +48,10 @@ class ScatterStop:
             raise BadInput(f"steady is {self.steady!r}; expected at least 1 frame")
 
     def see(self, seconds: float, image: npt.NDArray[np.generic]) -> ScatterReading:
-        """Add one frame [row, column] in gray levels; the first one is taken before the light goes on. Raises
-        `BadInput`."""
+        """Add one frame [row, column] in gray levels; the first is taken before the light. Raises `BadInput`."""
         total = self._total(image)
         if self.readings and seconds <= self.readings[-1].seconds:
-            raise BadInput(
-                f"a frame at {seconds:g} s comes after one at {self.readings[-1].seconds:g} s; expected rising times"
-            )
+            raise BadInput(f"a frame at {seconds:g} s follows {self.readings[-1].seconds:g} s; expected rising times")
         if not self.readings:
             self._background, self._shape = total, image.shape
         density = (total - self._background) / self.voxels
@@ -90,9 +87,7 @@ class ScatterStop:
 
     def _total(self, image: npt.NDArray[np.generic]) -> float:
         if image.ndim != 2 or (self._shape and image.shape != self._shape):
-            raise BadInput(
-                f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, that of one camera"
-            )
+            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, as for others")
         total = float(image.sum(dtype=np.float64))
         if not np.isfinite(total):
             raise BadInput("a frame holds values that are not finite; expected gray levels")

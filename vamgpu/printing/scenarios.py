@@ -66,8 +66,7 @@ def _clouded(vessel: Any, share: float) -> Any:
 
 
 def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Projection:
-    """`clouded` and `displaced`, with tables that are computed once; A itself if both amounts are 0. Raises `BadInput`
-    as they do."""
+    """`clouded` and `displaced` with tables computed once; A itself for amounts of 0. Raises `BadInput` as they do."""
     vessel = _clouded(A.vessel, share) if share else A.vessel
     vessel = _displaced(vessel, pixels * A.beam.pitch) if pixels else vessel
     return A if vessel is A.vessel else _varied(A, A.beam, vessel)

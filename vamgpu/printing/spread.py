@@ -38,16 +38,14 @@ class PixelSpread:
 
 
 class ColumnShares(NamedTuple):
-    """Light of the bins from the light of columns: first column of each bin (bins,), and shares (bins, taps) from that
-    column on."""
+    """Light of the bins from that of columns: first column of each bin (bins,), and shares (bins, taps) from there."""
 
     first: np.ndarray
     shares: np.ndarray
 
 
 class RowShares(NamedTuple):
-    """Light of the slices from the light of rows: shares (rows, slices), and first and end row of each slice (slices,
-    2)."""
+    """Light of the slices from that of rows: shares (rows, slices), and first and end row per slice (slices, 2)."""
 
     shares: np.ndarray
     span: np.ndarray
@@ -81,8 +79,7 @@ def _transmitted(rays: Rays, edge: np.ndarray) -> np.ndarray:
 
 
 def row_shares(spread: PixelSpread, beam: Beam, z: np.ndarray, height: float, multiple: int) -> RowShares:
-    """Mean light of slices ``height`` [mm] high about ``z`` [mm], from the light of rows; padded to a multiple of
-    slices."""
+    """Mean light of slices ``height`` [mm] high about ``z`` [mm], from that of rows; padded to full slices."""
     rows = beam.pixels[1]
     center = z / beam.pitch + 0.5 * (rows - 1)
     half, side = 0.5 * height / beam.pitch, 1.0 if beam.flat else spread.side

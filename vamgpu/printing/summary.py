@@ -31,17 +31,7 @@ def summary(proof: Proof, judgement: Judgement) -> list[Card]:
     chart = Chart(charts.tolerance_chart(judgement.over_tolerance, judgement.pixel))
     sensitivity = Tolerances(table(judgement.table))
     lines = judgement.surface.lines()
-    surface = (
-        [
-            Card(
-                "Dose latitude, window one pixel from the surface, stray resin, surface, and exposure time.",
-                Numbers(lines),
-                wide=True,
-            )
-        ]
-        if lines
-        else []
-    )
+    surface = [Card("Surface of the print against the mesh", Numbers(lines), wide=True)] if lines else []
     return [
         Card("Window over tolerance", chart, note=_chart_note(proof)),
         Card("Sensitivity to errors", sensitivity, note=_table_note(judgement.table)),
@@ -89,9 +79,7 @@ def _beyond(proof: Proof) -> list[Figure]:
     """Dose of the resin beside, above and below the judged cylinder; empty if there is none."""
     if proof.outer is None:
         return []
-    meaning = (
-        f"greatest dose beside, above or below the judged cylinder: {proof.outer.where}; from 1 on, resin there prints"
-    )
+    meaning = f"greatest dose around the judged cylinder: {proof.outer.where}; from 1 on, resin there prints"
     return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
 
 

@@ -42,8 +42,7 @@ NOTHING = Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint32
 
 
 def iso_surface(field: np.ndarray, level: float, pitch: float) -> Surface:
-    """The surface where a field [x, y, z] crosses ``level``, closed at its edges; coordinates [mm] from the middle of
-    the grid."""
+    """The surface where a field [x, y, z] crosses ``level``, closed at its edges; [mm] from the grid's middle."""
     from skimage.measure import marching_cubes
 
     block = max(1, ceil(max(field.shape) / LARGEST))
@@ -95,8 +94,7 @@ def joined(surfaces: Sequence[Surface]) -> Surface:
 
 
 def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Mean of the normals of the triangles around each point, weighted by area; (n, 3), smoother than the field's
-    gradient."""
+    """Mean of the normals of the triangles around each point, weighted by area; (n, 3), smoother than gradients."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     total = np.stack([np.bincount(faces.ravel(), np.repeat(part, 3), len(points)) for part in normal.T], axis=1)
@@ -113,8 +111,7 @@ def block_mean(field: np.ndarray, block: int) -> np.ndarray:
 
 
 def deviation(printed: Surface, target: Surface) -> np.ndarray:
-    """Signed distance [mm] of each printed point from the nearest tangent plane of the target, outwards positive;
-    (n,)."""
+    """Signed distance [mm] of each printed point from the target's nearest tangent plane, > 0 outside; (n,)."""
     if not len(printed.points) or not len(target.points):
         return np.zeros(len(printed.points))
     from scipy.spatial import KDTree
@@ -124,8 +121,7 @@ def deviation(printed: Surface, target: Surface) -> np.ndarray:
 
 
 def viewer(target: Surface, printed: Surface, most: float, outer: Surface = NOTHING) -> dict[str, Any]:
-    """Surfaces in the form that the page's script reads; ``most`` is the deviation [mm] at the ends of the color
-    scale."""
+    """Surfaces in the form for the page's script; ``most`` is the deviation [mm] at the ends of the color scale."""
     # ``outer``, the print beyond the judged cylinder, has the greatest value, which the script colors.
     points = np.concatenate([target.points, printed.points, outer.points])
     shade = np.concatenate([np.clip(deviation(printed, target) / most, -1.0, 0.99), np.ones(len(outer.points))])

@@ -1,5 +1,4 @@
-"""Sensitivity to errors: the same frames on a machine with a small error, and the amount at which the first voxel
-prints wrong.
+"""Sensitivity to errors: the same frames on a machine with an error, which grows until the first voxel is wrong.
 
 Each scenario is one exposure with the solver's type of operator and one property changed: half a projector evaluation.
 Its change in dose is added to the proved dose, voxel by voxel. The exposure time does not change: the threshold of the

@@ -56,8 +56,7 @@ def sheet(mosaic: str | list[Any], height: float, **options: Any) -> tuple[Figur
 
 
 def shown(axis: Axes, plane: np.ndarray, title: str, pitch: float | None = None, **options: Any) -> Any:
-    """A plane [horizontal, vertical] as a picture; with a pitch [mm] its axes are in mm, otherwise they have no
-    ticks."""
+    """A plane [horizontal, vertical] as a picture; with a pitch [mm] its axes are in mm, without ticks otherwise."""
     extent = None
     if pitch is not None:
         half = [0.5 * n * pitch for n in plane.shape]

@@ -41,8 +41,7 @@ NOUN = "noun"
 
 
 class Nouns:
-    """Type of a key whose table is a component, for pydantic. If ``without`` or ``beside`` is set, it reads a
-    `Partial`."""
+    """Type of a component's key, for pydantic. If ``without`` or ``beside`` is set, it reads a `Partial`."""
 
     given: tuple[tuple[str, str | None], ...]  # (family, kind) of accepted components; None accepts a whole family
     without: tuple[str, ...]  # fields whose values come from elsewhere

@@ -21,8 +21,7 @@ from vamgpu.storage.shards import LEVEL, decode, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512
-"""Size limits of one file: few enough files for a job of many thousand frames, and small enough files to write and copy
-easily."""
+"""Size limits of one file: few files for a job of many thousand frames, but small enough to copy easily."""
 PIECE = 1 << 23
 """Bytes that a thread unpacks at a time: they are then still in the cache when they are hashed, and the system reuses
 the memory for the next part."""

@@ -115,8 +115,7 @@ def _encoded(text: str, encoding: str = "latin1") -> bytes:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows the functions that NumPy's arrays use, and turns all other classes of some packages into sets of
-    attributes."""
+    """Unpickles the functions that NumPy's arrays use, and other classes of some packages as sets of attributes."""
 
     def __init__(self, data: bytes, packages: tuple[str, ...]) -> None:
         super().__init__(BytesIO(data))

@@ -10,8 +10,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 from vamgpu.storage.memory import size
 
 MOST_DIRECTORY = 20_000_000
-"""Size limit of a zip's list of members [bytes]; each member takes about a hundred there, and ten times as much in
-memory."""
+"""Size limit of a zip's list of members [bytes]; each takes about a hundred there, and a thousand in memory."""
 TAIL = 22 + 20 + 56 + (1 << 16)
 """Bytes at the end of a zip that contain the description of its list."""
 DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x06\x06.{36}(.{8})"))

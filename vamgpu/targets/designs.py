@@ -28,8 +28,7 @@ _ASPECT = 5.0
 
 
 def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:
-    """Share of each of ``n`` pixels of ``pitch`` [mm], centered about zero, that disjoint intervals low..high [mm]
-    cover."""
+    """Share of each of ``n`` pixels of ``pitch`` [mm], centered about zero, in disjoint intervals low..high [mm]."""
     left = centers(n, pitch) - 0.5 * pitch
     lows, highs = np.atleast_1d(low)[:, None], np.atleast_1d(high)[:, None]
     share = np.minimum(highs, left + pitch) - np.maximum(lows, left)
@@ -189,8 +188,7 @@ class Block:
         return covered(n, pitch, low, low + self.strut)
 
     def target(self, pitch: float, margin: int = 2) -> Target:
-        """The block on voxels of ``pitch`` [mm], exact fractions: full where two of the three coordinates are in
-        struts."""
+        """The block on voxels of ``pitch`` [mm], exact fractions: full where two of three coordinates are in struts."""
         pitch = positive("pitch [mm]", pitch)
         wide = float(np.hypot(*self.size[:2]))
         n = 4 * -(-int(np.ceil(wide / pitch + 2 * margin + 1)) // 4)

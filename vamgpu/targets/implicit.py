@@ -26,8 +26,7 @@ _POINTS = 1 << 19
 class Implicit(Protocol):
     """A solid as a function of space: φ(x, y, z) < 0 inside, > 0 outside, all in mm.
 
-    The arguments are arrays that broadcast together: x, y, z in a vial, l, ρ, z on a web. The result has their common
-        shape.
+    The arguments are arrays that broadcast together, as the result: x, y, z in a vial, l, ρ, z on a web.
     A shape may also have a method ``bound(x, y, z)``: it has the same sign, and its magnitude is at most the distance
     to the surface [mm]. Voxels that it proves to be full or empty are not sampled.
     """
@@ -58,8 +57,7 @@ class Distance(Bounded, Protocol):
 def voxelize(
     shape: Implicit, grid: Grid | WebGrid, *, start: float = 0.0, samples: int = SAMPLES
 ) -> npt.NDArray[np.float32]:
-    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: the share of ``samples``³ points that lie
-    inside."""
+    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: the share of ``samples``³ points inside."""
     if not callable(shape):
         raise BadInput(f"got a {type(shape).__name__} as shape; expected a function φ(x, y, z), negative in the solid")
     samples = counts("samples", (samples,), 1)[0]

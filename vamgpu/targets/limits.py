@@ -29,8 +29,7 @@ class BodyRequirement:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limit of the dose, weight and body of each voxel: the part must reach its limit, all other voxels must stay below
-    theirs."""
+    """Limit of the dose, weight and body of each voxel: the part must reach its limit, others must stay below."""
 
     dose: Array  # limit [x, y, z], relative to the dose that prints; 0 where nothing is judged
     weight: Array  # in losses, [x, y, z], ≥ 0
@@ -57,8 +56,7 @@ class Limits:
 
     @cached_property
     def scale(self) -> npt.NDArray[np.float32]:
-        """Factor by which the dose is multiplied to make one limit hold for all voxels, [x, y, z]; 0 where nothing is
-        judged."""
+        """Factor of the dose at each voxel for which one limit holds for all, [x, y, z]; 0 where nothing is judged."""
         return np.divide(1.0, self.dose, out=np.zeros(self.dose.shape, np.float32), where=self.judged)
 
     @property

@@ -26,8 +26,7 @@ __all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh", "solid_of"]
 FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
-"""Bytes of memory that reading and repairing take at most, per byte of the file; 3MF files are packed, see
-package.py."""
+"""Bytes of memory that reading and repairing take at most, per byte of the file; for 3MF, see package.py."""
 PLY_HEAD = 1 << 16
 """Largest number of bytes of a PLY file's header."""
 
@@ -73,8 +72,7 @@ def solid_of(source: Any, name: str = "solid") -> Solid | None:
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
-    """Turn a trimesh.Trimesh into a watertight Solid [mm]; a mesh with a unit is converted, one without a unit is in
-    mm.
+    """Turn a trimesh.Trimesh into a watertight Solid [mm]; its unit, mm by default, is converted.
 
     Raises EmptyMesh, NotWatertight, MeshError as load_mesh does.
     """
@@ -140,8 +138,7 @@ def _bytes(file: Path, kind: str) -> bytes:
 
 
 def _announced(data: bytes, kind: str, name: str) -> int:
-    """Number of triangles according to the header of a binary STL file; 0 for all other files. Raises MeshError if the
-    file ends too soon."""
+    """Number of triangles by the header of a binary STL file, else 0. Raises MeshError if the file ends too soon."""
     if kind != "stl" or b"\0" not in data[:512]:
         return 0
     count, room = int.from_bytes(data[80:84], "little"), max(0, len(data) - 84) // 50
@@ -166,9 +163,7 @@ def _check_ply(data: bytes, name: str) -> None:
             claim += count
     if not mark or claim > 2 * len(data):
         fault = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
-        raise MeshError(
-            f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY file: copy or export it again"
-        )
+        raise MeshError(f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY file: export it again")
 
 
 def _encoded(data: bytes, kind: str) -> bytes:

@@ -13,8 +13,7 @@ from vamgpu.storage.zips import open_zip, unpacked
 WORK = 12
 """Bytes of memory that reading takes, per byte of a model's text."""
 DENSEST, SMALL = 200, 1 << 24
-"""Mesh text compresses about tenfold; a member beyond `SMALL` bytes that compresses more than this factor is not a
-model."""
+"""Mesh text compresses about tenfold; a member beyond `SMALL` bytes that compresses more is not a model."""
 DOCTYPES = (b"<!DOCTYPE", "<!DOCTYPE".encode("utf-16-le")[:-1])
 """Text that a 3MF file must not contain (3MF core, 2.3): entities that multiply, and names of other files."""
 

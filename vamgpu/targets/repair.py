@@ -19,14 +19,12 @@ Mended = tuple[Vertices, Faces, tuple[str, ...]]
 _CRACK = 1e-5
 """Open borders closer than this share of the box diagonal are sewn together."""
 _HOLE = 0.2
-"""Holes whose rim is shorter than this share of the box diagonal are filled, and so are holes of three or four
-edges."""
+"""Holes whose rim is shorter than this share of the box diagonal are filled, and those of 3 or 4 edges."""
 
 
 def repaired(solid: Solid, *, fix: bool = True) -> Solid:
     """Return a watertight, outward-wound copy of solid (the same object if nothing is wrong)."""
-    # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, are filled with
-    # a fan
+    # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, are filled
     vertices, faces, mended = solid.vertices, solid.faces, ()
     left = solid.open_edges
     if left and fix:
@@ -34,9 +32,8 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
     if left:
         tried = " after merging vertices and filling small holes" if fix else ""
         raise NotWatertight(
-            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program "
-            "or a "
-            "mesh editor (make solid / close holes) and export again"
+            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program or "
+            "a mesh editor (make solid / close holes) and export again"
         )
     if fix:
         vertices, faces, turned = _turn_outward(vertices, faces)
@@ -165,8 +162,7 @@ def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
 
 
 def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
-    """Flip everything if the total volume is negative; then flip every inward body that is not inside an outward
-    one."""
+    """Flip everything if the total volume is negative; then flip inward bodies that are not in outward ones."""
     if not len(faces):
         return vertices, faces, ()
     body = bodies(faces, len(vertices))

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 POINTS, GENERATOR = 89, 55
-"""Points of a cell that represent equal parts of its area: a Fibonacci lattice, with one point in each of 89 rows and
-columns."""
+"""Points of a cell that represent equal parts of its area: a Fibonacci lattice, one in each of 89 rows and columns."""
 FINE = 4
 """Columns along the side of a cell on which a mesh is voxelized; each has 16 points of its own, and all of z."""
 _BAND = 1 << 26

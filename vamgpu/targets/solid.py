@@ -166,8 +166,7 @@ class Solid:
 
 
 def unmatched_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Return the directed edges (k, 2) that are not traversed equally often in both directions, one row per undirected
-    edge."""
+    """Directed edges (k, 2) not traversed equally often in both directions, one row per undirected edge."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     directed = directed[directed[:, 0] != directed[:, 1]]
     if len(directed) == 0:

@@ -162,8 +162,7 @@ class Spiral:
         return _BoundedFilm(self, shape) if isinstance(shape, Bounded) else _Film(self, shape)
 
     def unwind(self, fraction: npt.ArrayLike, grid: Grid, web: WebGrid) -> npt.NDArray[np.float32]:
-        """Voxels of a solid, resampled to those of the flat film by interpolation between centers; the core is not in
-        the film.
+        """Voxels of a solid, interpolated to those of the flat film; the core is not in the film.
 
         Args:
             fraction: Fractions of the solid, [x, y, z].
@@ -197,8 +196,7 @@ class Spiral:
             fraction: Fractions of the film, [l, rho, z].
             web: Voxels of the film.
             grid: Voxels of the wound body.
-            samples: Sample points along x and y in each voxel; values are interpolated between centers of the film's
-                voxels.
+            samples: Sample points along x and y in each voxel; values between centers of voxels are interpolated.
 
         Returns:
             Fractions float32 [x, y, z].
@@ -265,8 +263,7 @@ def _on(name: str, fraction: npt.ArrayLike, shape: tuple[int, int, int]) -> npt.
 def _looked_up(
     values: npt.NDArray[np.float32], first: Array, second: Array, third: Array, held: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.float32]:
-    """Values at fractional indices (first, second) for every third index; the last voxels extend to their faces, 0
-    beyond."""
+    """Values at fractional indices (first, second) for every third index; to the last voxels' faces, 0 beyond."""
     from scipy.ndimage import map_coordinates
 
     limits = zip((first, second), values.shape, strict=False)

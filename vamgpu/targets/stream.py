@@ -44,8 +44,7 @@ class Repeated:
             )
 
     def copies(self, low: float, high: float) -> Solid | None:
-        """All copies that lie at least partly between two positions along l [mm], as one surface; None if there is
-        none."""
+        """All copies at least partly between two positions along l [mm], as one surface; or None."""
         begin, end = self.solid.bounds[:, 0]
         numbers = range(ceil((low - end) / self.period), floor((high - begin) / self.period) + 1)
         if not numbers:
@@ -93,8 +92,8 @@ def stream(
         low, high = shape.solid.bounds
         raise EmptyMesh(
             f"{shape.solid.name} reaches from ρ = {low[1]:.4g} to {high[1]:.4g} mm and z = {low[2]:.4g} to "
-            f"{high[2]:.4g} mm; expected part of it within the web, from ρ = 0 to {grid.size[1]:.4g} mm and "
-            f"±{0.5 * grid.size[2]:.4g} mm: move it"
+            f"{high[2]:.4g} mm; expected part of it in the web, from ρ = 0 to {grid.size[1]:.4g} mm and ±"
+            f"{0.5 * grid.size[2]:.4g} mm: move it"
         )
     return _tiles(shape, grid, voxels, samples, device)
 

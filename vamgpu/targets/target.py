@@ -95,8 +95,7 @@ class Target:
             orientation: Rotation matrix, (3, 3).
             margin: Empty voxels between the part and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
-            grid: A grid in place of pitch and shape, or rings, whose box is used; `on_rings` gives the fractions on
-                rings.
+            grid: A grid in place of pitch and shape, or rings, whose box is used; see `on_rings` for rings.
             device: A name or a device; the best available one by default.
             name: Name in messages and reports; by default the file's.
 
@@ -344,8 +343,7 @@ def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] |
 
 
 def _check_memory(grid: Grid, device: Device) -> None:
-    """Reject a target that does not fit the memory, before the machine starts to swap; devices with their own memory
-    check it themselves."""
+    """Reject a target that does not fit the memory before the machine swaps; devices with memory check it too."""
     import os
 
     size = device.real.itemsize * prod(grid.shape) / 1e9

@@ -27,8 +27,7 @@ UNITS = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "inch": 25.4, "f
 PRINTED = ("model", "solidsupport")
 """Types of objects that are printed; "support", "surface" and "other" are not."""
 KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/02", "trianglesets/2021/07")
-"""Ends of the namespaces of extensions that may be required, because they do not change the solids or the core states
-the same."""
+"""Ends of the namespaces of extensions that may be required, because they do not change the solids."""
 MOST_INSTANCES, MOST_LEVELS = 10_000, 16
 """Largest number of meshes that a package may place, and of levels of components."""
 TRIANGLE = 300

@@ -87,8 +87,7 @@ def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[
     if longest >= 1 << 31:
         raise TargetTooLarge(
             f"rays of {tile} rows of columns cross the surface {longest} times; expected at most {1 << 31}: use a "
-            "larger "
-            "pitch or a mesh with fewer bodies"
+            "larger pitch or a mesh with fewer bodies"
         )
     start = np.empty(counts.shape, np.int32)
     for band in bands:

@@ -14,8 +14,7 @@ from vamgpu.webs.store import WebFolder
 
 
 def light_of(folder: WebFolder, first: int, poses: int, gain: np.ndarray, device: Device) -> DeviceArray:
-    """Light [angle, r, z] of a folder's frames from ``first`` on, multiplied by each frame's gain; 0 where there are
-    none."""
+    """Light [angle, r, z] of a folder's frames from ``first`` on, times each frame's gain; 0 without frames."""
     try:
         details = folder.details
         columns, rows = (int(n) for n in details["beam"]["pixels"])

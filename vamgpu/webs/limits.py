@@ -104,8 +104,7 @@ class WebLimits:
 
     @property
     def duty(self) -> float:
-        """Share of the time in which light can be on, because the lens neither receives a command nor moves; negative
-        if too fast."""
+        """Share of the time in which the lens is idle and light can be on; negative if too fast."""
         return 1.0 - self.moves * (self.display.wire + self.lens.settle) * self.pose_rate
 
     @property
@@ -125,8 +124,7 @@ class WebLimits:
         return 0 if bins == 1 else bins - 1 if self.display.turning else bins
 
     def sampling_limit(self, speed: float) -> float:
-        """Largest number of angles per length of a web [1/mm], at a speed [mm/s], for which the lens can settle:
-        f/(M·v) (S20)."""
+        """Largest number of angles per length of a web [1/mm] at a speed [mm/s] that the lens allows: f/(M·v) (S20)."""
         busy = self.moves * self.lens.settle
         return inf if busy == 0 else 1.0 / (busy * positive("speed [mm/s]", speed))
 

@@ -137,8 +137,7 @@ class _Simulation:
                 yield WebPart(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
 
     def _dose(self, number: int, start: int, stop: int) -> np.ndarray:
-        """Dose of some of the columns around a segment, from the frames of all angles that reach the segment's
-        columns."""
+        """Dose of some columns around a segment, from the frames of all angles that reach the segment."""
         layout = self.layout
         first = number * layout.core - layout.overlap
         return self.operator.T(light_of(self.folder, first, layout.poses, self.gain, self.device)).part(start, stop)

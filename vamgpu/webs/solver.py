@@ -34,8 +34,7 @@ LAST = "the light of the segment is its last"
 TOGETHER = 1 << 26
 """Bytes of a field that are made at a time before they are uploaded."""
 STABLE = 4 / 3
-"""Longest stable step of Nesterov's method, relative to the inverse of the largest curvature of the loss, as momentum
-approaches 1."""
+"""Longest stable step of Nesterov's method, over the inverse of the loss's largest curvature, as momentum nears 1."""
 PACE = 5 / 6
 """Ratio of the length of a step to the longest stable one."""
 
@@ -64,9 +63,8 @@ class Solver:
     """Descent of a sum over voxels on segments of one shape; the light of a segment is its last."""
 
     # A position depends only on its neighborhood, never on where a segment begins: the loss is a sum over voxels, and
-    # the step follows from one angle and the curvature. Selecting the best of all iterations would couple the whole
-    # segment. Momentum is Nesterov's, whatever the method's own: with half of it, four times as many steps would be
-    # needed.
+    # the step follows from one angle and the curvature. Selecting the best of all iterations would couple all of it.
+    # Momentum is Nesterov's, whatever the method's own: half of it would need four times as many steps.
 
     layout: SegmentLayout  # shape of a segment
     device: Device
@@ -98,8 +96,7 @@ class Solver:
             self._lower(method.apart(losses.last / (columns * fractions[0].size)).band())
 
     def _norm(self) -> float:
-        """‖A‖², from the light of one angle: no entry is negative, and a web that is uniform along l is therefore the
-        worst case."""
+        """‖A‖², from the light of one angle: no entry is negative, and a web uniform along l is the worst case."""
         light, rows = self.operator.light, self._rows_norm()
         sums = np.zeros(light.shape[:2])
         np.add.at(sums, (light.r, light.rho), light.weight)

@@ -83,8 +83,7 @@ class Columns:
         expected = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"
         return TileError(
             f"the tiles end after {columns} columns ({self._mm(columns)}); expected {expected}: give {remedy}, or "
-            "begin a "
-            "shorter web"
+            "begin a shorter web"
         )
 
     def _checked(self, item: Any) -> np.ndarray:
@@ -130,6 +129,5 @@ def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
         return source
     raise BadInput(
         f"got {type(source).__name__} as tiles; expected an iterator of arrays [l, rho, z], a function φ(l, rho, z) "
-        "that "
-        "is negative in the solid, or Repeated(solid, period)"
+        "that is negative in the solid, or Repeated(solid, period)"
     )

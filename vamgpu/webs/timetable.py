@@ -16,15 +16,14 @@ from vamgpu.printing.focus import slots
 from vamgpu.webs.limits import WebLimits
 
 TICK = 1e-6
-"""Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S14: the command for the lens is
-sent, the trigger follows at once, and the mirrors wait for the lens to settle before they show their frame."""
+"""Default time step [s] of the clock that sends commands and triggers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Default period [s] of the clock that sends commands and triggers."""
+    """Times [s] of every frame of some angles, (poses, bins), from the start of the web's first angle."""
 
-    plane: np.ndarray  # Times [s] of every frame of some angles, (poses, bins), from the web's first angle on.
+    plane: np.ndarray  # which focus plane is shown
     power: np.ndarray  # of the lens [dpt]
     command: np.ndarray  # when the command for the lens is sent; NaN if the lens keeps its power
     trigger: np.ndarray  # of the mirrors

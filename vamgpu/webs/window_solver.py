@@ -43,8 +43,7 @@ class WindowSolver:
     """Solver of segments of one shape, in order; each is solved like a part by `PDHG`; arguments as for `Solver`."""
 
     # A window is not a sum over voxels, and segments solved separately would not fit together: each is solved with the
-    # dose of all frames fixed before it. The first one finds the levels that the others keep: one threshold serves the
-    # whole web.
+    # dose of all earlier frames. The first one finds the levels that the others keep: one threshold for the whole web.
 
     layout: SegmentLayout
     device: Device

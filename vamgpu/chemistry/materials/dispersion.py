@@ -54,8 +54,7 @@ class Dispersion(Spectrum):
     Args:
         form: "sellmeier": n² = 1 + constant + Σ Bᵢλ²/(λ² − Cᵢ), terms (B, C [µm²]); "powers": n² = constant + Σ aᵢλ^pᵢ,
             terms (a, p); "cauchy": n = constant + Σ aᵢλ^pᵢ; "points": ``index`` at ``wavelength``, linear between them.
-        wavelength: The first and the last wavelength [mm] for which the formula holds, or those of all points,
-            ascending.
+        wavelength: The first and the last wavelength [mm] of the formula, or those of all points, ascending.
         constant: The formula's constant, dimensionless.
         terms: The formula's coefficients, in pairs.
         index: Refractive index at each wavelength of "points".

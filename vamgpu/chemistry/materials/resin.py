@@ -41,8 +41,7 @@ class Component(Sourced):
 
 
 class Resin(Absorbing):
-    """A resin with the numbers that its sources give; None for missing ones. Numbers have a ``.value`` and its
-    ``.source``.
+    """A resin with the numbers from its sources, or None. Numbers have a ``.value`` and its ``.source``.
 
     Args:
         name: Name.

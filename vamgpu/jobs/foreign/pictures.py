@@ -71,8 +71,7 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
 
 
 def images_of(folder: Path) -> tuple[np.ndarray, str]:
-    """The images of a folder [image, row, column] in the order of their numbers, and the text of its
-    ``frames.json``."""
+    """The images of a folder [image, row, column] in numeric order, and the text of its ``frames.json``."""
     names = [each for each in folder.iterdir() if each.suffix.lower() in IMAGES and is_file(each)]
     kinds = {each.suffix.lower() for each in names}
     if len(kinds) != 1:

@@ -1,8 +1,7 @@
 """VAMToolbox (Berkeley): sinograms and targets, pickled or saved as arrays.
 
 A sinogram is [r, angle, z] in degrees, a target [y, x, z]. r grows along x·cos a − y·sin a and light travels along
-x·sin a + y·cos a; in this library that is the angle θ = −(a + 90°). Lengths are in centimeters. Code in a pickle is
-never executed.
+x·sin a + y·cos a; in this library that is the angle θ = −(a + 90°). Lengths are in cm. Code in a pickle never runs.
 """
 
 from __future__ import annotations

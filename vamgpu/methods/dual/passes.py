@@ -60,8 +60,7 @@ class DualState(OptimizerState):
         self.scale(factor, dose, dose)
 
     def gain(self, operator: LinearOperator) -> float:
-        """An upper bound of the greatest eigenvalue of projecting and exposing: the greatest dose of a projected volume
-        of 1."""
+        """Upper bound of the greatest eigenvalue of projecting and exposing: the greatest dose of a volume of ones."""
         nx, ny, nz = self.target.shape
         one, light = constant(1.0, (nx, ny, nz), self.target), self.sinogram()
         self.light_of(one, operator, light)
@@ -161,7 +160,6 @@ class DualColor(Rule):
             undersupply is added to the visible light. Both buildups are then scaled by one factor, the maximum of their
             difference (never by minimum and maximum). UV light is as bright as projected, or dimmer if it would remove
             more than the greatest oversupply: otherwise a thin part in a wide void would have no dose left. With more
-                With the
             passes, undersupply falls and oversupply grows, because only the visible light grows: check both, and use
             False for contrast. False keeps the scale of the first pass, compares the difference of the buildups, and
             corrects both colors: a projected descent that lowers both errors.

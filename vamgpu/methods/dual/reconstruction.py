@@ -104,8 +104,7 @@ class ExactPlan:
         return dose.reshape(at.pixels * factor, -1)
 
     def error(self, design: npt.ArrayLike, factor: int = 1) -> float:
-        """Root mean square of buildup − design [x, y]; with a factor above 1 it includes positions between the
-        points."""
+        """Root mean square of buildup − design [x, y]; a factor above 1 includes positions between the points."""
         target = np.kron(np.asarray(design, np.float64), np.ones((factor, factor)))
         return float(np.sqrt(np.mean((self.buildup(factor).astype(np.float64) - target) ** 2)))
 
@@ -122,8 +121,7 @@ def reconstruct(
 ) -> ExactPlan:
     """Light of two signs whose buildup is the design [x, y] at all points that keep a free angle. Raises `BadInput`."""
     # Points are processed in raster order. Each gets its missing dose, or loses its excess, spread evenly over the
-    # angles at which no earlier point shares its bin: I′ = I·e^{μl}, with the μ of the sign of I. These bins never
-    # change again.
+    # angles at which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I; these bins stay as they are.
     target = np.asarray(design, dtype)
     if target.ndim != 2 or target.shape[0] != target.shape[1] or not np.isfinite(target).all():
         raise BadInput(f"the design has shape {target.shape}; expected a square of finite grey values [x, y]")
@@ -160,8 +158,7 @@ def _spread(at: Slice, light: Floats, angle: npt.NDArray[np.intp], bins: npt.NDA
 
 
 def sufficient(pixels: int, spacing: float = 1.0) -> tuple[int, float]:
-    """Number of angles, and width of a bin [pixels], that leave every point a free angle for certain. Raises
-    `BadInput`."""
+    """Number of angles and width of a bin [pixels] that leave every point a free angle. Raises `BadInput`."""
     # More than 2N angles, N = pixels², because two trajectories cross twice; bins narrower than spacing·sin Δθ.
     (across,) = counts("pixels", (pixels,), 1)
     angles = 2 * across**2 + 1

@@ -30,8 +30,7 @@ def gains_of(model: Model, target: DeviceArray) -> tuple[float, ...]:
 
 
 class ColorDescent(ColorObjective):
-    """Steps that lower the loss of the effective dose of both colors; ``memories`` hold everything needed to
-    continue."""
+    """Steps that lower the loss of the effective dose of both colors; ``memories`` hold the state to continue."""
 
     def __init__(
         self, model: Model, target: DeviceArray, loss: Loss, memories: tuple[dict[str, Any], ...], share: float,

@@ -11,8 +11,7 @@ from vamgpu.operators.projection import Projection
 
 
 class PoseRuns:
-    """The operators of the runs into which the angles of a turn are divided. Raises `BadInput` for fewer angles than
-    runs."""
+    """The operators of the runs into which the angles of a turn are divided. Raises `BadInput` for too many runs."""
 
     def __init__(self, operator: Projection, count: int) -> None:
         if not isinstance(operator, Projection):

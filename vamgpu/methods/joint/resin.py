@@ -23,10 +23,8 @@ class TwoColorResin:
         supply: [C]₀/[A]₀.
         alpha: Ratio k_B/k_A, visible light's preference for B.
         pairing: Rate k₂·[A]₀ [1/s] at which B recombines to C.
-        cross: Share of the induction that a unit of ultraviolet dose consumes because ultraviolet light also starts
-            chains.
-        floor: ε, the share of [A]₀ by which the monomer competes for radicals; it smooths eqs 5-7, which are the limit
-            ε = 0.
+        cross: Share of the induction that a unit of ultraviolet dose consumes, because it also starts chains.
+        floor: ε, the share of [A]₀ by which the monomer competes for radicals; eqs 5-7 are the limit ε = 0.
 
     Raises:
         BadInput: A value is out of its range.

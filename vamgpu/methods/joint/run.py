@@ -138,8 +138,7 @@ def optimize_colors(
         warm: Iterations with only visible light; four times as many follow for both colors in the linear model.
         progress: Gets every `Step`.
         cancel: Called before each step; returns whether to stop.
-        resume: A plan of the same model and weights to continue; the result is the same bit for bit. The plan does not
-            change.
+        resume: A plan of the same model and weights to continue, bit for bit; the plan does not change.
 
     Returns:
         The plan with the light of least loss.

@@ -47,8 +47,7 @@ class Capsules(Distance):
         if len(self.spacing) != 2 or not self.spacing[0] > long or not self.spacing[1] > 2.0 * radius:
             raise BadInput(
                 f"Capsules spacing is {self.spacing!r} mm; expected more than ({long:g}, {2 * radius:g}) along x and "
-                "z, "
-                "or they touch"
+                "z, or they touch"
             )
 
     def __call__(self, x: Array, y: Array, z: Array, /) -> Array:

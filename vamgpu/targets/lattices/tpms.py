@@ -1,9 +1,8 @@
 """Solids bounded by triply periodic minimal surfaces and their level sets.
 
 Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table S4, with k = 2π/cell. The
-sheet is |f| < c, written there as f² − c² < 0. Values are the function divided by the norm of its gradient: near the
-surface this is the distance [mm] to first order. The sign is right everywhere, but far away the value is not the
-distance.
+sheet is |f| < c, written there as f² − c² < 0. Values are the function divided by the norm of its gradient: the
+distance [mm] to first order near the surface. Far away, only the sign is right.
 """
 
 from __future__ import annotations

@@ -142,8 +142,7 @@ def _about_atom(x: Array, y: Array, z: Array, cell: float) -> list[Array]:
     point = np.stack(np.broadcast_arrays(x, y, z)) / (0.5 * cell) - 0.5
     whole = np.round(point)
     rest = point - whole
-    # Face centers have an even sum: where the sum is odd, the coordinate nearest to its rounding limit is rounded the
-    # other way.
+    # Face centers have an even sum: if odd, the coordinate nearest to its rounding limit is rounded the other way.
     odd = whole.sum(axis=0) % 2 != 0
     axis = np.abs(rest).argmax(axis=0)
     turn = (np.arange(3).reshape(3, *(1,) * odd.ndim) == axis) & odd

@@ -109,8 +109,7 @@ def _diamond(cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def _gyroid_distance(axis: Array, cell: float, reach: float) -> Array:
-    """Distance [mm] to the gyroid on the grid axis × axis × axis, accurate below reach: one Newton step and its
-    remainder."""
+    """Distance [mm] to the gyroid on the grid axis × axis × axis, accurate below reach: a Newton step and its rest."""
     scale = 2.0 * np.pi / cell
     phase = scale * axis
     value, gradient = _gyroid(phase[:, None, None], phase[None, :, None], phase[None, None, :])
