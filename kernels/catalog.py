@@ -36,8 +36,7 @@ def kernels() -> tuple[Kernel, ...]:
 
 
 def bytes_per_item(kernel: Kernel, *, written: bool) -> str:
-    """Bytes read or written per element of ``kernel.over``; every array counts once, and an axis's name means its
-    length.
+    """Bytes read or written per element of ``kernel.over``; arrays count once, an axis's name means its length.
 
     Tables that share no axis with ``over``, or only some of its axes, are listed by name.
     """

@@ -5,8 +5,7 @@ dose Ω at ζ = n is what slices n, n + 1, … leave there. It is computed from 
 al. 2019, eq. S14): Ω ← Ω + light[level] − decay·Ω, decay = 1 − 10^−η. A column's state contains all that it needs from
 later slices; a stack therefore passes in blocks of at most 32 slices, the last block first.
 
-A sum over thousands of slices loses digits in float32. The state therefore also keeps the rounding error of the last
-addition beside Ω.
+A sum over thousands of slices loses digits in float32; the state keeps the rounding error of the last sum beside Ω.
 """
 
 from __future__ import annotations

@@ -120,8 +120,7 @@ class State:
             getattr(self, name)[index] = getattr(few, name)
 
     def advanced(self, look: Look, step: np.ndarray, scheme: int) -> State:
-        """State after one step; the paths follow from the cubic through values and slopes at both ends, of fourth
-        order."""
+        """State after one step; paths follow from the cubic through values and slopes at both ends, of fourth order."""
         end, h = self.part(np.arange(len(self.place))), step[:, None]
         if scheme == 0:
             a = self.pull

@@ -67,8 +67,7 @@ static inline Real faded(const Foot *foot, Real distance, float sigma) {
     return clamp((foot->reach - fabs(distance)) * (1.0f / (FADE * sigma + SHARP)), (Real)(0.0f), (Real)(1.0f));
 }
 
-// Column of the light, its strength, and the gradient of the column across and along the light, at a voxel for one
-// angle.
+// Column of the light, its strength, and the gradient of the column across and along the light, at a voxel.
 static inline float4 look_up(__global const float4 *restrict light, int n_across, int n_along, float2 direction,
                              float x, float y) {
     const float across = fma(y, direction.x, -x * direction.y) + 0.5f * (n_across - 1);

@@ -29,21 +29,18 @@ Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
 TAIL, FAR = 2.75, 4.0
-"""Least distance in σ, beyond the boxes and from the middle, at which the remaining light (about 1e-4 of a pixel's) is
-cut off."""
+"""Least distance in σ, beyond the boxes and from the middle, at which light (about 1e-4 of a pixel's) is cut off."""
 FADE = 0.25
 """Range in σ over which a share fades out; rounding then does not decide whether it counts."""
 SHARP = 1e-3
 """Range in columns over which a share without blur fades out, where it is 0 anyway."""
 THINNEST, BLURRED = 0.05, 0.2
-"""Columns + share of sigma: a narrower side of the trapezoid is widened to this, and the other narrowed to keep the
-variance.
+"""Columns + share of sigma: a trapezoid's narrower side is widened to this, the other narrowed for the same variance.
 
 The sum over the corners cancels if a side is thin; a wider blur hides the thinness and makes this worse. In float32
 shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
 GPU = {"SAMPLES": 128, "KEPT": 1024, "TURNS": 16}
-"""Number of samples whose shares a tile, and a group, keeps at a time; greatest number of angles or planes that they
-are from."""
+"""Samples whose shares a tile, and a group, keeps at a time; greatest number of angles or planes they are from."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
 """Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, fitted to the closed form to 3.1e-7."""
 
@@ -64,8 +61,7 @@ def sides(a: np.ndarray, b: np.ndarray, sigma: float) -> tuple[np.ndarray, np.nd
 
 
 def exposed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two boxes in place of three: the widest, and one with the variance of the other two; a and b themselves if c is
-    0."""
+    """Two boxes in place of three: the widest, and one with the variance of the others; a and b if c is 0."""
     wide, thin = np.maximum(a, b), np.minimum(a, b)
     widest = np.maximum(wide, c)
     other = np.hypot(thin, np.minimum(wide, c))

@@ -52,8 +52,7 @@ static inline float greatest(Real value) {
     return most;
 }
 
-// Stores columns [skip, skip + taps) of those that light voxels (row, column..), at `count` angles; false if none is
-// lit.
+// Stores columns [skip, skip + taps) of those that light voxels (row, column..), at `count` angles; false if none.
 static inline bool note(const Scene *k, Notes *notes, int angle, int count, int row, int column, int skip, int taps) {
     const float x = row - 0.5f * (k->n_x - 1), y = column - 0.5f * (k->n_y - 1);
     const float inverse_sigma = k->sigma > 0.0f ? 1.0f / k->sigma : 0.0f;

@@ -3,8 +3,7 @@ typedef float Real;
 #include "footprint.h"
 
 // Items that differ only in z share a tile of samples and follow each other in a group. Footprints take longer than the
-// lanes that use them. Therefore these items compute those of the next angles (or planes) together, and all read them
-// from local memory.
+// lanes that use them: these items therefore compute those of the next angles (or planes) together in local memory.
 #define MEMBERS (THREADS * (int)get_local_size(2))
 #define TILES ((int)(get_local_size(0) / THREADS * get_local_size(1)))
 typedef struct {
@@ -56,8 +55,7 @@ static inline Foot footprint(__global const float4 *restrict light, int n_across
                    swept(ray.zw, direction, x, y), ray.y, fill, sigma);
 }
 
-// Adds ``count`` samples; each is fetched while the previous one is added. ``shares`` and ``indices`` have space for
-// one more.
+// Adds ``count`` samples; each is fetched while the previous one is added. ``shares`` and ``indices`` have one more.
 static inline void gather(Vector sum[TILE_SLABS][4], __global const float *from[TILE_SLABS], __local float4 *shares,
                           __local int *indices, int count) {
     if (count == 0) return;

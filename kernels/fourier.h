@@ -248,9 +248,8 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
     }
 
 // The transform of RADIX samples, from `given`, `read` apart, to `found`, `write` apart, by the items of a group. They
-// compute FIRST values at once, exchange their results through local memory, of which `own` is an item's lane, and so
-// on to LAST. Twiddle factors: turn_of_one, a RADIX-th of a turn; turn_of_inner, for each sample, the remaining turn
-// from earlier passes.
+// compute FIRST values, exchange results through local memory, of which `own` is an item's lane, and so on to LAST.
+// Twiddle factors: turn_of_one, a RADIX-th of a turn; turn_of_inner, for each sample, the rest from earlier passes.
 static inline void by_group(__global const Vector *given, int read, __global Vector *found, int write, __local Vector *own,
                             __global const float2 *wave, int turn_of_one, int turn_of_inner, float sign) {
     const int rest = RADIX / FIRST;

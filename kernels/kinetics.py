@@ -90,8 +90,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(state: np.ndarray, own: np.ndarray, lit: np.ndarray) -> _Terms:
-    """Rates for a step from ``state``. For order 0 without C, B that pairs up is split again at once, and no more than
-    that."""
+    """Rates for a step from ``state``. For order 0 without C, recombined B is split again at once, but no more."""
     p, k2, reference = own[:, 2] * lit[:, 1], own[:, 3], own[:, 5]
     steady = reference == 0.0
     slides = steady & (state[:, 2] <= 0.0) & (p >= k2 * state[:, 1] ** 2)

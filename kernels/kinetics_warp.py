@@ -137,8 +137,7 @@ def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, 
 
 @wp.func
 def tried(state: State, terms: Terms, left: float, tolerance: float):
-    """The state after a step, or the same state if the step was too long; the next step is as long as the error
-    allows."""
+    """The state after a step, or the same if the step was too long; the error determines the next step."""
     y = state.y
     change = change_of(y, terms)
     h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))

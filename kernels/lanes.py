@@ -1,5 +1,4 @@
-"""Fields from arrays in plain C order and back, for code that does not use lanes, and slices of one field in
-another."""
+"""Fields from arrays in plain C order and back, for code without lanes, and slices of one field in another."""
 
 from __future__ import annotations
 

@@ -25,8 +25,7 @@ Flaws = Annotated[np.ndarray, Table("int32", ("2", "y", "x"), writes=True, updat
 
 
 def ahead(words: np.ndarray, block: int, platform: int) -> tuple[np.ndarray, np.ndarray]:
-    """Number of slices before a block that equal its first slice, if that is void, or solid; `BEYOND` if out of
-    sight."""
+    """Slices before a block that equal its first slice, if that is void, or solid; `BEYOND` if out of sight."""
     shape = words.shape[1:]
     if block == 0:
         return np.full(shape, BEYOND), np.full(shape, BEYOND if platform else 0)

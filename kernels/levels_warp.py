@@ -55,8 +55,7 @@ def level_of(
     light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, wanted: float,
     shift: float, run: int,
 ):  # fmt: skip
-    """The level whose light is nearest to the required light, shifted; in a void before other slices, one that
-    suffices."""
+    """The level of light nearest to the required light, shifted; in a void before other slices, a sufficient one."""
     low = light[0]
     full = light[255]
     level = int(0)

@@ -20,8 +20,7 @@ Weights = Annotated[np.ndarray, Table("float32", ("j",))]
 
 
 def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples at a dose, interpolated linearly and continued beyond the ends, and their increase from one to the
-    next."""
+    """Samples at a dose, interpolated linearly and continued beyond the ends, and the increase to the next."""
     position = (dose - start) * density
     cell = np.clip(np.floor(position).astype(int), 0, len(samples) - 2)
     rise = samples[cell + 1] - samples[cell]
@@ -81,10 +80,9 @@ def ramp_loss(
 ) -> None:  # fmt: skip
     """Σ parts = Σ w·e²/2; dose is overwritten by the derivative by dose.
 
-    target: 0 at a distance of one width outside the surface, 1 at one width inside it, linear between. The threshold is
-        t = outside + (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is
-        below t or above ``most``; otherwise the amount by which it is above t. w = weight if ``weighted``, else 1, and
-        0 farther than ``reach`` samples from the axis.
+    target: 0 one width outside the surface, 1 one width inside it, linear between. The threshold is t = outside +
+        (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is below t or
+        above ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``.
     """
     threshold = outside + (inside - outside) * target
     error = np.where(

@@ -1,8 +1,7 @@
 // Sums on matrix units of NVIDIA's GPUs. A warp adds to TALL · 16 rows of WIDE · 8 slices the products of sixteen
-// columns of a matrix with sixteen rows of light. The units multiply half-precision numbers ("halves"), which have
-// eleven bits. Split into two halves, numbers keep twenty-two bits, by three products in place of one; sums are
-// computed outside the units, which round toward zero. Halves have few exponents; numbers are therefore scaled by
-// powers of two that bring the greatest near the upper end.
+// columns of a matrix with sixteen rows of light. The units multiply half-precision numbers ("halves") of eleven bits.
+// Split into two halves, numbers keep twenty-two bits, by three products in place of one; sums are computed outside
+// the units, which round toward zero. Numbers are scaled by powers of two towards the upper end of halves' range.
 #define TALL 4
 #define WIDE 4
 #define WARP_ITEM ((int)get_local_id(0) % 32)

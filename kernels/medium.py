@@ -39,8 +39,7 @@ def march(
     medium: np.ndarray, starts: np.ndarray, directions: np.ndarray, top: float, step: float, most: int, kind: int,
     left: np.ndarray,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:  # fmt: skip
-    """Rays that still travel (a flat index over angle and ray), the middles of their steps (index of x, y, z), and
-    weights.
+    """Rays that still travel (flat index over angle and ray), middles of their steps (index of x, y, z), weights.
 
     Sets ``left`` to −1 for rays that still travel after ``most`` steps.
     """
@@ -72,8 +71,7 @@ def march(
 def enter(
     medium: np.ndarray, starts: np.ndarray, directions: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where the rays of every angle enter the medium, their headings and weights, and which ones do: (angle · ray,
-    …)."""
+    """Where rays of every angle enter the medium, their headings, weights, and which do: (angle · ray, …)."""
     c, s = directions[:, 0, None], directions[:, 1, None]
     middle = 0.5 * (np.array(medium.shape[:2]) - 2 * MARGIN - 1)
     level = np.ones_like(c)

@@ -29,8 +29,7 @@ def pose_of(poses: wp.array2d[float], angle: int):
 
 @wp.func
 def even(stretch: float):
-    """Height in rows of slices that are a given number of rows apart: whole multiples of that divide every row
-    evenly."""
+    """Height in rows of slices a number of rows apart: whole multiples of that divide every row evenly."""
     return stretch * wp.max(1.0, wp.floor(1.0 / stretch + 0.5))
 
 

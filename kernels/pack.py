@@ -66,9 +66,8 @@ def count_light(
 ) -> None:  # fmt: skip
     """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix followed by b.
 
-    drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds therefore find a
-        quantile to its last bit. Dark pixels are left out, and values that are not finite are counted in bins 1020 to
-        1023 of the first round.
+    drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds find a quantile
+        to its last bit. Dark pixels are left out; values that are not finite are in bins 1020 to 1023 of round one.
     """
     wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
     with np.errstate(over="ignore"):

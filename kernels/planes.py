@@ -1,8 +1,7 @@
 """Frames in the form that mirrors load: in the order in which they are shown, masked by columns, as bit planes.
 
 A plane has rows from the top, and in a row eight columns per byte, the leftmost in the highest bit; bytes beyond the
-last column are 0. The planes of a frame are in order of decreasing weight: the first is that of 128, the last that of
-1.
+last column are 0. The planes of a frame are in order of decreasing weight, from that of 128 to that of 1.
 """
 
 from __future__ import annotations

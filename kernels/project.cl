@@ -22,8 +22,7 @@ static Crossing crossing(float2 direction, int n_x, int n_y, int n_r) {
 }
 
 #ifdef COMPILE_forward_joseph
-// Planes of [first, last) in which RAYS neighboring rays all lie strictly between two cells: no bounds checks are
-// needed there.
+// Planes of [first, last) in which RAYS neighboring rays all lie strictly between two cells: no bounds checks.
 static int2 interior(const Crossing k, float origin, int first, int last) {
     const float low = origin + fmin(0.0f, (RAYS - 1) * k.step), high = origin + fmax(0.0f, (RAYS - 1) * k.step);
     if (fabs(k.slope) < 1e-6f)

@@ -28,8 +28,7 @@ def middle(n: int) -> float:
     constants={"cpu": {"RAYS": 4, "STRIP": 32, "TOGETHER": 9}, "gpu": {"RAYS": 1, "STRIP": 16}},
 )
 def forward_joseph(volume: Volume, directions: Directions, pitch: Real, sinogram: SinogramOut) -> None:
-    """sinogram[a, r, z] = Σ along the ray of volume, interpolated between the two cells that it passes, × length
-    [mm]."""
+    """sinogram[a, r, z] = Σ along the ray of volume, interpolated between two cells, × length [mm]."""
     columns = np.arange(sinogram.shape[1]) - middle(sinogram.shape[1])
     for angle, (c, s) in enumerate(directions):
         if abs(c) >= abs(s):  # planes of constant x: y = (r + x·s) / c

@@ -44,8 +44,7 @@ FIELD_KERNEL spread_columns(__global const float *restrict spread, __global cons
 #endif
 
 #ifdef COMPILE_expose_voxels
-// First and last bin whose light crosses a voxel (x, y), relative to the axis, and its share, at a turn away from an
-// angle.
+// First and last bin whose light crosses a voxel (x, y), relative to the axis, and its share, at an angle's turn.
 static inline float4 look_up(__global const float4 *restrict pose, int n_across, int n_along, float4 turn, float scale,
                              float x, float y, float away) {
     const float across = fma(y, turn.x, -x * turn.y) * scale, along = fma(-x, turn.x, -y * turn.y) * scale;

@@ -31,8 +31,7 @@ First = Annotated[np.ndarray, Table("int32", ("bin",))]
 ColumnShares = Annotated[np.ndarray, Table("float32", ("bin", "tap"))]
 """Light of each bin from the light of column first + tap."""
 Poses = Annotated[np.ndarray, Table("float32", ("arc", "4"))]
-"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; the same number of successive arcs for each
-angle."""
+"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; as many successive arcs for each angle."""
 Pose = Annotated[np.ndarray, Table("float32", ("branch", "across", "along", "4"))]
 """First and last bin (with fractions) whose light crosses a voxel, its share, and a spare."""
 Taps = Annotated[np.ndarray, Table("float32", ("2", "tap"))]
@@ -97,8 +96,7 @@ def spans(
 
 
 def _beyond(place: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Mean of t²/2 while a position [2, voxel] moves uniformly from first to second; t: distance beyond an edge, or
-    0."""
+    """Mean of t²/2 while a position [2, voxel] moves uniformly from first to second; t: beyond an edge, or 0."""
     low, high = (end(place, axis=0)[:, None] - edge for end in (np.min, np.max))
     crossing = np.maximum(high, 0.0) ** 3 / (6.0 * np.where(high > low, high - low, 1.0))
     return np.where(low >= 0, (low * low + low * high + high * high) / 6.0, crossing)

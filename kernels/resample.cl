@@ -63,8 +63,7 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
         }
     }
 #else
-    // Shares of four slices each, of source slices from a multiple of four on, are stored once for all samples of a
-    // group.
+    // Shares of four slices each, of source slices from a multiple of four on, are stored once per group.
     __local float4 shares[4 * QUADS * THREADS];
     const int lane = get_local_id(0) % THREADS, low = ITEM_Z, high = min(low + 4, n_z);
     int begin = n_source, end = 0;

@@ -1,8 +1,7 @@
 // The products of `light_rings` and `gather_rings` on matrix units. A group computes sixteen tiles of cells, or the real and
 // imaginary parts of 64 pairs of columns, of SLABS slabs, at a frequency and at that of conjugate entries; a warp, half of
 // these rows of one slab. A step takes sixteen columns of the matrix. Each warp fetches its part of the entries and the
-// light of a step into registers (entries half a step ahead, light a whole step ahead), and stores them as halves for
-// all.
+// light of a step into registers (entries half a step ahead, light a step ahead), and stores them as halves for all.
 #include "matrix_units.h"
 #define TILES 16
 #define PAIRS 64
@@ -12,8 +11,7 @@
 #define OWN (4 / SLABS)
 #define EACH_PART(own, t) UNROLL for (int own = 0; own < OWN; own++) UNROLL for (int t = 0; t < 2; t++)
 
-// Position of a group; those of the same entries follow each other. A frequency without another uses its own position
-// twice.
+// Position of a group; those of the same entries follow each other. An unpaired frequency uses its position twice.
 #define PLACE                                                                                                          \
     __local uint4 held[2][SLABS][2][2 * LIGHT], matrix[2][8][2 * MATRIX];                                             \
     __local float scale[2][SLABS][2];                                                                                  \
@@ -39,9 +37,8 @@
 #define LIGHT_OF_WARP(field, samples)                                                                                  \
     (__global const float4 *)(field) + ((size_t)min(slab, last) * n_k + (strip ? other_k : k)) * (samples) * THREADS + item
 
-// Where an item finds four entries of eight pairs of a tile, and where it stores those of the first of two tiles.
-// Columns of the matrix are eight real parts, then eight imaginary ones, of rows that are cells; or rows are such
-// parts, of columns that are cells.
+// Where an item finds four entries of eight pairs of a tile, and stores those of the first of two tiles. Columns of the
+// matrix are eight real parts, then eight imaginary ones, of rows that are cells; or the reverse.
 #define ENTRIES_OF_ITEM (item / 2 % 8 * 4 + item / 16 * 2 + item % 2)
 #define PLACE_OF_ENTRIES (item / 16 * (CELLS_IN_ROWS ? 32 : 16) + item % 16)
 #define FETCH_ENTRIES(step)                                                                                            \

@@ -10,8 +10,7 @@ from vamgpu.kernels.signature import Field, Integer, SinogramOut, Table, Tiling,
 
 Source = Annotated[np.ndarray, Field(("image", "column", "row"))]
 Moves = Annotated[np.ndarray, Table("float32", ("move", "4"))]
-"""Position of pixel (0, 0) of a moved image in its source: whole columns, fraction of one, whole rows, fraction of
-one."""
+"""Position of pixel (0, 0) of a moved image in its source: whole columns, their fraction, whole rows, fraction."""
 Tapers = Annotated[np.ndarray, Table("float32", ("tile", "taper"))]
 """Weight of every row of a tile."""
 

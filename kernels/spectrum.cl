@@ -17,9 +17,8 @@ static inline Vector turned(Vector x) {
 #include "fourier.h"
 
 // An item computes OUTPUTS samples of a transform, which use the same inputs. For a radix above ONE_SUM, a processor's
-// item computes all or none, if there is space for it. On GPUs all samples of a radix of up to FACTOR belong to one
-// item; if the radix is FIRST · SECOND · THIRD · LAST, the items of a group exchange their results through local
-// memory.
+// item computes all or none, if there is space for it. On GPUs an item computes all samples of a radix up to FACTOR; if
+// the radix is FIRST · SECOND · THIRD · LAST, the items of a group exchange their results through local memory.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global const float2 *restrict waves, float sign,
                      int first, int second, int third, int last, __global float *restrict sink, int n_a, int n_b,
                      int n_z, int n_band, int n_wave, int n_i, int n_j) {
@@ -153,8 +152,7 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global 
 // Values that an item fetches: of ROWS of all lanes and slabs, and of entries. It takes every ITEMS-th row.
 #define PART_OF_ROWS(rows) MIN_ONE((rows) / ITEMS)
 #define PART(total) MIN_ONE((total) / (ITEMS * THREADS * SLABS))
-// Fetch `part` of `count` values, from a first on and `step` apart, given by VALUE(m); the rest are fetched when they
-// are stored.
+// Fetch `part` of `count` values, from a first on and `step` apart, given by VALUE(m); the rest when they are stored.
 #define FETCH(held, part, first, step, count, VALUE)                                                                   \
     UNROLL for (int i = 0; i < part; i++)                                                                              \
         if ((first) + i * (step) < (count)) held[i] = VALUE((first) + i * (step));

@@ -27,8 +27,7 @@ local memory, of which OpenCL has 32 KiB everywhere."""
 ONE_SUM = 20
 """Greatest radix of a pass that is a plain sum on all devices, if radices can be this small."""
 FACTOR = 10
-"""Greatest radix of a pass in registers, in OpenCL: for processors, and for four factors that GPUs combine to one
-radix."""
+"""Greatest radix of a pass in registers, in OpenCL: for processors, and for the four factors that GPUs combine."""
 AT_A_TIME = 32
 """Number of rings of a short transform that a group of a GPU processes together."""
 
@@ -50,8 +49,7 @@ A column in the middle of mirrored ones, which is a pair with itself, has half o
 Tiles = Annotated[np.ndarray, Table("int32", ("tile", "2"))]
 """For each `ROWS` cells: first entry of a frequency, and the tile with conjugate entries."""
 Lit = Annotated[np.ndarray, Table("int32", ("frequency", "tile"))]
-"""For each frequency up to half of all, the number of pairs of columns that light a tile there, a multiple of
-`ROWS`."""
+"""Pairs of columns that light a tile at each frequency up to half of all, a multiple of `ROWS`."""
 Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
 """For each frequency up to half of all, the tiles in decreasing order of the pairs of columns that light them: first
 entry, number of these pairs, the tile, and the tile with conjugate entries."""
@@ -90,9 +88,8 @@ def is_even(band: tuple[int, ...]) -> bool:
 
 def in_groups(bands: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
     """`RingBands` from all its columns except the last two, which tell how groups of a GPU divide a pass."""
-    # The last two: the number of rings that a group processes at once (0 for direct sums, as for samples that are
-    # unevenly spaced), and the band's first group. whole: whether a group computes one transform, of a radix of several
-    # factors.
+    # The last two: rings that a group processes at once (0 for direct sums, as for unevenly spaced samples), and the
+    # band's first group. whole: whether a group computes one transform, of a radix of several factors.
     found, group = [], 0
     for band in bands:
         _, n, rings, radix, *_ = band
@@ -133,8 +130,7 @@ def fourier(
     source: Source, bands: RingBands, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
     sink: Sink,
 ) -> None:  # fmt: skip
-    """One pass of the Fourier transforms of rings over their samples, with exponent ``sign``·i; in order after the
-    last.
+    """One pass of the Fourier transforms of rings over their samples, with exponent ``sign``·i; in order at the end.
 
     first, second, third, last: `factors` of the radix, if that is the same for all bands, whose samples are evenly
     spaced (`is_even`), and groups of a GPU compute it at once; else 0.

@@ -13,10 +13,9 @@ float32; devices therefore give the same numbers.
 
 The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
 resolved to 1/16 of a voxel, while a square array of as many points would resolve 1/4. Its offset of 11 makes it
-symmetric under half a turn; a part with this symmetry therefore keeps it in voxels. The volume of a round section with
-a radius of 10 voxels is right to 1e-3 (root mean square), with a radius of 35 to 2e-4. A wall one voxel thick along x,
-y or z meets exactly 16 points, or units of height, at any position: the fractions of the voxels that it straddles add
-up to one.
+symmetric under half a turn; so are the voxels of such a part. The volume of a round section with a radius of 10 voxels
+is right to 1e-3 (root mean square), of 35 voxels to 2e-4. A wall one voxel thick along x, y or z meets exactly 16
+points, or units of height, at any position: the fractions of the voxels that it straddles add up to one.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Voxels of a watched print: the light so far, the conversion that a camera saw, and the voxels that can still be
-corrected."""
+"""Voxels of a watched print: the light so far, the conversion in images, and the voxels that can be corrected."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Fields in the form for Warp kernels, and reading four lanes of one at once.
 
-Warp aligns its vec4 to four bytes, and a plain read becomes four loads of one float each; fields are aligned to
-sixteen.
+Warp aligns its vec4 to four bytes: a plain read is four loads of one float. Fields are aligned to sixteen bytes.
 """
 
 from __future__ import annotations

@@ -37,8 +37,7 @@ def below(
     device: Device, quick: bool = False, shape: str = "boat", size: float = 32.0, angles: int = 60,
     evaluations: int = 120,
 ) -> Picture:  # fmt: skip
-    """A part with a radius of ``size`` pixels; patterns found on coarse voxels, on fine ones, for rest, and by the
-    default method."""
+    """A part with a radius of ``size`` pixels; patterns from coarse voxels, fine ones, rest, and the default method."""
     if shape not in SHAPES:
         raise BadInput(f"shape is {shape!r}; expected one of {', '.join(SHAPES)}")
     size, most, turn = (8.0, 8, 24) if quick else (float(size), int(evaluations), int(angles))

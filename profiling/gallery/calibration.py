@@ -1,5 +1,4 @@
-"""Calibrations from recordings with noise: the line of focus over lens power, and the position of the roller's axis on
-the mirrors."""
+"""Calibrations from noisy recordings: the line of focus over lens power, and the roller's axis on the mirrors."""
 
 from __future__ import annotations
 

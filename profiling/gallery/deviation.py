@@ -43,9 +43,9 @@ def deviation(device: Device, quick: bool = False, pitch: float = 0.12, angles: 
     caption = (
         "Points sampled evenly on the surface of a print and aligned to the target by iterative closest points; red "
         "where the print is too thick, blue where it is too thin. The mean distance shows how early or late the light "
-        "was stopped; the width of the Gaussian shows the limit of resolution of the light. The prints are simulated, "
-        "so these numbers do not include flow or shrinkage of the resin: real prints of the papers have σ of 200–310 "
-        "µm, and an RMS of 53 µm from print to print."
+        "was stopped; the width of the Gaussian shows how finely light resolves. The prints are simulated; flow and "
+        "shrinkage of the resin are not included. Real prints of the papers have σ of 200–310 µm, and an RMS of 53 µm "
+        "from print to print."
     )
     return Picture(figure, caption, tuple(facts), papers=(ROLL_TO_ROLL,))
 

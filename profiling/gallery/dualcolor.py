@@ -73,8 +73,7 @@ def dualcolor(
 
 
 def slice_colors(target: Target, angles: int, device: Device, extinctions: tuple[float, float]) -> Colors:
-    """Both colors on a square slice whose diagonal is the diameter of the resin, in a matched vat, one voxel per
-    pixel."""
+    """Both colors on a square slice as wide diagonally as the resin, in a matched vat, one voxel per pixel."""
     n, pitch = target.grid.shape[0], target.grid.pitch
     radius = 0.5 * n * pitch * sqrt(2.0)
     beam = Beam((ceil(n * sqrt(2.0)), 1), pitch)

@@ -115,8 +115,7 @@ def _constant_light(axis: Axes, rates: Rates, device: Device, quick: bool) -> No
 
 
 def _by_extinction(axis: Axes, rates: Rates, light: RotatingLight, device: Device, quick: bool) -> np.ndarray:
-    """S2: W against extinction at five radii, for random starting angles; returns W for the vial's own light, (radii,
-    angles)."""
+    """S2: W against extinction at five radii, for random starting angles; W for the vial's light, (radii, angles)."""
     rng, angles = np.random.default_rng(0), 8 if quick else 24
     phases = 2.0 * np.pi * (np.arange(angles) + rng.random(angles)) / angles
     radius, phase = (v.ravel() for v in np.meshgrid(np.multiply(SHARES, light.vial), phases, indexing="ij"))
@@ -154,8 +153,7 @@ def _by_life(axis: Axes, rates: Rates, light: RotatingLight, device: Device, qui
 
 
 def _uv_dose(axis: Axes, rates: Rates, light: RotatingLight, device: Device, quick: bool) -> np.ndarray:
-    """S4: UV dose at the wall for W = 1, relative to the visible dose of an induction at the wall, (extinctions,
-    radii)."""
+    """S4: UV dose at the wall for W = 1 over the visible dose of an induction there, (extinctions, radii)."""
     extinctions = [factor * light.uv_extinction for factor in (0.5, 1.0, 1.5)]
     doses = []
     for extinction, hue in zip(extinctions, style.HUES, strict=False):

@@ -91,8 +91,7 @@ def _judged(printed: np.ndarray, pitch: float) -> Merit:
 
 
 def _least(merits: list[Merit]) -> tuple[float, float]:
-    """Means of the thinnest spoke that holds and of the narrowest open gap; one more than the widest if there is
-    none."""
+    """Means of the thinnest spoke that holds and of the narrowest open gap; without one, the widest plus one."""
     spokes = [max(SPOKES_PX) + 1 if m.least_spoke is None else m.least_spoke for m in merits]
     gaps = [max(GAPS_PX) + 1 if m.least_gap is None else m.least_gap for m in merits]
     return float(np.mean(spokes)), float(np.mean(gaps))

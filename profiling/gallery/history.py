@@ -44,9 +44,9 @@ def history(
     )
     caption = (
         "Print times of five generations of resin. Each print uses up oxygen in the resin around the part and removes "
-        "some resin; stirring and a night under air restore oxygen. Less resin under the same surface gets more of it. "
-        "Three numbers fit five generations well, which proves little; each generation is therefore also predicted "
-        "from the other four. The last time, longer than the one before, is not predicted. The fit returns far more "
+        "some resin; stirring and a night in air restore oxygen. Less resin under the same surface gets more of it. "
+        "Three numbers fit five generations well, which proves little; each is therefore also predicted from the "
+        "other four. The last time, longer than the one before, is not predicted. The fit returns far more "
         "oxygen to the vial than diffusion alone would in the assumed resin. The times do not show how it returned, by "
         "stirring or otherwise, nor that oxygen is the only cause of aging."
     )

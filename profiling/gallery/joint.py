@@ -83,11 +83,10 @@ def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
         "induction; inhibitor that ultraviolet adds counts as visible dose that is still needed. Light arrives in the "
         "order of rotation, each color is attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α "
         f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
-        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay; it therefore relies on "
-        "ultraviolet light whose effect has ended. The kinetics, differentiated exactly through all turns, place "
-        "ultraviolet light where and when its effect lasts. Nothing here keeps the part clear before the last turn: in "
-        f"{early} of {len(LABELS)} cases the greatest dose in it exceeds 1 earlier. Middle row, the voxels with dose ≥ "
-        "1: correct in black, missing in blue, excess in red."
+        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay and relies on ultraviolet light "
+        "without a lasting effect. The kinetics, differentiated exactly through all turns, place ultraviolet light "
+        f"where and when its effect lasts. In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 "
+        "before the last turn. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red."
     )
 
 

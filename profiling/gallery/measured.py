@@ -1,5 +1,4 @@
-"""A rig calibrated by its own drivers: focus, axis, gray levels and sharpness, compared with the true values of
-emulated optics."""
+"""A rig calibrated by its own drivers: focus, axis, gray levels and sharpness against the values of its emulators."""
 
 from __future__ import annotations
 

@@ -153,8 +153,7 @@ def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
 
 
 def proofs() -> Iterator[tuple[str, Proof]]:
-    """A gear in a vial: patterns that print, patterns that do not, and the first with additional lit columns beside the
-    part."""
+    """A gear in a vial: patterns that print, patterns that do not, and the first with extra lit columns beside."""
     vial = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     beam = vamgpu.Beam((54, 32), 0.4)
     width = vamgpu.resin_pixel(beam, vial)[0]

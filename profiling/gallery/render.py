@@ -14,8 +14,7 @@ BASE = np.array([0.36, 0.56, 0.80])
 
 
 def rendered(solid: Solid, size: int = 260, azimuth: float = -55.0, elevation: float = 28.0) -> np.ndarray:
-    """RGB picture [row, column, 3] in 0..1 of a solid seen from an angle [°] in parallel projection, with a white
-    background."""
+    """RGB picture [row, column, 3] in 0..1 of a solid from an angle [°], in parallel projection, on white."""
     view = _view(np.radians(azimuth), np.radians(elevation))
     corners = (solid.vertices - solid.vertices.mean(axis=0)) @ view.T
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
