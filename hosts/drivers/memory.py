@@ -1,5 +1,4 @@
-"""The mirrors' memory: sequences in rotation, filled by one thread and read by another, which keeps frames
-available."""
+"""The mirrors' memory: sequences in rotation, which one thread fills and another reads without waiting."""
 
 from __future__ import annotations
 

@@ -34,8 +34,7 @@ STATUS = (
 
 
 def crc16_arc(data: bytes) -> int:
-    """CRC-16/ARC: polynomial 0x8005 reflected, start 0; 0xBB3D for ``123456789``. The check sum of a frame with its own
-    check sum is 0."""
+    """CRC-16/ARC: polynomial 0x8005 reflected, start 0; 0xBB3D for ``123456789``, 0 for a frame with its check sum."""
     value = 0
     for byte in data:
         value ^= byte

@@ -40,8 +40,7 @@ ENTRIES: dict[str, tuple[Any, ...]] = {
 
 
 class EmulatedAlp(EmulatedArray):
-    """The emulated device; a driver gets its ``library``. ``removed`` means a pulled plug, ``crash`` an error in a
-    call."""
+    """The emulated device; a driver gets its ``library``. ``removed``: a pulled plug; ``crash``: an error in a call."""
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
         super().__init__(clock, model)

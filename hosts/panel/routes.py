@@ -46,8 +46,7 @@ class RateLimit:
         self._clock, self._since, self._polls, self.wait = clock, clock(), 0, PERIOD
 
     def count(self) -> float:
-        """Count a poll of a page. Programs are not counted, because one that polls without a pause would block the
-        pages."""
+        """Count a poll of a page. Programs are not counted: one that polls without a pause would block the pages."""
         now = self._clock()
         self._polls += 1
         if (passed := now - self._since) >= 1.0:

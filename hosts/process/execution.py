@@ -69,8 +69,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
             raise WrongDevice(
-                "the plan and the machines differ: only one of them is for a video cable; expected both for the same "
-                "rig"
+                "the plan and the machines differ: only one of them is for a video cable; expected the same rig"
             )
         machines.check(planned.schedule, planned.display)
         return None

@@ -127,8 +127,7 @@ static void play(int64_t now) {
   finish();
 }
 
-// ---- position of the motion: an encoder, and a recurring mark
-// --------------------------------------------------------
+// ---- position of the motion: an encoder, and a recurring mark -------------------------------------------------------
 static int64_t measured() {
   if (!encoder.counts) return 0;
   return measured_before + (counts - counts_before) * encoder.steps / encoder.counts;
@@ -194,8 +193,7 @@ static void see_position() {
   if (!encoder_agrees()) not_there("stall");
 }
 
-// ---- events that may close the light at any time
-// ---------------------------------------------------------------------
+// ---- events that may close the light at any time --------------------------------------------------------------------
 static void watch(int64_t now) {
   bool shut = digitalRead(INTERLOCK_PIN) == LOW;
   if (closed && !shut) {
