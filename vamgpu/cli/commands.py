@@ -114,7 +114,7 @@ def solve(
     if found is not None:
         show_verdict(screen, found)
     elif needs:
-        screen.print(f"[yellow]note[/] no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
+        screen.print(f"[yellow]note[/]  no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
 
 
 def _exposures(points: list[dict[str, float]]) -> Table:
@@ -142,7 +142,7 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
     if known.runout is not None:
         runs = known.runout.found
         screen.print(
-            f"axis known to {runs.axis_error:.2g} columns, runout {runs.left:.2g}, from {found['runout'].name}"
+            f"axis    known to {runs.axis_error:.2g} columns, runout {runs.left:.2g}, from {found['runout'].name}"
         )
     own = read_job(job, settings or ()).file.beam.spread
     if own is not None or "mtf" not in found:

@@ -52,7 +52,7 @@ def import_(
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
             raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only the "
-                           f"configuration: leave it out")  # fmt: skip
+                           "configuration: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")

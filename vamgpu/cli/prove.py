@@ -83,7 +83,7 @@ def prove(
         show_verdict(screen, proven.proof.verdict)
     show_lines(screen, proven.proof.lines())
     if needs:
-        screen.print(f"[yellow]note[/] no report: it needs {size(needs)} of memory; leave out --memory to get it")
+        screen.print(f"[yellow]note[/]  no report: it needs {size(needs)} of memory; leave out --memory to get it")
     else:
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")

@@ -36,7 +36,7 @@ class Correction:
         threshold: Gray level from which a pixel is solid.
         platform: The first slice adheres to the platform, and nothing above it can be cured through.
         dither: Neighboring pixels aim up to half a level higher or lower.
-        open_dose: Ω of a void, in critical doses, that counts as open; None uses the machine's.
+        open_dose: Ω, a dose in critical doses, below which a void counts as open; None uses the machine's.
 
     Raises:
         BadInput: A value is of another type or out of range, or no correction is possible with this machine.

@@ -197,7 +197,7 @@ class Tolerances:
             fill: Share of a pixel's area that is lit.
             reach: Extent of the part before and behind the axis [mm]; spreads measured farther away are ignored.
             followed: Whether frames follow the measured runout, as in `vam print`; then only its error remains.
-            sure: Number of standard errors that a tolerance spans.
+            sure: Number of standard errors that a tolerance spans [1].
             more: Further tolerances, by name.
 
         Returns:

@@ -21,12 +21,12 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
         columns, rows = light.shape[1:]
         return NoLight(
             f"the plan has light, but its shift of {settings.shift} pixels moves all of it off the {columns} × {rows} "
-            f"pixels of a frame; expected a shift that keeps some: check its sign and its unit, pixels"
+            "pixels of a frame; expected a shift that keeps some: check its sign and its unit, pixels"
         )
     if low < 0.0:
         return NoLight(
             f"the plan's light reaches from {low:.3g} to {high:.3g}, but mirrors cannot show negative light; expected "
-            f"some above 0: clip it as the methods do, or show its two signs as two colors"
+            "some above 0: clip it as the methods do, or show its two signs as two colors"
         )
     operator = getattr(plan, "operator", None)
     if operator is not None and not _lights_anything(operator, light):
@@ -39,7 +39,7 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
     who = f"{name} found no light in {steps} iterations" if steps else "its method found no light"
     return NoLight(
         f"the plan is dark everywhere, although its columns reach the grid: {who}; expected some light above 0: check "
-        f"that the target is not empty, then try another method"
+        "that the target is not empty, then try another method"
     )
 
 

@@ -80,7 +80,7 @@ class Canvas:
             return np.rot90(levels, round(self.rotation / 90))
         if frames.bits == 1:
             raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, because "
-                           f"mirrors are only on or off: export 8 bits")  # fmt: skip
+                           "mirrors are only on or off: export 8 bits")  # fmt: skip
         from scipy.ndimage import rotate
 
         light = np.pad(frames.gray(levels) - frames.gray.black, 1)  # so that no pixel at the rim is lost

@@ -64,7 +64,7 @@ class Frames:
         if self.motion is not None and self.shape[0] % self.motion.angles:
             raise ShapeMismatch(
                 f"{self.shape[0]} frames are for {self.motion} angles; expected one frame for each angle, or for each "
-                f"angle of every tile: pack the light of the same turntable"
+                "angle of every tile: pack the light of the same turntable"
             )
         if self.flat_field is not None:
             object.__setattr__(self, "flat_field", flattened(self.flat_field, self.shape[1:]))
@@ -229,7 +229,7 @@ def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     if not np.isfinite(flat).all() or flat.min() <= 0:
         raise BadInput(
             f"the flat field goes from {flat.min():g} to {flat.max():g}; expected finite brightness > 0: give dead "
-            f"mirrors the value of the dimmest one that works"
+            "mirrors the value of the dimmest one that works"
         )
     return flat / flat.max()
 

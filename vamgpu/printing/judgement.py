@@ -108,7 +108,7 @@ def judged(proof: Proof) -> Judgement:
 
     half_pixels = voxels if proof.independent else int(voxels * max(2.0 * A.grid.pitch / pixel, 1.0) ** 3)
     missed = (f"the surface between the part's own voxels, because {half_pixels:,} finer ones exceed the {WHOLE:,} "
-              f"that fit at a time",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
+              "that fit at a time",) * (fine is None and half_pixels > WHOLE)  # fmt: skip
     return Judgement(found, _surface(proof, fine, pixel), pixel, off, missed)
 
 

@@ -154,7 +154,7 @@ def _full(full: float) -> float:
     if not FAINTEST <= full <= BRIGHTEST:
         raise BadInput(
             f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
-            f"scale the plan's light"
+            "scale the plan's light"
         )
     return full
 
@@ -336,13 +336,13 @@ def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
     if light is None:
         if operator or hasattr(plan, "__array__"):
             raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or the operator and "
-                           f"light [angle, r, z]: vam.pack(A, light)")  # fmt: skip
+                           "light [angle, r, z]: vam.pack(A, light)")  # fmt: skip
         if target is not None:
             raise BadInput("got a target with a plan, which has its own; expected one only with an operator and light")
         return plan
     if not operator:
         raise BadInput(f"got light with a {type(plan).__name__}; expected it with the operator that makes dose from "
-                       f"it: vam.pack(A, light)")  # fmt: skip
+                       "it: vam.pack(A, light)")  # fmt: skip
     if target is not None:
         require(plan.domain, target, "the target")
     return Solved(copied(own_light(plan, light, "the light")), plan, target)

@@ -67,7 +67,7 @@ def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
                        "Projection: frames of one bit have a single plane, as in the proof")  # fmt: skip
     if {plane.bit for plane in planes} != set(range(8)) or min(plane.width for plane in planes) <= 0.0:
         raise BadInput(f"got planes {[(plane.bit, plane.width) for plane in planes]}; expected each of the bits 0 to "
-                       f"7, lit for longer than 0")  # fmt: skip
+                       "7, lit for longer than 0")  # fmt: skip
     light = A.device.upload(_light(frames, A, planes))
     judge = IndependentExposure(A, motion=_arcs(A.motion, planes), finer=_finer(proof))
     dose = A.device.empty(A.grid.shape)

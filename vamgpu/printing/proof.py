@@ -175,7 +175,7 @@ class Proof:
         if not self.independent:
             raise BadInput(
                 f"{type(self.operator).__name__} has no independent ray tracer and therefore no dose on finer voxels; "
-                f"prove a Projection, or read Proof.dose"
+                "prove a Projection, or read Proof.dose"
             )
         light = self.frames.irradiance(self.operator.device)
         return IndependentExposure(self.operator).fine(light, reach, above)

@@ -42,7 +42,7 @@ def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Pa
     """Write a proof, see `Proof.save`."""
     if not isinstance(proof.frames, Frames):
         raise BadInput(f"the proof is of {type(proof.frames).__name__}, expected Frames: what a run showed is kept in "
-                       f"its own folder, which `vam prove` takes")  # fmt: skip
+                       "its own folder, which `vam prove` takes")  # fmt: skip
     target = Target.from_array(proof.target.numpy(), proof.operator.grid.pitch, proof.name)
     inputs, arrays = inputs_of(
         Solved(proof.dose, proof.operator, replace(target, solid=proof.solid, limits=proof.limits))

@@ -161,7 +161,7 @@ def _light(A: Projection, frames: ShownLight) -> DeviceArray:
     motion = getattr(frames, "motion", None)
     if motion is not None and getattr(motion, "stepped", motion) != getattr(A.motion, "stepped", A.motion):
         raise BadInput(f"the frames are for {motion!r}, but the projection has {A.motion!r}; expected the same "
-                       f"angles: simulate with the turntable for which the frames were packed")  # fmt: skip
+                       "angles: simulate with the turntable for which the frames were packed")  # fmt: skip
     return light
 
 

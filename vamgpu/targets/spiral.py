@@ -31,7 +31,7 @@ class Spiral:
     Args:
         inner: Radius at which the film's roller side (ρ = 0) starts [mm].
         thickness: Thickness of the film [mm].
-        turns: Number of full turns.
+        turns: Number of turns, relative to a full turn.
         substrate: Distance between layers [mm].
         neutral: Depth of the line that winding does not stretch, as a share of the thickness; l of the flat film is the
             arc length along it.

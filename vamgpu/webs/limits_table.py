@@ -38,7 +38,7 @@ def _speeds(limits: WebLimits) -> tuple[Line, ...]:
     return (
         *(Line(f"most by {limit.name}", speed(limit.speed), limit.reason) for limit in limits.speeds),
         Line("greatest speed", speed(limiting.speed), f"limited by {limiting.name}: {limiting.reason}"),
-        Line("{limits.viscosity / Pa_s:.4g} Pa·s at hand", sampling, "angles per mm for which the lens settles"),
+        Line("sampling at 1 mm/s", sampling, "angles per mm for which the lens settles"),
     )
 
 

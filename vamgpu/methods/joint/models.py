@@ -154,7 +154,7 @@ class KineticModel(Model):
         if resin.pairing and not self.period:
             raise BadInput("the resin's B pairs up, which makes the period of a turn [s] matter; expected period > 0")
         if resin.pairing and visible.motion.dwell is not None:
-            raise BadInput(f"the resin's B recombines, but {visible.motion} angles are lit for unequal times; expected "
+            raise BadInput(f"the resin's B pairs up, but {visible.motion} angles are lit for unequal times; expected "
                            "equal times: leave dwell out of Turntable")  # fmt: skip
         self.steps: int = counts("steps", (steps,), 1)[0]
         self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
