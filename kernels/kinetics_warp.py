@@ -142,8 +142,8 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
     change = change_of(y, terms)
     h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))
     step = stepped(y, change, terms, h)
-    wanted = wp.vec3(step[0], step[1], step[2]) - state.rest
-    end = y + wanted
+    increment = wp.vec3(step[0], step[1], step[2]) - state.rest
+    end = y + increment
     error = step[3] / (tolerance * terms.scale)
     low = -tolerance * terms.scale
     grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
@@ -153,7 +153,7 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
     longer = h * grown
     if h < state.trial:
         longer = wp.max(longer, state.trial)
-    rest = (end - y) - wanted
+    rest = (end - y) - increment
     if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
         rest = wp.vec3(0.0, 0.0, 0.0)
     return State(settled(y, end, terms), rest, longer, h)

@@ -78,11 +78,11 @@ def correct_slices(
         flaws[1] += starts & (lowest > opened)
         place = np.minimum(done.astype(int), inner.shape[0] - 1), np.minimum(runs[n], inner.shape[1] - 1)
         target = np.where(solid, inner[place], back[np.minimum(runs[n], len(back) - 1)])
-        wanted = target - dose + decay * dose
-        between = (wanted > light[0]) & (wanted < light[255])
-        aim = np.where(between, wanted + shift, wanted)
+        required = target - dose + decay * dose
+        between = (required > light[0]) & (required < light[255])
+        aim = np.where(between, required + shift, required)
         level = np.searchsorted(edges[:255], aim, side="left")
-        level += between & ~solid & (runs[n] > 0) & (light[level] < wanted) & (level < 255)
+        level += between & ~solid & (runs[n] > 0) & (light[level] < required) & (level < 255)
         levels[n] = level
         add(state, light[level] - decay * dose)
         state[2] = np.where(solid, NEVER, np.minimum(np.minimum(lowest, dose), state[0]))

@@ -52,22 +52,22 @@ def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: i
 
 @wp.func
 def level_of(
-    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, wanted: float,
+    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, required: float,
     shift: float, run: int,
 ):  # fmt: skip
     """The level of light nearest to the required light, shifted; in a void before other slices, a sufficient one."""
     low = light[0]
     full = light[255]
     level = int(0)
-    if wanted >= full:
+    if required >= full:
         level = int(255)
-    elif wanted > low:
-        aim = wanted + shift
+    elif required > low:
+        aim = required + shift
         place = int((wp.clamp(aim, low, full) - low) * bins)
         level = int(first[wp.clamp(place, 0, first.shape[0] - 1)])
         while level < 255 and aim > edges[level]:
             level += 1
-        if run > 0 and level < 255 and light[level] < wanted:
+        if run > 0 and level < 255 and light[level] < required:
             level += 1
     return level
 
@@ -113,8 +113,8 @@ def correct_slices(
                 target = inner[wp.min(done, n_below - 1), wp.min(run, n_above - 1)]
             else:
                 target = back[wp.min(run, n_void - 1)]
-            wanted = target - dose + decay * dose
-            level = level_of(light, edges, first, bins, wanted, shift, wp.where(solid == 0, run, 0))
+            required = target - dose + decay * dose
+            level = level_of(light, edges, first, bins, required, shift, wp.where(solid == 0, run, 0))
             levels[n, y, x] = wp.uint8(level)
             before = dose
             both = added(dose, rest, light[level] - decay * dose)

@@ -69,9 +69,9 @@ def count_light(
     drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds find a quantile
         to its last bit. Dark pixels are left out; values that are not finite are in bins 1020 to 1023 of round one.
     """
-    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
+    required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
     with np.errstate(over="ignore"):
-        bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
+        bits = np.abs(required[~(required <= 0)]).astype(np.float32).view(np.uint32)
     bits = bits[bits >> (drop + 10) == prefix]
     counts += np.bincount((bits >> drop) & (BINS - 1), minlength=BINS).astype(counts.dtype)
 
@@ -89,11 +89,11 @@ def quantize(
     other. Neighbors start with different errors, which keeps them from flashing in step. Light below black or above
     full-on cannot be shown and is not compensated.
     """
-    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
-    wanted = np.clip(wanted, curve[0], curve[-1])
+    required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
+    required = np.clip(required, curve[0], curve[-1])
     rows, columns = np.meshgrid(*(np.arange(n) for n in images.shape[1:]), indexing="ij")
     error = carry * ((rows * START_Z + columns * START_R) % 1.0 - 0.5)
-    for frame, light in zip(images, wanted, strict=True):
+    for frame, light in zip(images, required, strict=True):
         frame[...] = np.searchsorted(bounds, light + error, side="left")
         if carry > 0:
             error = light + error - curve[frame]

@@ -157,11 +157,11 @@ class Kernel:
             if len(axes) != len(shape):
                 raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; expected axes [{', '.join(axes)}]")
             for axis, size in zip(axes, shape, strict=True):
-                wanted = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
+                expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
                 owner.setdefault(axis, name)
-                if size != wanted:
+                if size != expected:
                     raise ShapeMismatch(
-                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {wanted}; make them equal"
+                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {expected}; make them equal"
                     )
         return sizes
 

@@ -342,8 +342,8 @@ def prove(
         progress("frames", 0.0)
         frames = frames_of(folder, place)
         progress("proof", 0.0)
-        told = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
-        proof = replace(simulate(A, frames, target, **told, **exposure), history=record.history)
+        settings = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        proof = replace(simulate(A, frames, target, **settings, **exposure), history=record.history)
         if evaluations:
             progress("bound", 0.0)
             most = evaluations * (len(off.corners()) if off is not None else 1)

@@ -248,9 +248,9 @@ class Estimator:
             return self.calibrated(values)
         device, raised = self.operator.device, self.quick.raised(float(values[3]))
         across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
-        moved, wanted = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
+        moved, planned = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
         got = moved.T(here(device, light))
-        device.launch(match_dose, dose=wanted, got=got, least=FAINT * extent(wanted)[1], most=OTHER, gain=moved.gain)
+        device.launch(match_dose, dose=planned, got=got, least=FAINT * extent(planned)[1], most=OTHER, gain=moved.gain)
         return moved
 
     @cached_property
@@ -289,20 +289,20 @@ class Estimator:
         seen, spread, good = self._told(seen, deviation)
         used = self._used(slices, good)
         at = places(device, used, shape)
-        told, sigma = picked(seen, at), picked(spread, at)
-        if not (np.isfinite(told).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        measured, sigma = picked(seen, at), picked(spread, at)
+        if not (np.isfinite(measured).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
             raise self._unseen(used.size)
         base = 0.0 if before is None else picked(here(device, before.delivered), at)
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
-        fit = _Fit(lit, used, base, told, sigma, prior.mean, whitening)
+        fit = _Fit(lit, used, base, measured, sigma, prior.mean, whitening)
         values, data, residuals = self._fitted(fit, values)
         chi = float(residuals @ residuals)
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
-        unexplained = float(np.square(residuals * sigma).mean() / max(float(told.var()), TINY))
+        unexplained = float(np.square(residuals * sigma).mean() / max(float(measured.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
         dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
@@ -337,15 +337,15 @@ class Estimator:
         device = self.operator.device
         known = None if isinstance(seen, DeviceArray) else np.isfinite(seen)
         good = None if known is None or known.all() else known
-        told = here(device, seen if good is None else np.where(good, seen, 0.0))
+        measured = here(device, seen if good is None else np.where(good, seen, 0.0))
         if isinstance(deviation, DeviceArray) and good is None:
-            return told, here(device, deviation), None
-        spread = np.broadcast_to(np.asarray(deviation, float), told.shape)
+            return measured, here(device, deviation), None
+        spread = np.broadcast_to(np.asarray(deviation, float), measured.shape)
         if good is not None:
             spread = np.where(good, spread, 0.0)
         if not np.isfinite(spread).all():
             raise self._unseen(spread.size if good is None else int(good.sum()))
-        return told, device.upload(spread), good
+        return measured, device.upload(spread), good
 
     def _unseen(self, count: int) -> BadInput:
         return BadInput(f"the conversion seen has {count} finite voxels in the judged cylinder; expected some, with "
@@ -454,8 +454,8 @@ class Estimator:
         off = max(abs(values[2]) / (0.1 * self._width(0)), abs(values[3]) / (0.1 * self._width(1)))
         absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
-            told = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
-            raise BadInput(f"got {told} from the conversion seen, impossible for a print; expected that of this "
+            measured = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
+            raise BadInput(f"got {measured} from the conversion seen, impossible for a print; expected that of this "
                            "print: drop this turn's images and go on by the last plan")  # fmt: skip
 
     def _width(self, axis: int) -> float:

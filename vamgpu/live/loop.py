@@ -232,11 +232,11 @@ class LiveLoop:
             elif at.turn % self.every:
                 decision = self._kept(at, f"decided after every {self.every} turns")
             else:
-                told = self.tomograph.measure(frames)
-                seen = self.tomograph.see(told, seen, iterations=self.iterations)
+                depths = self.tomograph.measure(frames)
+                seen = self.tomograph.see(depths, seen, iterations=self.iterations)
                 laps.over("see")
                 doubt = self.trust.of_images(seen)
-                decision = self._by_plan(at, doubt) if doubt else self._replanned(at, told, seen, laps)
+                decision = self._by_plan(at, doubt) if doubt else self._replanned(at, depths, seen, laps)
                 decision = replace(decision, misfit=seen.misfit)
         except VamError as error:
             decision = self._kept(at, f"refused: {error}")
@@ -342,12 +342,12 @@ class LiveLoop:
         passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
         return darkening(-np.log(np.maximum(passed, TINY)).mean(axis=0))
 
-    def _replanned(self, at: _Turn, told: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
+    def _replanned(self, at: _Turn, depths: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
             some = max(at.left, min(1, self.longest - at.turn - self.ahead))
             return self._kept(replace(at, left=some), "nothing cured yet")
-        deviation = self._deviation(told, seen)
+        deviation = self._deviation(depths, seen)
         laps.over("see")
         acted = added(at.shown, at.pending, factor=-1.0)
         found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
@@ -360,7 +360,7 @@ class LiveLoop:
         plan = self.replanner.replan(
             calibrated, delivered, self._field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
-            wanted=self._wanted(float(found.values[6])),
+            expected_dose=self._expected_dose(float(found.values[6])),
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
@@ -397,9 +397,9 @@ class LiveLoop:
             f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
-    def _deviation(self, told: OpticalDepths, seen: Reconstruction) -> DeviceArray:
+    def _deviation(self, depths: OpticalDepths, seen: Reconstruction) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, smoothing at edges, and errors of the models."""
-        variance = self._field(self.tomograph.variance(told, iterations=self.iterations))
+        variance = self._field(self.tomograph.variance(depths, iterations=self.iterations))
         sharp = self._field(seen.cured)
         variance.device.launch(
             conversion_deviation, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
@@ -418,7 +418,7 @@ class LiveLoop:
         """Smoothing like that of edges in a reconstruction."""
         return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
 
-    def _wanted(self, initial_dose: float) -> DeviceArray:
+    def _expected_dose(self, initial_dose: float) -> DeviceArray:
         """Dose of the whole plan, reduced for resin that has consumed inhibitor, because that counts as dose."""
         solid = self.resin.solid
         return scaled(self._planned_dose, (solid - initial_dose) / solid, initial_dose)

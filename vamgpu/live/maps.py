@@ -42,9 +42,9 @@ def _cut(field: Any, axis: int, at: int) -> np.ndarray:
     """The plane ``at`` along an axis."""
     if not isinstance(field, DeviceArray):
         return np.take(field, at, axis)
-    wanted = [np.arange(count) for count in field.shape]
-    wanted[axis] = wanted[axis][at : at + 1]
-    numbers = np.ravel_multi_index(np.ix_(*wanted), field.shape)
+    indices = [np.arange(count) for count in field.shape]
+    indices[axis] = indices[axis][at : at + 1]
+    numbers = np.ravel_multi_index(np.ix_(*indices), field.shape)
     found = picked(field, places(field.device, numbers.reshape(-1), field.shape))
     return found.reshape(numbers.shape).squeeze(axis)
 

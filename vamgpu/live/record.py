@@ -129,11 +129,11 @@ class LiveSetup:
         )  # fmt: skip
 
     @classmethod
-    def of(cls, told: dict[str, Any]) -> LiveSetup:
+    def of(cls, entries: dict[str, Any]) -> LiveSetup:
         """Read the values that `dataclasses.asdict` made of a setup.
 
         Args:
-            told: The values by name.
+            entries: The values by name.
 
         Returns:
             The setup.
@@ -144,7 +144,7 @@ class LiveSetup:
         kinds = {"vial": Vial, "red": Vial, "noise": SensorNoise, "resin": CuringResin, "turbidity": Turbidity}
         try:
             plain: dict[str, Any] = {
-                name: kinds[name](**value) if name in kinds else value for name, value in told.items()
+                name: kinds[name](**value) if name in kinds else value for name, value in entries.items()
             }
             plain |= {name: tuple(plain[name]) for name in ("shape", "pixels")}
             plain.setdefault("lit_share", 0.0)  # a setup without this key is from a vial at rest
@@ -230,17 +230,17 @@ class LiveRecord:
     @property
     def decisions(self) -> list[dict[str, Any]]:
         """Recorded decisions in order, each with facts added later."""
-        lines, told = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
+        lines, entries = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
         try:
             for each in map(parse_json, lines):
                 if "of" in each:
-                    was = told[each.pop("of")]
+                    was = entries[each.pop("of")]
                     was |= each | {"stages": was.get("stages", {}) | each["stages"]}
                 else:
-                    told[each["turn"]] = {name: each[name] for name in ENTRY} | each
+                    entries[each["turn"]] = {name: each[name] for name in ENTRY} | each
         except (ValueError, KeyError, TypeError) as error:
             raise StorageError(f"{DECISIONS} in {str(self.folder)!r} is damaged: {error!r}") from error
-        return list(told.values())
+        return list(entries.values())
 
     def decided(self) -> list[dict[str, Any]]:
         """The decisions; there is at least one.
@@ -251,10 +251,10 @@ class LiveRecord:
         Raises:
             StorageError: There is no decision, or the file is missing or damaged.
         """
-        told = self.decisions
-        if not told:
+        entries = self.decisions
+        if not entries:
             raise StorageError(f"{str(self.folder)!r} holds no decision; use the record of a print that was watched")
-        return told
+        return entries
 
     def setup(self) -> LiveSetup:
         """The setup of the loop.
@@ -287,8 +287,8 @@ class LiveRecord:
             StorageError: A file is missing or damaged.
         """
         for was, _, now in self.again():
-            told = parse_json(json.dumps(now.entry))
-            yield was, [name for name in told if told[name] != was.get(name)]
+            entries = parse_json(json.dumps(now.entry))
+            yield was, [name for name in entries if entries[name] != was.get(name)]
 
     def again(self) -> Iterator[tuple[dict[str, Any], np.ndarray, Decision]]:
         """Repeat the print, turn by turn.
@@ -301,10 +301,10 @@ class LiveRecord:
             StorageError: A file is missing or damaged.
         """
         setup, part, light = self.setup(), self.part(), np.array(map_npy(self.folder / "live-light.npy"))
-        told: Sequence[dict[str, Any]] = self.decisions
-        showed = [was.get("showed", ()) for was in told]
-        seen = [np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1)]
-        yield from zip(told, seen, setup.loop(part, light).replay(seen, showed), strict=True)
+        entries: Sequence[dict[str, Any]] = self.decisions
+        showed = [was.get("showed", ()) for was in entries]
+        seen = [np.array(map_npy(self._frames(turn))) for turn in range(1, len(entries) + 1)]
+        yield from zip(entries, seen, setup.loop(part, light).replay(seen, showed), strict=True)
 
     def _frames(self, turn: int) -> Path:
         return self.folder / f"live-frames-{turn:04}.npy"
@@ -325,7 +325,7 @@ def _rounded(stages: Mapping[str, float]) -> dict[str, float]:
 
 def budget(decisions: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float, int]]:
     """Name, median and greatest wall time [s], and number of decisions of each stage."""
-    told = [each.get("stages", {}) for each in decisions]
-    names = [name for name in STAGES if any(name in each for each in told)]
-    times = {name: [each[name] for each in told if name in each] for name in names}
+    entries = [each.get("stages", {}) for each in decisions]
+    names = [name for name in STAGES if any(name in each for each in entries)]
+    times = {name: [each[name] for each in entries if name in each] for name in names}
     return [(name, float(np.median(each)), max(each), len(each)) for name, each in times.items()]

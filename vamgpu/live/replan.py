@@ -157,7 +157,7 @@ class Replanner:
 
     def replan(
         self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
-        evaluations: float, deviation: Any = 0.0, wanted: Any = None,
+        evaluations: float, deviation: Any = 0.0, expected_dose: Any = None,
     ) -> Replanned:  # fmt: skip
         """The best light for the rest of a print with the given number of evaluations.
 
@@ -169,8 +169,8 @@ class Replanner:
             turns: Allowed numbers of further turns, 0 for a stop now.
             evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
-            wanted: Dose that the whole print was planned to have, [x, y, z]; the plan's light is first corrected by its
-                missing part. None starts with the plan's light unchanged.
+            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its missing
+                part. None starts with the plan's light unchanged.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.
@@ -190,13 +190,13 @@ class Replanner:
         kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
         if counts[-1]:
-            fewest = self._begin(task, dose, wanted)
+            fewest = self._begin(task, dose, expected_dose)
             loss = self._loss(given, target, deviation).on(state.field)
             best = self._lowered(state, loss, given, fewest)
             found = self._sized(task, best, dose)
         return self._chosen(task, planned, kept, best, found)
 
-    def _begin(self, task: _Task, dose: DeviceArray, wanted: Any) -> int:
+    def _begin(self, task: _Task, dose: DeviceArray, expected_dose: Any) -> int:
         """Make the total light of all turns the initial light; return the fewest turns that can give it."""
         state, light = task.state, task.light
         lacking = 0.5 * (self.inside + self.greatest) - state.part_mean(task.given)
@@ -204,8 +204,8 @@ class Replanner:
         begin = state.memory["light"] = state.sinogram()
         state.scale(share, light, begin)
         fewest = self._turns(begin, task.counts)
-        if wanted is not None and state.affords(1.0 + 0.5):
-            whole = finite(state.operator.domain, wanted, state.device, "the wanted dose")
+        if expected_dose is not None and state.affords(1.0 + 0.5):
+            whole = finite(state.operator.domain, expected_dose, state.device, "the expected dose")
             self._corrected(state, begin, share, dose, task.given, whole)
         capped(begin, fewest * self.most)
         return fewest
@@ -261,11 +261,11 @@ class Replanner:
 
     def _corrected(
         self, state: OptimizerState, light: DeviceArray, share: float, dose: DeviceArray, given: DeviceArray,
-        wanted: DeviceArray,
+        expected_dose: DeviceArray,
     ) -> None:  # fmt: skip
         """Light that gives ``share`` times a dose, multiplied along each ray by the required over the given dose."""
         missing, there, here = state.volume(), state.sinogram(), state.sinogram()
-        combine(1.0, wanted, -1.0, given, missing, floor=0.0)
+        combine(1.0, expected_dose, -1.0, given, missing, floor=0.0)
         state.project(missing, there)
         state.project(dose, here)
         state.device.launch(

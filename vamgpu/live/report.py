@@ -26,11 +26,11 @@ def page(
     conversion: np.ndarray | None = None,
 ) -> Page:  # fmt: skip
     """The report of a recorded print. truth, overlaps (unwatched, watched), conversion: of an emulated print."""
-    told, setup = record.decided(), record.setup()
-    found = [each for each in told if each["parameters"]]
-    swaps = sum(each["action"] == "swap" for each in told)
-    last = told[-1]
-    doubted = next((each for each in told if each.get("doubt")), None)
+    decisions, setup = record.decided(), record.setup()
+    found = [each for each in decisions if each["parameters"]]
+    swaps = sum(each["action"] == "swap" for each in decisions)
+    last = decisions[-1]
+    doubted = next((each for each in decisions if each.get("doubt")), None)
     good = bool(found) and last["iou"] > 0.99 and not doubted
     headline = [] if overlaps is None else [
         Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
@@ -38,15 +38,15 @@ def page(
     ]  # fmt: skip
     expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
-        Figure(str(len(told)), "decisions", "one after each turn with images"),
+        Figure(str(len(decisions)), "decisions", "one after each turn with images"),
         Figure(str(swaps), "swaps", "replacements of the remaining light"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
         Figure(expected, "overlap expected", "with the part, from the last estimate"),
     ]
     cards = [
         Card("Decisions",
-             Table(_rows(told), ("after turn", "", "light", "shown from turn", "turns left", "why")), wide=True),
-        Card("Time per decision", Table(_times(told, setup), ("", "median [s]", "most [s]", "decisions")),
+             Table(_rows(decisions), ("after turn", "", "light", "shown from turn", "turns left", "why")), wide=True),
+        Card("Time per decision", Table(_times(decisions, setup), ("", "median [s]", "most [s]", "decisions")),
              note="Sensing is the share of the turn whose images are used."),
     ]  # fmt: skip
     if found:
@@ -63,7 +63,7 @@ def page(
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
         cards.insert(1, Card("Final conversion", Images([picture], "panels", 1), note="The part is outlined."))
-    verdict = (f"The camera measured {len(told)} turns; the remaining light was replaced {swaps} times." if found
+    verdict = (f"The camera measured {len(decisions)} turns; the remaining light was replaced {swaps} times." if found
                else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
     if doubted:
         verdict = (
@@ -72,17 +72,17 @@ def page(
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 
 
-def _rows(told: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def _rows(decisions: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [
         [str(each["turn"]), each["action"], str(each["version"]),
          "never" if each.get("effective", 0) is None else str(each.get("effective", "")), str(each["turns"]),
          each["reason"]]
-        for each in told
+        for each in decisions
     ]  # fmt: skip
 
 
-def _times(told: Sequence[Mapping[str, Any]], setup: LiveSetup) -> list[list[str]]:
-    return [[stage, f"{median:.3f}", f"{most:.3f}", str(count)] for stage, median, most, count in budget(told)]
+def _times(decisions: Sequence[Mapping[str, Any]], setup: LiveSetup) -> list[list[str]]:
+    return [[stage, f"{median:.3f}", f"{most:.3f}", str(count)] for stage, median, most, count in budget(decisions)]
 
 
 def _true(truth: Truth | None, setup: LiveSetup) -> dict[str, float]:

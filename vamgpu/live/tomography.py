@@ -165,8 +165,8 @@ class Tomograph:
             ShapeMismatch: Images or field are of another geometry.
         """
         begun = perf_counter()
-        told = self._measured(images, iterations)
-        start, depth = self._device.empty(self.operator.domain.shape), told.depth
+        depths = self._measured(images, iterations)
+        start, depth = self._device.empty(self.operator.domain.shape), depths.depth
         if last is None:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
@@ -174,7 +174,7 @@ class Tomograph:
             was = here(self._device, last.field)
             combine(1.0, was, 0.0, was, start)
             depth = self._unbiased(depth, start, last)
-        steps = _Descent(self, depth, told, start, floor=0.0)
+        steps = _Descent(self, depth, depths, start, floor=0.0)
         done, longest, now = 0, 0.0, perf_counter()
         while done < iterations and (not done or now + longest - begun < deadline):
             steps.advance()
@@ -220,11 +220,11 @@ class Tomograph:
             BadInput: As `deviation`.
             ShapeMismatch: As `deviation`.
         """
-        told = self._measured(images, iterations)
+        depths = self._measured(images, iterations)
         noise, start = self._device.empty(self.operator.range.shape), self._device.empty(self.operator.domain.shape)
-        self._device.launch(draw_noise, weight=told.weight, slices=self._rows, seed=seed, noise=noise)
+        self._device.launch(draw_noise, weight=depths.weight, slices=self._rows, seed=seed, noise=noise)
         combine(0.0, self._ones, 0.0, self._ones, start)
-        steps = _Descent(self, noise, told, start, floor=NO_FLOOR)
+        steps = _Descent(self, noise, depths, start, floor=NO_FLOOR)
         for _ in range(iterations):
             steps.advance()
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
@@ -282,10 +282,10 @@ class _Descent:
     """Steps towards the most probable field, all on the device."""
 
     def __init__(
-        self, tomograph: Tomograph, depth: DeviceArray, told: OpticalDepths, start: DeviceArray, floor: float
+        self, tomograph: Tomograph, depth: DeviceArray, depths: OpticalDepths, start: DeviceArray, floor: float
     ) -> None:
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
-        self._depth, self._weight, self._pixels = depth, told.weight, told.pixels
+        self._depth, self._weight, self._pixels = depth, depths.weight, depths.pixels
         device, ones = self._A.device, tomograph._ones
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)
         self.field, (self._ahead, self._slope, self._part, self._next, self._length) = (

@@ -74,12 +74,12 @@ def darkening(change: np.ndarray) -> np.ndarray:
     return np.sort((change - np.quantile(change, CLEAREST)).ravel())
 
 
-def share_of(seen: np.ndarray, wanted: np.ndarray) -> float:
+def share_of(seen: np.ndarray, expected: np.ndarray) -> float:
     """Share of the expected darkening that is seen: the weighted median over pixels, which ignores dust; or NaN."""
-    counted = wanted > FAINT * wanted[-1]
-    if seen.shape != wanted.shape or not counted.any():
+    counted = expected > FAINT * expected[-1]
+    if seen.shape != expected.shape or not counted.any():
         return float("nan")
-    ratio, weight = seen[counted] / wanted[counted], wanted[counted]
+    ratio, weight = seen[counted] / expected[counted], expected[counted]
     order = np.argsort(ratio)
     half = np.searchsorted(weight[order].cumsum(), 0.5 * weight.sum())
     return float(ratio[order][min(half, ratio.size - 1)])

@@ -132,11 +132,11 @@ def reach_of(grid: Grid | WebGrid) -> float:
 def on_device(operator: Projector, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
     _check_projector(operator)
-    wanted = operator.grid.pitch
-    pitch = getattr(getattr(target, "grid", None), "pitch", wanted)
-    if not np.allclose(pitch, wanted, rtol=1e-9, atol=0.0):
+    operator_pitch = operator.grid.pitch
+    pitch = getattr(getattr(target, "grid", None), "pitch", operator_pitch)
+    if not np.allclose(pitch, operator_pitch, rtol=1e-9, atol=0.0):
         raise BadInput(
-            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(wanted)} mm; "
+            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(operator_pitch)} mm; "
             "build the operator on target.grid"
         )
     fractions = target.on(operator.device) if hasattr(target, "on") else target
@@ -224,12 +224,12 @@ def _check_reach(operator: Any, fractions: DeviceArray) -> None:
     if share >= DIM:
         return
     absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
-    told = (
+    reason = (
         f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or more, "
         f"at least {LOST:g}: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the axis, and "
         f"the light is that of {operator.beam}: use less absorber, a smaller part nearer to the axis, or a beam of "
         "more pixels"
     )
     if share < LOST:
-        raise NoLight(f"light does not reach the part: {told}")
-    warnings.warn(f"light hardly reaches the part: {told}", OpticsWarning, stacklevel=5)
+        raise NoLight(f"light does not reach the part: {reason}")
+    warnings.warn(f"light hardly reaches the part: {reason}", OpticsWarning, stacklevel=5)

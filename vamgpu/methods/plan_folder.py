@@ -68,8 +68,8 @@ class PlanRecord:
         history = tuple(asdict(step) for step in plan.history)
         window = float(plan.window if window is None else window)
         bound = getattr(plan, "bound", None)
-        told = getattr(plan, "corners", None)
-        corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
+        doses = getattr(plan, "corners", None)
+        corners = () if doses is None else tuple(asdict(corner) for corner in doses.corners)
         return cls(
             repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window,
             getattr(bound, "value", None), corners, str(getattr(plan, "ran", "")),

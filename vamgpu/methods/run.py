@@ -401,15 +401,15 @@ class _Run:
         """The doses of the light at every corner; warns if it does not print at all of them."""
         if self.tolerances is None or not isinstance(scenarios, Scenarios):
             return None
-        told = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
-        if told.window <= 0.0:
+        doses = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
+        if doses.window <= 0.0:
             warnings.warn(
-                f"the light does not print at every corner of its tolerances: {told.statement()}; use smaller ones, "
+                f"the light does not print at every corner of its tolerances: {doses.statement()}; use smaller ones, "
                 "or more iterations",
                 ToleranceWarning,
                 stacklevel=4,
             )
-        return told
+        return doses
 
 
 def _posed_on_voxels(operator: Any, target: Any) -> Any:

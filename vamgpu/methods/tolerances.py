@@ -307,11 +307,11 @@ def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, t
     for corner, operator in zip(optics, scenarios.operators, strict=True):
         operator.T(light, out=dose)
         found[corner] = window(dose, target, reach)
-    told = []
+    at_corners = []
     for corner in corners:
         least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(told))
+        at_corners.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(at_corners))
 
 
 def check_tolerances(tolerances: Any) -> None:
@@ -323,8 +323,8 @@ def check_tolerances(tolerances: Any) -> None:
 def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray) -> None:
     """Raise `ToleranceError` if uniform light leaves a voxel of the part dark at a corner."""
     light = target.device.upload(np.ones(scenarios.range.shape, np.float32))
-    told = doses_of(scenarios, tolerances, light, target)
-    for corner, found in zip(tolerances.corners(), told.corners, strict=True):
+    at_corners = doses_of(scenarios, tolerances, light, target)
+    for corner, found in zip(tolerances.corners(), at_corners.corners, strict=True):
         if not found.least >= LOST * found.greatest:
             blamed = next((name for name in BLAMED if getattr(corner, name) not in (0.0, None, (0.0, 0.0))), "axis")
             raise ToleranceError(

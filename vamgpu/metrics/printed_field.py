@@ -64,7 +64,7 @@ def printed_field(
         raise BadInput(f"origin is {origin}; expected the center (x, y, z) [mm] of the dose's first voxel")
     edge, level = positive("pitch [mm]", pitch), positive("threshold", threshold)
     if not np.isfinite(values.max() - values.min()):
-        raise BadInput("the dose holds NaN or infinity; expected finite numbers: look for a division by zero in it")
+        raise BadInput("the dose holds NaN or infinity; expected finite numbers: check it for a division by zero")
     box = (np.asarray(bounds, np.float64) - start) / edge
     low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64)
     mask = values >= level

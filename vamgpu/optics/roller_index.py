@@ -62,9 +62,9 @@ class FilmIndex:
             return
         need, slack = ((-outer, outer), (-outer, leg)), 1e-6 * outer
         if any(low > a + slack or high < b - slack for (low, high), (a, b) in zip(spans, need, strict=True)):
-            known, wanted = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
+            known, needed = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
             raise BadInput(f"the {type(self.index).__name__} of the film reaches from {known} mm in x and y; expected "
-                           f"{wanted} mm, the film with its straight runs")  # fmt: skip
+                           f"{needed} mm, the film with its straight runs")  # fmt: skip
 
     def at(self, x: Floats, y: Floats) -> Floats:
         """Index at given positions; raises `BadInput` if it is below 1 or not finite."""

@@ -23,7 +23,7 @@ def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerance
     limits = getattr(target, "limits", None)
     reach = A.grid.inscribed_radius / A.grid.pitch * (1.0 + 1e-6)
     found: dict[Corner, tuple[float, float, float]] = {}
-    told = []
+    doses = []
     for corner in tolerances.corners():
         if corner.optics not in found:
             operator = at(A, corner)
@@ -32,5 +32,5 @@ def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerance
             parts = judged_parts(dose, fraction, limits)
             found[corner.optics] = window(parts.dose, parts.target, reach)
         least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(told))
+        doses.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(doses))

@@ -35,7 +35,7 @@ def save_frames(
     # default geometry, target and record of the frames' plan. arrays: further arrays to store. details: of those.
     plan, own = frames.plan, {}
     known: dict[str, Any] = {}
-    told: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
+    record: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
     if plan is None:
         columns = "column" if frames.bits == 8 else "byte"
         entries = {"frames": Entry(frames.images, ("angle", "row", columns))}
@@ -49,7 +49,7 @@ def save_frames(
         if isinstance(plan, Plan):
             noun, own_arrays = method_described(plan.method)
             entries |= own_arrays
-            told["plan"] = {
+            record["plan"] = {
                 "method": noun, "evaluations": plan.evaluations, "best_iteration": plan.best_iteration,
                 "target_name": plan.target_name,
             }  # fmt: skip
@@ -62,7 +62,7 @@ def save_frames(
         path,
         {**own, **entries, **(arrays or {})},
         inputs={**known, **(inputs or {})},
-        details={**told, **(details or {})},
+        details={**record, **(details or {})},
         device=f"{frames.device.name} ({frames.device.description})",
         overwrite=overwrite,
     )

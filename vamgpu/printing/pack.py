@@ -317,9 +317,9 @@ def _miss(plan: Patterns, frames: Frames) -> float:
     """Sine of the angle between the frames' dose and that of the plan; 0 if they are proportional."""
     # A factor does not matter, because the exposure time compensates for it. 1 for dark frames.
     A: Any = plan.operator
-    wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
-    lengths = dot(wanted, wanted) * dot(shown, shown)
-    return sqrt(max(0.0, 1.0 - dot(wanted, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
+    planned, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
+    lengths = dot(planned, planned) * dot(shown, shown)
+    return sqrt(max(0.0, 1.0 - dot(planned, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
 
 
 def _folded(images: DeviceArray) -> DeviceArray:

@@ -30,8 +30,8 @@ def ramp(name: str) -> list[int]:
 
 def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, level: float = 0.5) -> np.ndarray:
     """uint8 [x, y, z]: right, `HIT`, `MISSING`, `EXCESS`, or `OUTSIDE` the judged cylinder [x, y]."""
-    wanted = target >= level
-    verdict = np.where(wanted, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
+    expected = target >= level
+    verdict = np.where(expected, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
     verdict[~cylinder] = OUTSIDE
     return verdict
 
@@ -67,10 +67,10 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
     found = []
     for axis, name in ((0, "x = 0"), (1, "y = 0")):
         middle = dose.shape[axis] // 2
-        wanted, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
+        expected, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
         found.append(
             [
-                Image(picture(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
+                Image(picture(247 - (np.clip(expected, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
                 Image(picture(colored(given / (peak or 1.0), "magma")), f"dose, {name}, upright"),
                 Image(picture(COLORS[verdict_here]), f"printed, {name}"),
             ]

@@ -320,10 +320,10 @@ def _cornered(proof: Proof) -> Iterator[Line]:
     """The windows at the corners of tolerances, if they are known."""
     if proof.corners is None:
         return
-    told, count = proof.corners, len(proof.corners.corners)
-    held = f"least in the part at {told.darkest.name}, most outside at {told.leakiest.name}"
-    yield Line("process window, tolerances", f"{told.window:+.4f}", f"one threshold for {count} corners; {held}")
-    for number, corner in enumerate(told.corners):
+    doses, count = proof.corners, len(proof.corners.corners)
+    held = f"least in the part at {doses.darkest.name}, most outside at {doses.leakiest.name}"
+    yield Line("process window, tolerances", f"{doses.window:+.4f}", f"one threshold for {count} corners; {held}")
+    for number, corner in enumerate(doses.corners):
         yield Line(f"window, corner {number}", f"{corner.window:+.4f}", f"{corner.name}; with its own threshold")
 
 

@@ -90,20 +90,20 @@ def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
 
 def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
     """The window at every corner of tolerances: proved if known, otherwise planned."""
-    told, kept = proof.corners, getattr(plan, "corners", None)
+    doses, kept = proof.corners, getattr(plan, "corners", None)
     note = "Proved from the frames"
-    if told is None and kept:
-        told = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
+    if doses is None and kept:
+        doses = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
         note = "Computed by the solver, before packing"
-    if told is None:
+    if doses is None:
         return
-    rows = [("all corners, one threshold", f"{told.window:+.4f}")]
+    rows = [("all corners, one threshold", f"{doses.window:+.4f}")]
     rows += [
         (corner.name, f"{corner.window:+.4f}; part ≥ {corner.least / top:.3f}, outside ≤ {corner.leak / top:.3f}")
-        for top in (max(max(corner.greatest for corner in told.corners), 1e-30),)
-        for corner in told.corners
+        for top in (max(max(corner.greatest for corner in doses.corners), 1e-30),)
+        for corner in doses.corners
     ]
-    yield Card("At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the maximum.")
+    yield Card("At its tolerances", Table(rows), note=f"{note}: {doses.statement()}. Doses are shares of the maximum.")
 
 
 def _pareto(plan: Any) -> Iterator[Card]:
@@ -126,7 +126,7 @@ def _light(proof: Proof) -> Iterator[Card]:
 def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
     """Data for the page's script, and the deviation [mm] at the ends of its color scale."""
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
-    wanted = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
+    expected = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
     outer = surface.NOTHING
     if proof.outer is not None and proof.outer_share >= 1.0:
@@ -136,7 +136,7 @@ def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarr
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
-    return surface.viewer(wanted, printed, pitch, outer) | slices, pitch
+    return surface.viewer(expected, printed, pitch, outer) | slices, pitch
 
 
 def _fullest(proof: Proof, slices: list[int]) -> int:
@@ -216,8 +216,8 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         bound = getattr(plan, "bound", None)
         on = getattr(bound, "on", getattr(plan, "bound_on", ""))
         bound = getattr(bound, "value", bound)
-        told = f" on {on}" if on else ""
-        rows += [("upper bound of the window", f"{bound:+.4f}{told}, from the solver")] if bound is not None else []
+        where = f" on {on}" if on else ""
+        rows += [("upper bound of the window", f"{bound:+.4f}{where}, from the solver")] if bound is not None else []
         rows += [("note", note) for note in getattr(plan, "notes", ())]
     return rows
 

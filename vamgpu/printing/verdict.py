@@ -115,10 +115,10 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
 
 def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
     """Exposures, relative to the proof's, between which all judged deep voxels print correctly."""
-    told, at = judgement.over_tolerance, proof.scores.threshold
-    least, greatest = told.limits(judgement.deep)
+    windows, at = judgement.over_tolerance, proof.scores.threshold
+    least, greatest = windows.limits(judgement.deep)
     low, high = (at / dose if dose > 0.0 else inf for dose in (least, greatest))
-    if not told.judged_at(judgement.deep):  # then only the surface and the bodies show what is missing from the part
+    if not windows.judged_at(judgement.deep):  # then only the surface and the bodies show what is missing from the part
         return min(low, 1.0), high
     return (low, high) if least > 0.0 else (inf, 0.0)
 

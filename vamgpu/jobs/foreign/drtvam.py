@@ -300,7 +300,7 @@ def _beside(path: Path, said: Mapping[str, Any]) -> Path:
     tried = [place / name for place in places for name in PATTERNS]
     found = next((each for each in tried if each.exists()), None)
     if found is None:
-        raise StorageError(f"no patterns beside {str(path)!r}: looked for {', '.join(PATTERNS)}; name them with "
+        raise StorageError(f"no patterns beside {str(path)!r}: searched for {', '.join(PATTERNS)}; name them with "
                            "--patterns, or let `vam solve` optimize patterns: --out job.toml")  # fmt: skip
     return found
 
