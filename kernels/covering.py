@@ -2,8 +2,8 @@
 
 If the dual variables of all limits cost every pixel at least what they pay it, they bound the window of any light.
 The dual variables of an unfinished run pay some pixels too much. A cover raises them: light on the pixels that are paid
-too much is exposed, and its dose costs these pixels most. Light grows where the cover falls short, and the cover is
-scaled for the pixel where it falls shortest.
+too much is exposed, and its dose costs these pixels most. Light grows where the cover is too low, and the cover is
+scaled until it suffices for all pixels.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def step_pixels(
     brighter: Array, darker: Array, worth: Real, seed: Integer, first: Integer, step: Real, most: Real,
     light: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Step some of the pixels whose step lowers the error: light ± step, within 0 and most.
+    """Change some of the pixels to light ± step, from 0 to most, if this lowers the error.
 
     worth: gain (minus the smaller of both error changes) above which all pixels change; others change with a
     probability of their gain over it. seed: of the random choice. first: number of the first slice.

@@ -24,7 +24,7 @@ static inline Place place(void) {
     return at;
 }
 
-// Whether the items of a tile run in step and wait only for each other: on NVIDIA's GPUs, 32 do.
+// Whether the items of a tile run in lockstep, as 32 do on NVIDIA's GPUs; they then wait only for each other.
 #ifdef __NV_CL_C_VERSION
 #define ALONE (MEMBERS == 32)
 #else

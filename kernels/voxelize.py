@@ -72,8 +72,8 @@ def voxelize(
 
     triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 if the surface is
     entered from below (it faces down), +1 if it is left. members[first:last] of a tile are the triangles whose boxes
-    touch it; they save devices a search and change nothing. Only the rows of tiles from ``row`` on that first has are
-    computed. lists[start[x, y]] is the number of crossings of a column, followed by the sorted crossings.
+    touch it; they save devices a search and change nothing. Only the rows of tiles in ``first``, from ``row``
+    on, are computed. lists[start[x, y]] is the number of crossings of a column, followed by the sorted crossings.
     """
     unit, (n_x, n_y, n_z) = 1 << int(bits), volume.shape
     low, high = int(row * tile), min(int((row + first.shape[0]) * tile), n_x)

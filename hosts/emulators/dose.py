@@ -140,7 +140,7 @@ def full_light(schedule: Schedule, engine: int) -> float:
     return int(schedule.on[0]) // 1000 * 1e-6 * float(schedule.power[0, engine])
 
 
-BEHIND = 2  # number of angles after which no more light reaches one
+BEHIND = 2  # number of angles after which a frame gets no more light
 FULL = 255
 
 

@@ -49,7 +49,7 @@ def curethrough(
         _curves(axes[letter], title, printers, tall)
     apart = _streamed(axes["h"], base, device, 300 if quick else 3000)
     facts = (
-        Fact("dose left by level 0 alone", base.phi_min * base.critical_dose / mJ_cm3, "mJ/cm³", 4, 36.0, "paper"),
+        Fact("dose of level 0", base.phi_min * base.critical_dose / mJ_cm3, "mJ/cm³", 4, 36.0, "paper"),
         Fact("Φ of full light", base.phi_max, "", 4),
         Fact("height over which full light reaches the critical dose", base.build_up_height() / um, "µm", 4),
         Fact("Ω* of the feature", float(highest_dose(height / slice_height, base.phi_min, base.phi_max, base.eta))),

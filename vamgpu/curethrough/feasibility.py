@@ -26,7 +26,7 @@ class Feasibility:
     missed: np.ndarray  # features whose back side does not get its dose
     closed: np.ndarray  # voids that stay near the critical dose
     speed: np.ndarray  # the fastest [mm/s] at which every feature of the pixel gets its dose with the same light
-    power: np.ndarray  # light of level 255 [mW/mm²] with which every feature does at the present speed
+    power: np.ndarray  # light of level 255 [mW/mm²] that cures every feature at the present speed
 
     @property
     def feasible(self) -> np.ndarray:

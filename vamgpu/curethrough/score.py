@@ -138,7 +138,7 @@ class Group:
     front: int
     back: int
     behind: int  # shortest void behind one, in slices
-    last: bool  # nothing follows any of them
+    last: bool  # no slices follow
     columns: int
     before: float
     after: float | None

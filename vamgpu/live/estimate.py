@@ -233,8 +233,8 @@ class Estimator:
     def nearly(self, values: np.ndarray, light: Any, dose: Any) -> CalibratedProjection:
         """A faster form of `calibrated` for planning: on rings if they are faster, otherwise `calibrated` itself.
 
-        It uses the rings' tables of the planned operator. Light is moved; the effect of absorption is a gain, with
-        which a given light gets its correct dose. The dose of other light is approximately right.
+        It uses the rings' tables of the planned operator. Light is moved; a gain represents the changed absorption.
+        It is exact for one given light, and approximate for any other.
 
         Args:
             values: Value of each of `NAMES`, (7,).

@@ -74,7 +74,7 @@ class Recipe(Method):
             yield loss, window
 
     def _model(self, state: OptimizerState, spread: Spread | None) -> DeviceArray:
-        """The target over its background, deconvolved if it will diffuse."""
+        """The target plus its background, deconvolved if the dose diffuses."""
         model = state.volume()
         goal = state.target if spread is None else contrast(spread, state.target, self.background)
         levels = {"low": self.background, "high": 1.0, "reach": state.reach}

@@ -92,7 +92,7 @@ class TracedProjection(LinearOperator):
         expected = ((grid, Grid), (beam, Beam), (motion, Turntable), (medium, CoRotatingMedium), (rays, RayBundle))
         require_kinds("TracedProjection(grid, beam, …)", *expected)
         one_ray_a_pixel("TracedProjection", beam)
-        assert rays is not None  # only another kind of beam lacks it
+        assert rays is not None  # only beams without rays lack it
         self.grid, self.beam, self.motion, self.medium, self.rays = grid, beam, motion, medium, rays
         self.vessel = None
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
