@@ -9,9 +9,10 @@ import threading
 import time
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import quote
 
 from vamgpu.errors import BadInput, DeviceError
-from vamgpu.hosts.panel.auth import TokenAuth, loopback
+from vamgpu.hosts.panel.auth import TokenAuth
 from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.timing import whole
 
@@ -22,18 +23,25 @@ PORTS = 65535
 class Panel:
     """A server of the page in a separate thread; a context manager, which may stay open after the print.
 
-    Args:
-        board: The board of the print to show and stop.
-        host: The address to serve at; beyond this machine only with a token.
-        port: Port of the server; 0 selects a free one.
-        token: Token for browsers, 16 characters or more; generated for hosts beyond this machine.
-        page: False serves only programs.
-        runs: The folder whose run folders are the history; None shows none.
-        run: The name of this print's run folder.
+        Args:
+            board: The board of the print to show and stop.
+    <<<<<<< HEAD
+            host: The address to serve at; beyond this machine only with a token.
+            port: Port of the server; 0 selects a free one.
+            token: Token for browsers, 16 characters or more; generated for hosts beyond this machine.
+    =======
+            host: The address to serve at.
+            port: Port of the server; 0 finds a free one.
+            token: Token for browsers and programs, 16 characters or more; None generates one. Other accounts of this
+                machine need it too.
+    >>>>>>> 2d329462cce9af0bc08c5b08e0ebede55cdcf05e
+            page: False serves only programs.
+            runs: The folder whose run folders are the history; None shows none.
+            run: The name of this print's run folder.
 
-    Raises:
-        BadInput: An argument is invalid.
-        DeviceError: The extra is missing, the port is taken, or the server does not start.
+        Raises:
+            BadInput: An argument is invalid.
+            DeviceError: The extra is missing, the port is taken, or the server does not start.
     """
 
     board: Board
@@ -56,7 +64,8 @@ class Panel:
             raise BadInput("the panel's token is not text of 16 characters or more; leave it out to generate one")
         self.board, self.host, self.page = board, host, page
         self.runs, self.run = None if runs is None else Path(runs), run
-        self.token: str | None = token if token is not None or loopback(host) else secrets.token_urlsafe(24)
+        self.token: str = secrets.token_urlsafe(24) if token is None else token
+        self._chosen = token is not None
         self._server, self._thread = None, None
         self._failed: BaseException | None = None
         self._socket = _listening(host, int(port))
@@ -66,7 +75,7 @@ class Panel:
     def url(self) -> str:
         """Address of the page, with its token."""
         name = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+        return f"http://{name}:{self.port}/?token={quote(self.token)}"
 
     def __enter__(self) -> Self:
         try:
@@ -89,7 +98,7 @@ class Panel:
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:
             raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
-        guarded = TokenAuth(app, self.token, self.host, self.port)
+        guarded = TokenAuth(app, self.token, self.host, self.port, self._chosen)
         config = uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off", server_header=False)
         return uvicorn.Server(config)
 
