@@ -155,29 +155,33 @@ class ZaberConnection:
 
 
 class ZaberStage(PolledStage):
-    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``."""
+    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``.
+
+    output: digital output that triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both.
+    """
 
     microsteps: float
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
-        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep,
+        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, output: int = 1, gate: int | None = None,
     ) -> None:  # fmt: skip
         if not microsteps > 0 or unit not in ("mm", "deg"):
             link.close()
             raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
         super().__init__(f"stage {device}", unit, patience_s, pause)
-        self.microsteps, self._device, self._axis = microsteps, device, axis
+        self.microsteps, self._device, self._axis, self._output, self._gate = microsteps, device, axis, output, gate
         with closed_on_error(link):
             self._link = ZaberLines(link) if isinstance(link, Wire) else link
             self.kind: int = self._start()
 
     @classmethod
     def open(
-        cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5
-    ) -> Self:
+        cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5,
+        **outputs: Any,
+    ) -> Self:  # fmt: skip
         """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
-        return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis)
+        return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis, **outputs)
 
     def _start(self) -> int:
         try:
@@ -229,9 +233,9 @@ class ZaberStage(PolledStage):
         """Start to stop the axis."""
         self.ask("stop")
 
-    def trigger_every(self, distance: float, output: int = 1) -> None:
-        """Raise a digital output each time the axis has traveled a distance, first after half of it; 0 ends it."""
-        half = round(distance * self.microsteps / 2)
+    def trigger_every(self, distance: float) -> None:
+        """Raise the output each time the axis has traveled a distance, first after half of it; 0 ends it."""
+        half, output = round(distance * self.microsteps / 2), self._output
         if distance != 0 and half < 1:
             raise BadInput(
                 f"a trigger every {distance} {self.unit} is finer than two microsteps; give a longer distance"
@@ -242,6 +246,8 @@ class ZaberStage(PolledStage):
                 "whole number"
             )
         texts = [f"trigger {output} disable", f"io set do {output} 0"]
+        if self._gate is not None:
+            texts.append(f"io set do {self._gate} {int(half > 0)}")
         if half:
             texts.append(f"trigger {output} when {self._axis} dist {half}")
             texts.append(f"trigger {output} action a io set do {output} t")

@@ -46,7 +46,8 @@ class _EmulatedRig:
     def _plug_stage(self, microsteps: float, unit: str) -> ZaberStage:
         self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
         pause = lambda seconds: self.clock.sleep(round(seconds * 1e9))  # noqa: E731
-        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause)
+        outputs = {"output": self.stage.wired, "gate": self.stage.joined}
+        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause, **outputs)
 
 
 class _TriggeredRig(_EmulatedRig):
@@ -121,10 +122,11 @@ class EmulatedStageRig(_TriggeredRig):
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
         lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None, power: float = 1.0,
+        outputs: tuple[int, int | None] = (1, None),
     ) -> None:  # fmt: skip
         super().__init__(clock, model, engines)
         self.microsteps, self.unit = microsteps, unit
-        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0)
+        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1])
         self.controller = EmulatedController(channels=max(2, engines)) if controller else None
         self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
         self._record(DoseRecorder(

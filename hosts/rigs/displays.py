@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from math import floor
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from vamgpu.hosts.drivers import dlpc350_protocol, projector
 from vamgpu.hosts.drivers.cleanup import closed_on_error
@@ -16,13 +16,25 @@ from vamgpu.schema.section import Listed
 
 
 class AlpDisplay(MirrorPart):
-    """Mirrors by Vialux.  library: path of the maker's library.  serial: serial number of the device; 0 for any."""
+    """Mirrors by Vialux.
+
+    library: path of the maker's library.  serial: serial number of the device; 0 for any.  edge: edge of the trigger.
+    synch: numbers of the gated synch outputs that are active while a frame is lit, to gate a laser.  active: their
+    level.
+    """
 
     library: str
     serial: int = 0
+    edge: Literal["rising", "falling"] = "rising"
+    synch: Annotated[tuple[Annotated[int, Field(ge=1, le=3)], ...], Listed] = ()
+    active: Literal["high", "low"] = "high"
 
     def open(self) -> Any:
-        return Dmd.open(self.library, self.serial, self.array)
+        mirrors = Dmd.open(self.library, self.serial, self.array, self.edge == "rising")
+        with closed_on_error(mirrors):
+            if self.synch:
+                mirrors.pulse(self.synch, self.active == "high")
+        return mirrors
 
 
 class VideoDisplay(CablePart):

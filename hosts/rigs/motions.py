@@ -17,6 +17,8 @@ from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Part, Ppm, 
 from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.schema.quantities import Count
 
+Output = Annotated[int, Field(ge=1, le=4)]  # Zaber's stages have at most four digital outputs
+
 
 class ControllerMotion(MotionPart):
     """The motor that the controller steps; rows are triggered by its steps.
@@ -39,6 +41,8 @@ class ZaberMotion(StagePart):
     """A stage by Zaber, whose trigger output can fire at every pose.
 
     port: serial port, or socket://host:port.  device: device number on the line.  axis: axis number of the device.
+    output: digital output that triggers the mirrors.  gate: digital output that is high while the other triggers, for
+    a board that joins both.
     """
 
     triggers: ClassVar[bool] = True
@@ -46,9 +50,18 @@ class ZaberMotion(StagePart):
     microsteps: Microsteps = 6400.0 / 3.0
     device: Count = 1
     axis: Count = 1
+    output: Output = 1
+    gate: Output | None = None
+
+    @model_validator(mode="after")
+    def _apart(self) -> ZaberMotion:
+        if self.gate == self.output:
+            raise ValueError(f"output and gate are both {self.gate}; expected two outputs of the stage")
+        return self
 
     def open(self, unit: str) -> Stage:
-        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
+        outputs = {"output": self.output, "gate": self.gate}
+        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis, **outputs)
 
 
 class StandaMotion(StagePart):

@@ -162,7 +162,7 @@ def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
     model = ArrayModel(height=size.rows, width=size.columns)
     emulated = EmulatedStageRig(
         FINE, model, len(planned.jobs), table.unit, setup.light.gate == "line", setup.light.gate == "controller", clock,
-        power=float(table.power[0, 0]),
+        power=float(table.power[0, 0]), outputs=(getattr(setup.motion, "output", 1), getattr(setup.motion, "gate", None)),
     )  # fmt: skip
     return emulated, emulated.machines(FINE / float(table.advance))
 

@@ -91,9 +91,13 @@ class DisplayPart(Part):
 
 
 class MirrorPart(DisplayPart):
-    """Mirrors that show a frame at each trigger.  frame_time: shortest time of a frame of 8 bits."""
+    """Mirrors that show a frame at each trigger.
+
+    frame_time: shortest time of a frame of 8 bits.  duty: greatest share of its time slot for which a frame is lit.
+    """
 
     frame_time: ExposureTime = 1.0 / 266.0
+    duty: Share = 1.0
 
 
 Color = Literal["red", "green", "blue"]
