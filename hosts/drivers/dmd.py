@@ -46,9 +46,7 @@ class Dmd(ClosedOnce):
 
     called = "the DMD"
 
-    def __init__(
-        self, library: Any, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True
-    ) -> None:
+    def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> None:
         self._rising = rising
         self._alp = Alp(library)
         self.device: int = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
@@ -62,9 +60,7 @@ class Dmd(ClosedOnce):
         log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
 
     @classmethod
-    def open(
-        cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True
-    ) -> Self:
+    def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> Self:
         """Open the device with a serial number (0: the first) through the maker's library at ``path``."""
         return cls(alp.load(path), serial, size, rising)
 

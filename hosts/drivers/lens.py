@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Self
+from typing import Protocol, Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers import optotune_protocol as ld4
@@ -11,6 +11,17 @@ from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 log: logging.Logger = logging.getLogger(__name__)
+
+
+class Lens(Protocol):
+    """A tunable lens that the host sets."""
+
+    # set the focal power [1/m]; returns before the lens has settled
+    def set_power(self, diopters: float) -> None: ...
+    def power(self) -> float: ...  # the focal power set [1/m]
+    def temperature(self) -> float: ...  # of the lens [degC]; DeviceRefused without a sensor
+    def status(self) -> tuple[str, ...]: ...  # faults
+    def close(self) -> None: ...  # release it
 
 
 class LensDriver(Closing):

@@ -9,7 +9,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.drivers.lens import LensDriver
-from vamgpu.hosts.drivers.projector import ONE_GRAY, THREE_OF_7, TWO_OF_8, HdmiProjector
+from vamgpu.hosts.drivers.projector import THREE_OF_7, TWO_OF_8, HdmiProjector, SlotLayout
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.drivers.wire import Wire
@@ -164,7 +164,7 @@ class EmulatedVideoRig(_EmulatedRig):
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,
         scale: float = 1.0, rate_hz: int = 60, clock: VirtualClock | None = None, stepper: float | None = None,
-        indexed: bool = False, gated: bool = True, slots: int | None = None,
+        indexed: bool = False, gated: bool = True, layout: SlotLayout | None = None,
         pose: float | None = None, unit: str = "deg", power: float = 1.0,
     ) -> None:  # fmt: skip
         self.clock = clock or VirtualClock()
@@ -174,7 +174,8 @@ class EmulatedVideoRig(_EmulatedRig):
         self._indexed, self.gated = indexed, gated
         self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
         self.controller: EmulatedController = EmulatedController()
-        order = "G" if slots == 1 else "GR" if bits == 8 else "GRB"
+        self._layout = layout or (TWO_OF_8 if bits == 8 else THREE_OF_7)
+        order = "".join("RGB"[channel] for channel in self._layout.channels)
         self.screen: EmulatedScreen = EmulatedScreen(self.clock, size, rate_hz, order, bits, latency, share)
         self.faults: Faults = Faults()
         self._unit, self._microsteps = unit, MICROSTEPS if unit == "deg" else FINER * MICROSTEPS
@@ -208,8 +209,7 @@ class EmulatedVideoRig(_EmulatedRig):
             stage = StepperStage(self.stepper, self.clock, MICROSTEPS, index=index)
         else:
             stage = self._plug_stage(self._microsteps, self._unit)
-        layouts = {"G": ONE_GRAY, "GR": TWO_OF_8, "GRB": THREE_OF_7}
-        projector = HdmiProjector(self.screen, layouts[self.screen.order], latency)
+        projector = HdmiProjector(self.screen, self._layout, latency)
         return VideoMachines(self.clock, controller, stage, projector)
 
 

@@ -308,7 +308,7 @@ def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[Mir
     screen.place(*first.shape)
     display = HdmiTiming(
         refresh=section.refresh, bits=section.bits, latency=section.latency, pixels=(columns, rows),
-        slots=section.slots,
+        slots=section.layout.slots, dark=section.dark, exposures=section.shortest,
     )  # fmt: skip
     return (screen,), display
 

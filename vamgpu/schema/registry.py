@@ -139,6 +139,7 @@ FAMILIES: dict[str, Family] = {
         {
             "alp": "vamgpu.hosts.rigs.displays:AlpDisplay",
             "lightcrafter": "vamgpu.hosts.rigs.displays:LightCrafterDisplay",
+            "dlpc900": "vamgpu.hosts.rigs.displays:Dlpc900Display",
             "video": "vamgpu.hosts.rigs.displays:VideoDisplay",
             "emulated": "vamgpu.hosts.rigs.displays:EmulatedDisplay",
         },
@@ -155,6 +156,7 @@ FAMILIES: dict[str, Family] = {
     "rig_lens": Family(
         {
             "optotune": "vamgpu.hosts.rigs.optics:OptotuneLens",
+            "optotune-icc": "vamgpu.hosts.rigs.optics:IccLensPart",
             "emulated": "vamgpu.hosts.rigs.optics:EmulatedLensPart",
         },
         word="driver",
