@@ -8,6 +8,7 @@ import time
 import types
 from collections.abc import Callable
 from functools import partial
+from math import copysign
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
@@ -43,6 +44,14 @@ class PolledStage(ClosedOnce):
     def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
         self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
 
+    def position(self) -> float:
+        """Reported position of the axis."""
+        raise NotImplementedError
+
+    def run(self, speed: float) -> None:
+        """Start moving at a constant speed."""
+        raise NotImplementedError
+
     def busy(self) -> bool:
         """Whether the axis moves."""
         raise NotImplementedError
@@ -64,9 +73,26 @@ class PolledStage(ClosedOnce):
             self._pause(POLL)
             waited += POLL
 
+    def run_to(self, position: float, speed: float) -> None:
+        """Run until the axis has passed a position, then stop it; for motors that only know speeds."""
+        way, waited = position - self.position(), 0.0
+        self.run(copysign(speed, way))
+        while (position - self.position()) * way > 0.0:
+            if waited > abs(way) / speed + self._patience:
+                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
+            self._pause(POLL)
+            waited += POLL
+        self.run(0.0)
+
     def endings(self) -> tuple[Callable[[], object], ...]:
         """Stop, and release the line."""
         return self.stop, self.release
+
+
+def geared(microsteps: float, unit: str) -> None:
+    """Raise `BadInput` for impossible microsteps per unit."""
+    if not microsteps > 0 or unit not in ("mm", "deg"):
+        raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
 
 
 def above_zero(speed: float) -> None:
@@ -166,12 +192,10 @@ class ZaberStage(PolledStage):
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
         patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, output: int = 1, gate: int | None = None,
     ) -> None:  # fmt: skip
-        if not microsteps > 0 or unit not in ("mm", "deg"):
-            link.close()
-            raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
         super().__init__(f"stage {device}", unit, patience_s, pause)
         self.microsteps, self._device, self._axis, self._output, self._gate = microsteps, device, axis, output, gate
         with closed_on_error(link):
+            geared(microsteps, unit)
             self._link = ZaberLines(link) if isinstance(link, Wire) else link
             self.kind: int = self._start()
 
@@ -282,8 +306,7 @@ class StandaStage(ClosedOnce):
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
-        if not steps > 0 or unit not in ("mm", "deg"):
-            raise BadInput(f"{steps} steps per {unit!r} are impossible; give those of screw or gear, in mm or deg")
+        geared(steps, unit)
         self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
         self._call("open_device")
 

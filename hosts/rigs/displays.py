@@ -54,7 +54,7 @@ class VideoDisplay(CablePart):
         return 0.0
 
     @property
-    def shortest(self) -> tuple[float, ...]:
+    def shortest(self) -> tuple[Any, ...]:
         """Shortest times of frames of 1 to 8 bits [s]."""
         return HdmiTiming.exposures
 
@@ -102,7 +102,7 @@ class LightCrafterDisplay(VideoDisplay):
         return max(0.0, self.dlpc.rest_us * 1e-6 / len(self.channels))
 
     @property
-    def shortest(self) -> tuple[float, ...]:
+    def shortest(self) -> tuple[Any, ...]:
         return tuple(1e-6 * self.dlpc.shortest_us[bits] for bits in sorted(self.dlpc.shortest_us))
 
     def open(self) -> Any:
