@@ -19,7 +19,8 @@ BY_UART = 0b1100_0000  # of GCONF: the UART stays on, microsteps come from CHOPP
 RESOLUTION = 0xF << 24  # of CHOPPER; 0 is 256 microsteps per full step
 VERSION = 0x21
 TURN = 1024  # values of its counter: four full steps
-INTERNAL_HZ = 12_000_000  # its own clock, some percent off: the counter shows by how much
+INTERNAL_HZ = 12e6  # its own clock, some percent off: the counter shows by how much
+SHORTEST, LONGEST = SECOND // 2, 16 * SECOND  # times over which that is measured [ns]
 FASTEST = 2**23 - 1
 
 
@@ -51,6 +52,7 @@ class Tmc2209Stage(PolledStage):
         super().__init__(wire.name, unit, patience_s, pause)
         self._wire, self._node, self._clock, self.microsteps = wire, node, clock or RealClock(), microsteps
         self._steps, self._rate, self._since, self._echoes = 0.0, 0.0, self._clock.now(), False
+        self._hz, self._tune, self._begin, self._wanted = INTERNAL_HZ, SHORTEST, (0.0, 0), 0.0
         with closed_on_error(wire):
             geared(microsteps, unit)
             try:
@@ -95,26 +97,32 @@ class Tmc2209Stage(PolledStage):
             raise DeviceRefused(f"{self._name} did not take register {register:#x}; check the line", "write")
 
     def position(self) -> float:
-        """The microsteps made: the counter, and its turns by the speed."""
+        """The microsteps made: the counter, and its turns by the speed, which it corrects."""
         asked = self._clock.now()
         value = self._read(COUNTER)
         now = (asked + self._clock.now()) // 2
         expected = self._steps + self._rate * (now - self._since) / SECOND
-        found = expected + (value - expected + TURN / 2) % TURN - TURN / 2
-        if self._rate and now - self._since > SECOND // 100:
-            self._rate = (found - self._steps) / (now - self._since) * SECOND
-        if now - self._since > SECOND // 100 or not self._rate:
-            self._steps, self._since = found, now
-        return found / self.microsteps
+        self._steps = expected + (value - expected + TURN / 2) % TURN - TURN / 2
+        self._since = now
+        if self._rate and now - self._begin[1] > self._tune:
+            way = self._rate * (now - self._begin[1]) / SECOND
+            self._hz *= (self._steps - self._begin[0]) / way
+            self._tune = min(2 * self._tune, LONGEST)
+            self._set(self._wanted)
+        return self._steps / self.microsteps
+
+    def _set(self, rate: float) -> None:
+        """Set the microsteps per second."""
+        value = round(rate * 2**24 / self._hz)
+        if abs(value) > FASTEST:
+            raise BadInput(f"{rate:g} microsteps/s are too fast for a TMC2209; go slower")
+        self._write(VACTUAL, value & 0xFFFFFF)  # 24 bits, signed
+        self._wanted, self._rate, self._begin = rate, value * self._hz / 2**24, (self._steps, self._since)
 
     def run(self, speed: float) -> None:
         """Change to a constant speed at once."""
-        value = round(speed * self.microsteps * 2**24 / INTERNAL_HZ)
-        if abs(value) > FASTEST:
-            raise BadInput(f"a speed of {speed:g} {self.unit}/s is too fast for a TMC2209; go slower")
         self.position()
-        self._write(VACTUAL, value & 0xFFFFFF)  # 24 bits, signed
-        self._rate = value * INTERNAL_HZ / 2**24
+        self._set(speed * self.microsteps)
 
     def move(self, position: float, speed: float) -> None:
         """Run to a position; returns when the motor has passed it."""
