@@ -10,10 +10,10 @@ from typing import NamedTuple, Self
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
+from vamgpu.hosts.drivers.text_line import MOST, exchange
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 TRIES = 16  # queries until a board that restarts at the opening of its port must have answered
-MOST = 200  # most lines before an answer
 SAME = 1e-4  # relative tolerance of steps that a board prints with three decimals
 
 
@@ -64,22 +64,8 @@ class TextStage(PolledStage):
                 continue
         raise WrongDevice(f"{self._wire.name} does not answer {self._says.ask!r}; check port, baud and firmware")
 
-    def _exchange(self, text: str, pattern: str) -> re.Match[str]:
-        """Send a text; the first line that matches the pattern."""
-        with self._wire.lock:
-            self._wire.drain()
-            self._wire.send(text.encode("latin-1"))
-            for _ in range(MOST):
-                if not (line := self._wire.line().decode("ascii", "replace").strip()):
-                    break
-                if refused := re.search(self._says.refused, line):
-                    raise DeviceRefused(f"{self._name} refused {text.strip()!r}: {line}", refused[0])
-                if found := re.search(pattern, line):
-                    return found
-        raise DeviceLost(f"{self._wire.name} does not answer {text.strip()!r}; check its power and its plug")
-
     def _ask(self) -> re.Match[str]:
-        return self._exchange(self._says.ask, self._says.answer)
+        return exchange(self._wire, self._says.ask, self._says.answer, self._says.refused)
 
     def _tell(self, template: str, speed: float, position: float = 0.0, way: float = 0.0) -> None:
         text = template.format(
@@ -87,7 +73,7 @@ class TextStage(PolledStage):
             steps_per_s=speed * self.microsteps,
         )  # fmt: skip
         if self._says.accepted:
-            self._exchange(text, self._says.accepted)
+            exchange(self._wire, text, self._says.accepted, self._says.refused)
         else:
             self._wire.send(text.encode("latin-1"))
 

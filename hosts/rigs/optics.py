@@ -8,10 +8,11 @@ from pydantic import Field
 
 from vamgpu.errors import DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.cleanup import closed_on_error
+from vamgpu.hosts.drivers.diode_laser import DiodeLaser
 from vamgpu.hosts.drivers.icc import IccLens
 from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.drivers.lens import Lens, LensDriver
-from vamgpu.hosts.rigs.roles import LensPart, LightPart
+from vamgpu.hosts.rigs.roles import Baud, LensPart, LightPart
 from vamgpu.hosts.safety.light import Lamp
 
 
@@ -33,6 +34,19 @@ class LaserLight(LightPart):
 
     def open(self) -> Lamp:
         return TtlLamp.open(self.port, self.line)
+
+
+class DiodeLaserLight(LightPart):
+    """A diode laser that takes commands.  port: serial port.  kind: cobolt or obis.  watts: its power at full drive."""
+
+    gate: ClassVar[Literal["controller", "line", "display"]] = "line"
+    port: str
+    kind: Literal["cobolt", "obis"]
+    watts: Annotated[float, Field(gt=0, le=100)]
+    baud: Baud = 115200
+
+    def open(self) -> Lamp:
+        return DiodeLaser.open(self.port, self.kind, self.watts * self.power, self.baud)
 
 
 class DisplayLight(LightPart):

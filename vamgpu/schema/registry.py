@@ -153,6 +153,7 @@ FAMILIES: dict[str, Family] = {
         {
             "controller": "vamgpu.hosts.rigs.optics:ControllerLight",
             "laser": "vamgpu.hosts.rigs.optics:LaserLight",
+            "diode laser": "vamgpu.hosts.rigs.optics:DiodeLaserLight",
             "display": "vamgpu.hosts.rigs.optics:DisplayLight",
         },
         word="driver",
