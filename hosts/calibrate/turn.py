@@ -11,13 +11,11 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate.machines import Progress, need, silent
 from vamgpu.hosts.calibrate.report import CalibrationResult
 from vamgpu.hosts.drivers.camera import CameraDriver
-from vamgpu.hosts.drivers.cleanup import close_all, closed_on_error
+from vamgpu.hosts.drivers.cleanup import close_all
 from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.guarantees import driver_of
-from vamgpu.hosts.schedules.clock import Clock, RealClock
+from vamgpu.hosts.rigs.config import RigFile
+from vamgpu.hosts.schedules.clock import Clock
 
-RATIO = 1.009  # of an emulated vial
 WAVES = 20  # waves per turn of the mark's light
 COARSE = 16  # blocks of an image along each side
 VARIED = 4  # components of the images that are kept
@@ -32,7 +30,7 @@ OFTEN = 200_000_000  # longest time between two queries of the motion [ns]
 class TurnMachines:
     """The motion and the camera of a rig."""
 
-    rig: Any
+    rig: RigFile
     clock: Clock
     stage: Stage
     camera: CameraDriver
@@ -40,42 +38,6 @@ class TurnMachines:
     def close(self) -> None:
         """Release both."""
         close_all([self.camera.close, self.stage.close])
-
-
-def opened(config: RigConfig) -> tuple[TurnMachines, float | None]:
-    """Open a rig's motion and camera, without light and mirrors; and the truth if they are emulated."""
-    rig, camera = config.setup, need(config.setup.camera, "camera")
-    if rig.emulated:
-        return emulated(config), RATIO
-    if driver_of(rig.motion) == "controller":
-        raise BadInput(
-            "a motor that the controller steps has its index and encoder; expected another driver in [motion]"
-        )
-    stage = rig.motion.open("deg")
-    with closed_on_error(stage):
-        return TurnMachines(rig, RealClock(), stage, camera.open()), None
-
-
-def emulated(config: RigConfig, ratio: float = RATIO) -> TurnMachines:
-    """A stage whose vial turns by ``ratio`` of what it reports, and a camera that sees a mark on it."""
-    from vamgpu.hosts.drivers.stages import ZaberStage
-    from vamgpu.hosts.drivers.wire import Wire
-    from vamgpu.hosts.emulators.camera import EmulatedCamera
-    from vamgpu.hosts.emulators.clock import VirtualClock
-    from vamgpu.hosts.emulators.line import plug
-    from vamgpu.hosts.emulators.stage import EmulatedStage
-
-    clock, steps = VirtualClock(), 1000.0
-    machine = EmulatedStage(rotary=True, acceleration=200_000.0, scale=ratio)
-    rows, columns = np.mgrid[-1.0:1.0:48j, -1.0:1.0:64j]
-
-    def scene(now: int) -> np.ndarray:
-        angle = np.radians(machine.true_position(now) / steps)
-        mark = np.exp(-(((rows - 0.7 * np.sin(angle)) / 0.1) ** 2) - (columns / 0.3) ** 2)
-        return 1e6 * (0.3 + 0.5 * max(float(np.cos(angle)), 0.0) * mark)
-
-    stage = ZaberStage(Wire(plug(machine, clock, 0.02), "the stage"), steps)
-    return TurnMachines(config.setup, clock, stage, EmulatedCamera(clock, scene))
 
 
 def turn(

@@ -57,7 +57,7 @@ class TicStage(PolledStage):
                 tic = ticlib.TicUSB(serial_number=port.partition(":")[2] or None)
             except Exception as error:  # the package and libusb raise errors of several kinds
                 raise DeviceNotFound(f"there is no Tic on USB ({error}); check plug, power and permissions") from error
-            line = SimpleNamespace(close=partial(usb.util.dispose_resources, tic.usb))
+            line = SimpleNamespace(close=partial(usb.util.dispose_resources, tic.usb))  # type: ignore[attr-defined]
             return cls(tic, line, "the Tic on USB", microsteps, unit)
         wire = open_wire(port, "the Tic", baud)
         return cls(ticlib.TicSerial(wire.port), wire, wire.name, microsteps, unit)

@@ -11,7 +11,7 @@ from servers import PtyServer
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, JobError, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers import tmc2209
-from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.drivers.stages import PolledStage, Stage
 from vamgpu.hosts.drivers.text_stage import Dialogue, GrblStage, TextStage, grbl
 from vamgpu.hosts.drivers.tic import TicStage
 from vamgpu.hosts.drivers.tmc2209 import Tmc2209Stage
@@ -61,7 +61,7 @@ def test_each_turns_at_its_speed_goes_to_places_and_stops(name: str) -> None:
     clock = VirtualClock()
     machine = board()
     stage = opened(machine, clock)
-    assert isinstance(stage, Stage)
+    assert isinstance(stage, Stage) and isinstance(stage, PolledStage)
     for speed in (6.0, 60.0, -20.0):  # what a tabletop printer turns at, and backwards
         stage.run(speed)
         for _ in range(60):

@@ -240,7 +240,9 @@ def test_what_a_dlpc900_does_not_do_is_told() -> None:
     device = EmulatedDlpc900()
     box = LightCrafter(device, pause=lambda seconds: None, dlpc=dlpc900.DLPC900)
     steps = dlpc900.video((1,), 8, 5478, 5478, 4)
-    short = [step._replace(data=step.data[:-1]) if step.command == dlpc900.DEFINITION else step for step in steps]
+    short = [
+        step._replace(data=(step.data or b"")[:-1]) if step.command == dlpc900.DEFINITION else step for step in steps
+    ]
     box._dlpc = dlpc900.DLPC900._replace(video=lambda *_: tuple(short))
     with pytest.raises(DeviceRefused, match="invalid: parameter"):
         box.show_video((1,), 8, 5478, 5478, "blue")

@@ -11,13 +11,19 @@ from test_planning import vial
 
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.calibrate.connection import opened_turn
 from vamgpu.hosts.calibrate.report import keep
-from vamgpu.hosts.calibrate.turn import TurnMachines, emulated, opened, turn
+from vamgpu.hosts.calibrate.turn import TurnMachines, turn
+from vamgpu.hosts.emulators.calibration import marked_vial
 from vamgpu.hosts.rig import plan
-from vamgpu.hosts.rigs.config import parse_rig, read_rig
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 
 CAMERA = '\n[[feedback]]\ndriver = "camera"\nproducer = "a.cti"\nexposure = "5 ms"\n'
 OPENCAL = (Path(__file__).parents[2] / "docs" / "rigs" / "opencal.toml").read_text("utf-8") + CAMERA
+
+
+def emulated(rig: RigConfig, ratio: float = 1.009) -> TurnMachines:
+    return TurnMachines(rig.setup, *marked_vial(ratio))
 
 
 @pytest.mark.parametrize(("ratio", "speed"), ((0.87, 60.0), (1.0, 6.0), (1.00925, 40.0), (1.15, 6.0)))
@@ -49,9 +55,9 @@ def test_without_a_mark_or_turns_there_is_no_number() -> None:
         turn(machines, turns=2)
     stepped = '[rig]\nname = "lab"\nmachine = "vial"\n[controller]\nport = "/dev/x"\n[display]\ndriver = "alp"\n'
     with pytest.raises(BadInput, match="index and encoder"):
-        opened(parse_rig(f'{stepped}library = "x"\n{CAMERA}'))
+        opened_turn(parse_rig(f'{stepped}library = "x"\n{CAMERA}'))
     with pytest.raises(JobError, match="has no camera"):
-        opened(parse_rig(OPENCAL.replace(CAMERA, "")))
+        opened_turn(parse_rig(OPENCAL.replace(CAMERA, "")))
 
 
 def test_a_motion_stops_when_the_camera_fails() -> None:
@@ -90,4 +96,4 @@ def test_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert main(["calibrate", "turn", "--rig", "emulated", "--turns", "3", "--out", str(tmp_path / "turn")]) == 0
     told = capsys.readouterr().out
     assert "rpm" in told and "emulated" in told and (tmp_path / "turn" / "figure.png").stat().st_size
-    assert isinstance(opened(read_rig("emulated"))[0], TurnMachines)
+    assert isinstance(opened_turn(read_rig("emulated"))[0], TurnMachines)

@@ -198,10 +198,11 @@ def turn(
         turns: number of turns that are watched
         speed: speed of the vial [deg/s]
     """
-    from vamgpu.hosts.calibrate.turn import opened, turn
+    from vamgpu.hosts.calibrate.connection import opened_turn
+    from vamgpu.hosts.calibrate.turn import turn
 
     _run("turn", rig, (), out, settings, overwrite, lambda machines, progress: turn(
-        machines, speed=speed, turns=turns, progress=progress), opened)  # fmt: skip
+        machines, speed=speed, turns=turns, progress=progress), opened_turn)  # fmt: skip
 
 
 def _run(
