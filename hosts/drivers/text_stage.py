@@ -14,6 +14,7 @@ from vamgpu.hosts.drivers.text_line import MOST, exchange
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 TRIES = 16  # queries until a board that restarts at the opening of its port must have answered
+SLOW = 0.2  # time in which a moving axis makes a step at least [s]
 SAME = 1e-4  # relative tolerance of steps that a board prints with three decimals
 
 
@@ -44,7 +45,6 @@ class TextStage(PolledStage):
     ) -> None:  # fmt: skip
         super().__init__(wire.name, unit, patience_s, pause)
         self._wire, self._says, self.microsteps = wire, dialogue, microsteps
-        self._before: float | None = None
         with closed_on_error(wire):
             geared(microsteps, unit)
             self._start()
@@ -105,8 +105,8 @@ class TextStage(PolledStage):
         found = self._ask()
         if self._says.resting:
             return not re.fullmatch(self._says.resting, found["state"])
-        before, self._before = self._before, self._place(found)
-        return before != self._before
+        self._pause(SLOW)
+        return self._place(self._ask()) != self._place(found)
 
     def stop(self) -> None:
         """Start to stop the axis."""

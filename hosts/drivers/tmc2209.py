@@ -52,7 +52,8 @@ class Tmc2209Stage(PolledStage):
         super().__init__(wire.name, unit, patience_s, pause)
         self._wire, self._node, self._clock, self.microsteps = wire, node, clock or RealClock(), microsteps
         self._steps, self._rate, self._since, self._echoes = 0.0, 0.0, self._clock.now(), False
-        self._hz, self._tune, self._begin, self._wanted = INTERNAL_HZ, SHORTEST, (0.0, 0), 0.0
+        self._hz, self._tune, self._wanted = INTERNAL_HZ, SHORTEST, 0.0
+        self._begin: tuple[float, int] | None = None
         with closed_on_error(wire):
             geared(microsteps, unit)
             try:
@@ -104,7 +105,9 @@ class Tmc2209Stage(PolledStage):
         expected = self._steps + self._rate * (now - self._since) / SECOND
         self._steps = expected + (value - expected + TURN / 2) % TURN - TURN / 2
         self._since = now
-        if self._rate and now - self._begin[1] > self._tune:
+        if self._begin is None:  # the first look after a change of speed
+            self._begin = self._steps, now
+        elif self._rate and now - self._begin[1] > self._tune:
             way = self._rate * (now - self._begin[1]) / SECOND
             self._hz *= (self._steps - self._begin[0]) / way
             self._tune = min(2 * self._tune, LONGEST)
@@ -117,7 +120,7 @@ class Tmc2209Stage(PolledStage):
         if abs(value) > FASTEST:
             raise BadInput(f"{rate:g} microsteps/s are too fast for a TMC2209; go slower")
         self._write(VACTUAL, value & 0xFFFFFF)  # 24 bits, signed
-        self._wanted, self._rate, self._begin = rate, value * self._hz / 2**24, (self._steps, self._since)
+        self._wanted, self._rate, self._begin = rate, value * self._hz / 2**24, None
 
     def run(self, speed: float) -> None:
         """Change to a constant speed at once."""

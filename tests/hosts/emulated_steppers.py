@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from math import floor
 
 from vamgpu.hosts.emulators.line import LineDevice
 from vamgpu.hosts.emulators.track import Track
@@ -90,7 +91,7 @@ class EmulatedTic(LineDevice):
     def _variable(self, offset: int, now: int) -> int:
         known = {
             0x02: self.errors, 0x09: 1 if self.by_position else 2, 0x0A: self.target, 0x16: self.max_speed,
-            0x22: round(self.track.position(now)), 0x26: round(self.track.velocity(now) * 1e4),
+            0x22: floor(self.track.position(now)), 0x26: round(self.track.velocity(now) * 1e4),
         }  # fmt: skip
         return known[offset]
 
@@ -149,7 +150,7 @@ class EmulatedTmc2209(LineDevice):
                 signed = value - ((value >> 23 & 1) << 24)
                 self.track.run(now, signed * 12e6 * self.fast / 2**24 * 2 ** (self.registers[0x6C] >> 24 & 15))
             return
-        value = round(self.track.position(now)) % 1024 if register == 0x6A else self.registers.get(register, 0)
+        value = floor(self.track.position(now)) % 1024 if register == 0x6A else self.registers.get(register, 0)
         body = bytes([0x05, 0xFF, register]) + value.to_bytes(4, "big")
         self._out.put(body + bytes([self.check(body)]), now)
 
@@ -249,7 +250,7 @@ class EmulatedFirmware(LineDevice):
             self.received.append(line)
             word, _, value = line.decode("ascii").partition(" ")
             if word == "P":
-                self._out.put(b"pos %d\n" % round(self.track.position(now)), now)
+                self._out.put(b"pos %d\n" % floor(self.track.position(now)), now)
             elif word in ("V", "S"):
                 self.track.run(now, float(value or 0.0))
                 self._out.put(b"done\n", now)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +31,7 @@ class EmulatedLaser(LineDevice):
         super().__init__(300.0)
         self.received: list[str] = []
         self.lit, self.watts = False, 0.0
+        self.on_lit: Callable[[bool], None] = lambda lit: None
 
     def receive(self, data: bytes, now: int) -> None:
         """Take bytes."""
@@ -62,10 +64,11 @@ class EmulatedLaser(LineDevice):
 
     def _light(self, on: bool) -> None:
         self.lit = (on and self.locked) or (self.stuck and self.lit)
+        self.on_lit(self.lit)
 
 
-def laser_of(machine: EmulatedLaser, kind: str | None = None, watts: float = 0.2) -> DiodeLaser:
-    return DiodeLaser(Wire(plug(machine, VirtualClock(), 0.05), "the laser"), kind or machine.kind, watts)
+def laser_of(machine: EmulatedLaser, kind: str | None = None, clock: VirtualClock | None = None) -> DiodeLaser:
+    return DiodeLaser(Wire(plug(machine, clock or VirtualClock(), 0.05), "the laser"), kind or machine.kind, 0.2)
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 from emulated_cube import EmulatedCube
 from emulated_lightcrafter import EmulatedDlpc900
-from emulated_steppers import EmulatedGrbl, EmulatedTic, EmulatedTmc2209
+from emulated_steppers import EmulatedFirmware, EmulatedGrbl, EmulatedTic, EmulatedTmc2209
 from servers import PtyServer
 from tcp_server import TcpServer
+from test_diode_laser import EmulatedLaser, laser_of
 from test_planning import vial
-from test_steppers import grbl_of, tic_of, tmc_of
+from test_steppers import grbl_of, own_of, tic_of, tmc_of
 from test_thorlabs import COUNTS, stage_of
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, JobError, WrongDevice
@@ -82,6 +83,24 @@ def test_a_trigger_at_another_output_or_without_its_gate_gives_no_light(tmp_path
             printed(read_rig(EPFL), tmp_path / str(number), put=elsewhere)
 
 
+def test_a_diode_laser_lights_the_mirrors_at_its_power(tmp_path: Path) -> None:
+    machine = EmulatedLaser("obis")
+
+    def put(stand: Any) -> None:
+        clock, recorder = stand.emulated.clock, stand.emulated.recorder
+        machine.on_lit = lambda lit: recorder.lamp(int(lit), clock.now())
+        stand.machines.lamp = laser_of(machine, clock=clock)
+
+    keys = ("driver=diode laser", "port=/dev/x", "kind=obis", "watts=0.2")
+    rig = read_rig(EPFL, [f"light.{key}" for key in keys])
+    _, verdict = printed(rig, tmp_path, put=put)
+    assert verdict.frames == IMAGES and verdict.greatest < 1e-6 and verdict.beside < 1e-9
+    assert not machine.lit and machine.watts == 0.2 and machine.received.count("SOUR:AM:STAT ON") == 1
+    machine = EmulatedLaser("obis", locked=False)
+    with pytest.raises(DeviceRefused, match="open interlock"):
+        printed(rig, tmp_path / "open", put=put)
+
+
 def test_an_alp_and_a_zaber_are_opened_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     mirrors = EmulatedAlp(VirtualClock(), ArrayModel(height=768, width=1024))
     monkeypatch.setattr(alp, "load", lambda path: mirrors.library)
@@ -109,6 +128,7 @@ BOARDS: dict[str, tuple[Any, Any, float, str]] = {
     "tic": (EmulatedTic, tic_of, 3200.0 / 360.0, 'driver = "tic"'),
     "tmc2209": (lambda: EmulatedTmc2209(fast=0.97), tmc_of, 51200 / 360, 'driver = "tmc2209"'),
     "grbl": (EmulatedGrbl, grbl_of, 1.0, 'driver = "grbl"'),
+    "text": (EmulatedFirmware, own_of, 3200.0 / 360.0, 'driver = "text"'),
 }
 
 
@@ -124,7 +144,7 @@ def test_a_stepper_turns_a_vial_before_a_projector(board: str, speed: float, tmp
     if board == "grbl":
         machine.settings[110] = 7200
     stand, verdict = printed(read_rig(OPENCAL), tmp_path, speed, put)
-    assert verdict.frames == IMAGES and verdict.greatest < 0.06, verdict
+    assert verdict.frames == IMAGES and verdict.greatest < 0.03, verdict
     assert stand.emulated.screen.order == "B"
     assert not stand.emulated.screen._frame.any(), "black at its end"
 
