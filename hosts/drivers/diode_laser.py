@@ -42,7 +42,7 @@ class DiodeLaser(ClosedOnce):
     called = "the laser"
 
     def __init__(self, wire: Wire, kind: str, watts: float) -> None:
-        self._wire = wire
+        self._wire, self._lit = wire, False
         with closed_on_error(wire):
             if kind not in KINDS or not watts > 0:
                 raise BadInput(f"a laser {kind!r} of {watts} W; expected one of {', '.join(KINDS)}, and more than 0 W")
@@ -69,14 +69,22 @@ class DiodeLaser(ClosedOnce):
             raise DeviceRefused(f"{self._wire.name} has an open interlock (it says {said}); close it", "interlock")
         self._tell(self._says.power.format(watts=power * self.watts))
         self._tell(self._says.on)
+        self._lit = True
 
     def off(self) -> None:
         """Turn the light off, and check that it is; DeviceLost if it may be on."""
         with suppress(DeviceRefused):
             self._tell(self._says.off)
+        self._lit = False
         query, dark = self._says.dark
         if (said := self._tell(query, r"\S")) != dark:
             raise DeviceLost(f"{self._wire.name} is not off (it says {said}); switch it off by hand")
+
+    def inspect(self) -> None:
+        """Raise `DeviceError` if it is off and should be on."""
+        query, dark = self._says.dark
+        if self._lit and self._tell(query, r"\S") == dark:
+            raise DeviceError(f"{self._wire.name} is off, and should be on; check its interlock and its temperature")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
         """Turn the light off, and release the port."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 
 log: logging.Logger = logging.getLogger(__name__)
+SAME = 0.01  # greatest difference of a power from the one set [1/m]
 
 
 def _number(found: Any) -> float:
@@ -25,6 +26,7 @@ class IccLens(Closing):
 
     def __init__(self, board: Any, channel: int = 0) -> None:
         self._board, self._number = board, channel
+        self._set: float | None = None
         with closed_on_error(self):
             if self._missing():
                 raise DeviceNotFound(f"channel {channel} of the ICC has no lens; check its plug and channel in [lens]")
@@ -66,6 +68,7 @@ class IccLens(Closing):
         if not self.least <= diopters <= self.greatest:
             raise BadInput(f"a focal power of {diopters:g} dpt; the lens has {self.least:g} to {self.greatest:g} dpt")
         self._call(self._channel.StaticInput.SetFocalPower, "a focal power", float(diopters))
+        self._set = diopters
 
     def power(self) -> float:
         """The focal power set [1/m]."""
@@ -81,6 +84,21 @@ class IccLens(Closing):
     def status(self) -> tuple[str, ...]:
         """Faults of the lens; empty if there are none."""
         return ("lens or sensor missing",) if self._missing() else ()
+
+    def inspect(self, powers: Set[float]) -> None:
+        """Raise `DeviceError` for a fault, or for a power [1/m] that is none of those expected (empty: any)."""
+        if said := self.status():
+            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable", "status")
+        power = self.power()
+        if powers and min(abs(each - power) for each in powers) > SAME:
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {sorted(powers)}: set it again")
+
+    def revive(self) -> None:
+        """Choose its input and its last power again."""
+        self._call(self._channel.StaticInput.SetAsInput, "the choice of its input")
+        if self._set is not None:
+            self.set_power(self._set)
+        self.inspect(set())
 
     def close(self) -> None:
         """Release the controller; the lens keeps its last setting."""

@@ -24,6 +24,7 @@ from vamgpu.storage.numpy_files import read_npz
 from vamgpu.storage.reading import parse_toml, read_text
 
 KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn")
+OWN_STEPS = ("zaber", "grbl")  # motions whose device states its microsteps
 SURE = 4.0  # times its standard error by which a turn must differ before the motion is corrected
 SUFFIX = ".calibration"  # name of the folder beside the rig's file
 STAMP = "%Y-%m-%dT%H%M%S"
@@ -157,7 +158,7 @@ class MachineCalibration:
 
     def motion(self, rig: RigConfig) -> RigConfig:
         """A rig whose microsteps are those of the vial."""
-        if self.turn == 1.0:
+        if self.turn == 1.0 or driver_of(rig.setup.motion) in OWN_STEPS:
             return rig
         motion = rig.setup.motion
         right = motion.model_copy(update={"microsteps": motion.microsteps / self.turn})
@@ -207,6 +208,11 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
             f'{runout.found.eccentricity:.2g} columns stays: center the vial, or use [clock] driver = "stage"'
         )
     turn = _turn(chosen["turn"], measured["turn"]) if "turn" in measured else 1.0
+    if turn != 1.0 and (driver := driver_of(rig.setup.motion)) in OWN_STEPS:
+        notes.append(
+            f"the vial turns {turn:.5g} deg for each that its {driver} reports ({chosen['turn'].name}), whose microsteps "
+            "are the device's own: check coupling and belt"
+        )
     return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turn, turning, used, tuple(notes))
 
 

@@ -36,6 +36,7 @@ class EmulatedLightCrafter:
 
     def __init__(self, polls: int = 2) -> None:
         self.settings: dict[int, bytes] = {p.LED_ENABLE: b"\x08"}
+        self.locked = True  # to the video cable
         self.refuse: set[int] = set()
         self.on_lit: Callable[[bool], None] | None = None
         self.silent = self.unplugged = self.closed = False
@@ -73,6 +74,8 @@ class EmulatedLightCrafter:
             self._out.append((head + data).ljust(p.REPORT, b"\0"))
 
     def _value(self, command: int) -> bytes:
+        if command == p.MAIN_STATUS:
+            return bytes([p.RUNNING if self.locked and self.settings.get(p.DISPLAY) == b"\2" else 0])
         return bytes([self._check()]) if command == p.VALIDATE else self.settings.get(command, b"")
 
     def _set(self, command: int, data: bytes) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from servers import PtyServer
 
-from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, WrongDevice
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.diode_laser import DiodeLaser
 from vamgpu.hosts.drivers.wire import Wire
 from vamgpu.hosts.emulators.clock import VirtualClock
@@ -102,7 +102,11 @@ def test_a_light_that_does_not_go_off_is_told() -> None:
     machine = EmulatedLaser()
     laser = laser_of(machine)
     laser.on()
-    machine.stuck = True
+    laser.inspect()
+    machine.lit = False
+    with pytest.raises(DeviceError, match="is off, and should be on"):
+        laser.inspect()
+    machine.lit = machine.stuck = True
     with pytest.raises(DeviceLost, match="is not off .* by hand"):
         laser.off()
     laser._wire.port.unplug()  # type: ignore[attr-defined]

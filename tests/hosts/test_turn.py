@@ -88,6 +88,9 @@ def test_prints_apply_it(tmp_path: Path) -> None:
     )
     off = read_rig(file, ['calibration.turn="none"'])
     assert plan(job, off, rehearsed=True, turns=1).rig.setup.motion.microsteps == before
+    grbl = read_rig(file, ["motion.driver=grbl", "motion.port=/dev/x", "motion.microsteps=80"])
+    told = plan(job, grbl, rehearsed=True, turns=1)
+    assert told.rig.setup.motion.microsteps == 80.0 and any("check coupling" in note for note in told.calibration.notes)
     keep(turn(emulated(rig, 1.0), turns=4), rig)
     assert plan(job, rig, rehearsed=True, turns=1).rig.setup.motion.microsteps == before, "within its error, the file's"
 
