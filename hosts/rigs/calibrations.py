@@ -210,8 +210,8 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
     turn = _turn(chosen["turn"], measured["turn"]) if "turn" in measured else 1.0
     if turn != 1.0 and (driver := driver_of(rig.setup.motion)) in OWN_STEPS:
         notes.append(
-            f"the vial turns {turn:.5g} deg for each that its {driver} reports ({chosen['turn'].name}); the device states "
-            "its own microsteps: check coupling and belt"
+            f"the vial turns {turn:.5g} deg for each that its {driver} reports ({chosen['turn'].name}); the device "
+            "states its own microsteps: check coupling and belt"
         )
     return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turn, turning, used, tuple(notes))
 
