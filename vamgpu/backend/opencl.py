@@ -18,7 +18,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
-from vamgpu.backend.opencl_platforms import quiet_build
+from vamgpu.backend.opencl_platforms import all_devices, quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
@@ -62,13 +62,14 @@ class OpenclDevice(Device):
     """An OpenCL device with one in-order queue; an item takes 16 to 64 lanes on a CPU, four on a GPU."""
 
     def __init__(self, name: str, context: cl.Context, memory: int | None = None) -> None:
-        (device,) = context.devices
+        named = all_devices().get(name.partition("@")[0])
+        device = named if named in context.devices else context.devices[0]
         super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
         self.memory = memory
         """Memory limit of arrays, in bytes, above which further ones are kept in files; None without a limit."""
-        self.queue: cl.CommandQueue = cl.CommandQueue(context)
+        self.queue: cl.CommandQueue = cl.CommandQueue(context, device)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
         self._has_matrix_units: bool = self._is_nvidia and device.compute_capability_major_nv >= 8
@@ -77,7 +78,7 @@ class OpenclDevice(Device):
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
         # drivers of GPUs take milliseconds to find and to free memory
         self._pool = MemoryPool(ImmediateAllocator(self.queue)) if self.is_gpu else None
-        self._pinned: dict[int, tuple[np.ndarray, cl.Event]] = {}  # by size, and when it is free
+        self._pinned: dict[tuple[str, int], tuple[np.ndarray, cl.Event, cl.Event]] = {}  # by source and size
         self._compiled = lru_cache(maxsize=None)(self.compile)
         self._planned = lru_cache(maxsize=4096)(self._plan)
 
@@ -178,15 +179,17 @@ class OpenclDevice(Device):
     def _through_host(self, handle: Any, other: OpenclDevice, source: Any) -> None:
         """Copy by way of pinned memory: NVIDIA's driver has the host wait for a copy between two of its GPUs."""
         nbytes, flags = min(handle.size, source.size), cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
-        if nbytes not in self._pinned:
+        place = other.name, nbytes
+        if place not in self._pinned:
             access: Any = cl.map_flags.READ | cl.map_flags.WRITE
             buffer = cl.Buffer(self.context, flags, nbytes)
-            self._pinned[nbytes] = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
-        pages, free = self._pinned[nbytes]
+            pages, mapped = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
+            self._pinned[place] = pages, mapped, mapped
+        pages, free, _ = self._pinned[place]
         read = cl.enqueue_copy(other.queue, pages, source, is_blocking=False, wait_for=[free])
         other.queue.flush()
         written = cl.enqueue_copy(self.queue, handle, pages, is_blocking=False, wait_for=[read])
-        self._pinned[nbytes] = pages, written
+        self._pinned[place] = pages, written, read  # an event of host memory that is dropped waits for its end
         self.queue.flush()
 
     def compile(
@@ -206,7 +209,7 @@ class OpenclDevice(Device):
             with quiet_build():
                 program = cl.Program(self.context, kernel.source.read_text())
                 cache: Any = None if cached else False
-                function = cl.Kernel(program.build(options, cache_dir=cache), kernel.name)
+                function = cl.Kernel(program.build(options, [self._device], cache), kernel.name)
                 function.set_scalar_arg_dtypes(_numbers(kernel))
                 return function
         except (cl.Error, RuntimeError) as error:
@@ -220,7 +223,7 @@ class OpenclDevice(Device):
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
         constants = dict(kernel.constants.get(self._kind(kernel, lanes), {}))
         if "HELD" in constants:  # vectors in local memory
-            constants["HELD"] = min(constants["HELD"], self.context.devices[0].local_mem_size // (4 * width))
+            constants["HELD"] = min(constants["HELD"], self._device.local_mem_size // (4 * width))
         return (shape if lanes else {}) | tile | constants
 
     def _kind(self, kernel: Kernel, lanes: int) -> str:

@@ -86,9 +86,20 @@ def all_devices() -> dict[str, Any]:
 @cache
 def context_of(name: str) -> Any:
     """The only context of a named device: PoCL loads its library of built-in functions anew for each context."""
+    # GPUs of a platform share one, so that each can wait for what another does.
     import pyopencl as cl
 
-    return cl.Context([all_devices()[name]])
+    device = all_devices()[name]
+    if not device.type & cl.device_type.GPU:
+        return cl.Context([device])
+    return _context_of_gpus(device.platform)
+
+
+@cache
+def _context_of_gpus(platform: Any) -> Any:
+    import pyopencl as cl
+
+    return cl.Context([each for each in platform.get_devices() if each.type & cl.device_type.GPU])
 
 
 @contextmanager
@@ -106,11 +117,11 @@ def complaint(name: str) -> str | None:
     import pyopencl as cl
 
     try:
-        context = context_of(name)
-        queue = cl.CommandQueue(context)
+        context, device = context_of(name), all_devices()[name]
+        queue = cl.CommandQueue(context, device)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
         with quiet_build():
-            program = cl.Program(context, PROBE).build()
+            program = cl.Program(context, PROBE).build(devices=[device])
         program.twice(queue, (16,), None, buffer)
         got = np.empty(16, np.float32)
         cl.enqueue_copy(queue, got, buffer)
