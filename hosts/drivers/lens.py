@@ -116,19 +116,21 @@ class LensDriver(Closing):
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
 
-    def inspect(self, powers: Set[float]) -> None:
-        """Raise `DeviceError` for a fault, or for a power [1/m] that is none of those expected (empty: any)."""
+    def inspect(self, powers: Set[float]) -> float:
+        """The power set [1/m]; `DeviceError` for a fault, or if it is none of those expected (empty: any)."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        power = self.power() if powers else 0.0
+        power = self.power()
         if powers and min(abs(each - power) for each in powers) > ld4.STEP_DIOPTERS:
             told = ", ".join(f"{each:.3f}" for each in sorted(powers))
             raise DeviceError(f"the lens is at {power:.3f} dpt; expected {told}: check the line that sets it")
+        return power
 
     def revive(self) -> None:
         """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""
         try:
-            return self.inspect(set())
+            self.inspect(set())
+            return
         except DeviceError:
             self._start(self._expected)
         if self._power_mode:

@@ -41,7 +41,7 @@ def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
-    host: str = "127.0.0.1", port: int = 0, live: Switch = False,
+    host: str = "127.0.0.1", port: int = 0, live: Switch = False, mend: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
     that a camera watches, in resin that differs from the plan.
@@ -68,9 +68,13 @@ def print_(
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
+        mend: show frames of a vial whose light was cut again in an added turn, where the proved dose and the budget of
+            light allow it
     """
     if jobs == ("demo", "live") or live:
-        given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
+        given = (
+            speed is None and stop is None and resume is None and not (dry_run or panel or settings or device or mend)
+        )
         return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
@@ -94,7 +98,8 @@ def print_(
 
     order = PrintOrder.of(
         folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
-        rehearsed=dry_run, resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
+        rehearsed=dry_run, resume=resume is not None, unattended=unattended, mend=mend, page=panel,
+        asks=sys.stdin.isatty(),
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
     if not panel:
@@ -183,7 +188,7 @@ def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
 def panel(
     *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
-    device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
+    device: str | None = None, dry_run: Switch = False, mend: Switch = False, attach: Path | None = None,
     host: str = "127.0.0.1", port: int = 8521,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
@@ -199,6 +204,7 @@ def panel(
         unattended: as for ``vam print``
         device: as for ``vam print``
         dry_run: print on emulated machines, in the time that a print takes, on any rig
+        mend: as for ``vam print``
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
@@ -211,7 +217,7 @@ def panel(
         raise BadInput("there is no rig; expected --rig with its TOML file or the word emulated")
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
-        settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port,
+        settings=settings, device=device, dry_run=dry_run, mend=mend, panel=True, stay=True, host=host, port=port,
     )  # fmt: skip
 
 
