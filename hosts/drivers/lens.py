@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Set
 from typing import Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
@@ -116,20 +115,16 @@ class LensDriver(Closing):
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
 
-    def inspect(self, powers: Set[float]) -> float:
-        """The power set [1/m]; `DeviceError` for a fault, or if it is none of those expected (empty: any)."""
+    def inspect(self) -> float:
+        """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        power = self.power()
-        if powers and min(abs(each - power) for each in powers) > ld4.STEP_DIOPTERS:
-            told = ", ".join(f"{each:.3f}" for each in sorted(powers))
-            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {told}: check the line that sets it")
-        return power
+        return self.power()
 
     def revive(self) -> None:
         """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""
         try:
-            self.inspect(set())
+            self.inspect()
             return
         except DeviceError:
             self._start(self._expected)

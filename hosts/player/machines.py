@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
@@ -191,17 +191,16 @@ def within_travel(schedule: Schedule, machines: Machines) -> None:
         )
 
 
-def inspect(machines: Machines, powers: Set[float]) -> dict[str, float | None]:
+def inspect(machines: Machines) -> dict[str, float]:
     """Ask the machines that no status poll reads; returns what they answer, as a `Snapshot` names it.
 
-    powers: of the lens for the present frames [1/m]; empty in the dark. Raises `DeviceError` for a machine that does
-    not answer, has a fault, or does something else.
+    Raises `DeviceError` for a machine that does not answer, or has a fault.
     """
     if isinstance(machines, VideoMachines):
         if isinstance(machines.lamp, Inspected):
             machines.lamp.inspect()
         return {}
-    return {} if machines.lens is None else {"focus": machines.lens.inspect(powers)}
+    return {} if machines.lens is None else {"focus": machines.lens.inspect()}
 
 
 def recover(machines: Machines) -> None:
