@@ -38,7 +38,7 @@ class MachineWatch:
         return self._done(told)
 
     def due(self, slot: int, schedule: Schedule, seen: int) -> bool:
-        """Whether to ask now, ``seen`` being the time of the last poll [ns]: now and then, until all vouch, at the end."""
+        """Whether to ask now: now and then, until all vouch, and at the end. seen: time of the last poll [ns]."""
         if slot != self._slot:
             self._slot, self._before = slot, self._seen
         self._seen = seen

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from math import ceil, floor
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +19,7 @@ from vamgpu.hosts.player.exposure import StopRule
 from vamgpu.hosts.player.rows import steppable
 from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
+from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees, refused
 from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
 from vamgpu.hosts.rigs.turns import Turning, proved
@@ -33,6 +34,7 @@ from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.quantity import parse
 
 HOUR = 3600.0
+NEAR = 10  # greatest ratio of a speed that is suggested to the wanted one
 UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # unit of a speed that is a plain number
 
 
@@ -177,7 +179,7 @@ def plan(
     focus, first = _focus(loaded[0], rig, calibration), loaded[0]
     if rig.setup.video:
         mirrors, display = _screen(first, rig, rehearsed)
-        of, least = partial(_on_a_cable, first, rig, going, display), None
+        of, least = partial(_on_a_cable, first, rig, display, going), None
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
         of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
@@ -188,7 +190,10 @@ def plan(
         schedule = of(1 if turns is None else turns)
     else:
         known = partial(_known, exposure, loaded, device, taken)
-        schedule, dose = Turning(of, rig.setup.light, first.frames.scale, least).schedule(turns, known)
+        others = () if display is None else (
+            _cable_speeds(first.poses, going, display, rig), partial(_on_a_cable, first, rig, display)
+        )  # fmt: skip
+        schedule, dose = Turning(of, rig.setup.light, first.frames.scale, least, *others).schedule(turns, known)
     if driver_of(rig.setup.clock) == "stage" and display is None:
         whole_poses(schedule, rig.setup.motion.microsteps)
     elif not rehearsed and display is None:
@@ -313,7 +318,15 @@ def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[Mir
     return (screen,), display
 
 
-def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, display: HdmiTiming, turns: int) -> Schedule:
+def _cable_speeds(images: int, wanted: float, display: HdmiTiming, rig: RigConfig) -> tuple[float, ...]:
+    """Speeds [deg/s] at which images take whole slots and the rig does not drift too far, the nearest first."""
+    most = Fraction(360, images) * display.slot_rate  # one slot for each
+    counts = range(max(1, ceil(most / (NEAR * Fraction(wanted)))), floor(NEAR * most / Fraction(wanted)) + 1)
+    found = sorted((float(f"{float(most / count):.6g}") for count in counts), key=lambda speed: abs(speed - wanted))
+    return tuple(speed for speed in found if not refused(guarantees(rig.setup, speed), rig.setup))
+
+
+def _on_a_cable(first: PrintJob, rig: RigConfig, display: HdmiTiming, speed: float, turns: int) -> Schedule:
     """A vial or web in front of a video projector."""
     common: dict[str, Any] = {"speed": speed, "display": display, "power": rig.setup.light.power}
     if first.advance is None:
