@@ -121,6 +121,8 @@ class PrintPlan:
             return ()
         turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
+        if self.stop is not None:
+            return (("exposure", f"at most {shown}"),)
         if dose is None:
             return (("exposure", shown), ("dose", "not known: this job has no proof with its exposure"))
         light = dose.share * dose.proved.seconds

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
@@ -15,7 +16,7 @@ from rich.markup import escape
 
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console
-from vamgpu.errors import BadInput, VamError
+from vamgpu.errors import BadInput, DoseWarning, VamError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -86,7 +87,10 @@ def print_(
     exposure = None
     if resume is not None:
         turns, exposure = _begun(resume, turns)
-    planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
+    with warnings.catch_warnings():
+        if stop is not None:  # its turns are the most, and the scatter decides on the dose
+            warnings.simplefilter("ignore", DoseWarning)
+        planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
     exposure = False if planned.dose is None else planned.dose.proved
     if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
