@@ -18,9 +18,9 @@ import numpy as np
 from vamgpu.errors import BadInput, OriginLost, Underrun, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.player.machine_watch import MachineWatch
 from vamgpu.hosts.player.mending import Mending
 from vamgpu.hosts.player.player import Player, StatusPoll, no_lease
-from vamgpu.hosts.player.watching import MachineWatch
 from vamgpu.hosts.records.account import account, wanted_light
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState, PrintStates, StateChange, WrongState
