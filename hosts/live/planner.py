@@ -74,7 +74,7 @@ class Following:
         self._proposed: list[tuple[int, int, float]] = []  # version of the loop, turn and time of each proposal
         self._unseen: dict[int, int] = {}  # the turn after which each version of the print was decided
         self._showed: dict[int, int] = {}  # version of the print in each turn
-        self._turn, self._stop, self._over, self._doubt = 0, 0, False, ""
+        self._turn, self._stop, self._over = 0, 0, False
 
     def run(self) -> None:
         """Run until the print is over."""
@@ -116,6 +116,8 @@ class Following:
         self._state, decision = self._loop.decide(state, stack)
         self._lights[decision.version] = decision.light
         decided = time.perf_counter()
+        checks = [(name, turn, *pair) for name, pair in decision.checks.items()]
+        self._planner.checked(checks, "" if state.doubt else decision.doubt)
         self._told(decision)
         packed = time.perf_counter()
         decision = replace(decision, stages={"sense": sense} | decision.stages | {"pack": packed - decided})
@@ -130,9 +132,6 @@ class Following:
             light = decision.light if decision.turns else np.zeros_like(decision.light)
             if decision.action != "keep" or stop != self._stop:
                 self._propose(decision.version, light, begin, stop)
-        doubted, self._doubt = self._doubt, decision.doubt
-        checks = [(name, decision.turn, *pair) for name, pair in decision.checks.items()]
-        self._planner.checked(checks, "" if doubted else decision.doubt)
         if decision.parameters:
             self._planner.estimate(self._found(decision), self._maps(decision))
 

@@ -52,7 +52,7 @@ def _told(folder: Path, own: str | None) -> dict[str, Any]:
         "message": str(state["message"]),
         "began": end if began is None else began,
         "seconds": 0.0 if began is None else max(end, last or end) - began,
-        "dark": timing.get("dark"),
+        "doubt": timing.get("light", {}).get("in_doubt", 0),
         "running": folder.name != own and not PrintState(state["state"]).ended and running(folder),
         "reports": sorted(each.name for each in folder.glob("*.html") if REPORT.fullmatch(each.name)),
     }

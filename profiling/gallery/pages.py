@@ -1,4 +1,4 @@
-"""Draw the live page in its states and the page of three proofs; needs Playwright and Chromium.
+"""Draw the live page in its states, the report of a live print and of three proofs; needs Playwright and Chromium.
 
 ``python -m profiling.gallery.pages [FOLDER]``
 """
@@ -25,7 +25,9 @@ from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.records.state import Board, Estimated, ImageCheck, PrintState
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.guarantees import guarantees
+from vamgpu.live import CuringResin, LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
 from vamgpu.live.maps import cuts
+from vamgpu.live.report import page as live_page
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading
 from vamgpu.targets import shapes
@@ -34,8 +36,10 @@ DESK, PHONE = (1100, 900), (360, 800)
 SHEET: Any = {"width": 900, "height": 1200}
 COLORS = 192
 """Of the pictures of proofs, which are large otherwise."""
-KEPT = ("printing-vial", "printing-two", "held", "live", "phone")
+KEPT = ("printing-vial", "held", "live", "phone")
 """Which stand in docs/; all others are drawn to be looked at."""
+TUBE = Truth(inhibitor=0.75, lamp=0.9, across=0.3)
+"""How the print of the report differs from its plan."""
 
 
 def frame(angle: float, rows: int = 240, columns: int = 320) -> np.ndarray:
@@ -53,7 +57,7 @@ def believed() -> dict[str, np.ndarray]:
     dose = 0.35 + 0.75 / (1.0 + np.exp(12.0 * (away + 0.03)))
     part = (away < 0).astype(float)
     return {
-        "dose; brightest is 1.5 times what turns solid": cuts(dose, part, 1.5),
+        "dose; brightest is 1.5 times what solidifies": cuts(dose, part, 1.5),
         "conversion seen": cuts(np.clip(1.0 - np.exp(-4.0 * (dose - 0.65)), 0.0, 1.0), part, 1.0, "viridis"),
     }
 
@@ -87,7 +91,8 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         "printing-vial": (DESK, vial | {"scatter": curve, "threshold": 0.35, "camera": frame(1.2) // 2 + 40}),
         "printing-web": (DESK, vial | web),
         "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
-        "live": (DESK, vial | {
+        "live": ((DESK[0], 1150), vial | {
+            "slot": 6900, "position": 6900.4, "frame": 420, "left": 61.0, "spent": 0.712,
             "preview": frame(0.4), "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 13, "parameters": (
                 Estimated("sensitivity", 0.812, 0.021, (0.6, 1.4)), Estimated("absorption", 1.131, 0.042, (0.8, 1.2)),
                 Estimated("across", 0.062, 0.008, (-0.1, 0.1)), Estimated("inhibitor", 0.735, 0.03, (0.38, 1.62)),
@@ -214,8 +219,49 @@ def shoot_proofs(out: Path) -> list[Path]:
     return drawn
 
 
+def watched(folder: Path) -> LiveRecord:
+    """A tube that prints in used resin with a displaced axis, and whose camera is pushed aside after turn 13."""
+    vial, red = (vamgpu.Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=a) for a in (0.1, 0.0))
+    setup = LiveSetup(
+        (32, 32, 16), 0.13, (64, 16), 0.13, 60, vial, red, 800.0, SensorNoise(0.8, 0.01, 10), CuringResin(),
+        Turbidity((0.0, 1.0), (0.0, 0.25)), 1.3, 16, 32, evaluations=6.0,
+    )  # fmt: skip
+    plan = setup.projection(vial)
+    x, y, z = np.meshgrid(*plan.grid.axes(), indexing="ij")
+    part = ((abs(np.hypot(x, y) - 1.1) < 0.5) & (abs(z) < 0.7)).astype(np.float32)
+    light = (vamgpu.optimize(plan, part, "lbfgs", 20, progress=False).sinogram.numpy() / 16).astype(np.float32)
+    record = LiveRecord(folder)
+    printer = VirtualPrinter(plan, setup.camera(), setup.resin, setup.turbidity, TUBE)
+    loop = record.begin(setup, part, light)
+    state, action = loop.start(), "keep"
+    while action != "stop":
+        printer.turn(printer.dose(np.asarray(state.light)))
+        images = np.roll(printer.through(), 5 * (printer.turns > 13), axis=2)
+        state, decision = loop.decide(state, images)
+        record.add(images, decision, effective=decision.turn + 1)
+        action = decision.action
+    return record
+
+
+def shoot_live(out: Path) -> Path:
+    """Draw the report of a live print whose images stop to decide."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
+        record = watched(Path(place) / "tube.run" / "live")
+        browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1000, "height": 1240})
+        page.goto(live_page(record, TUBE).write(Path(place) / "live.html").as_uri())
+        page.screenshot(path=out / "report-live.png")
+        browser.close()
+    Image.open(out / "report-live.png").convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(
+        out / "report-live.png", optimize=True
+    )
+    return out / "report-live.png"
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     shown = folder or Path("docs")
-    for image in (*shoot(shown, () if folder else KEPT), *shoot_proofs(shown)):
+    for image in (*shoot(shown, () if folder else KEPT), shoot_live(shown), *shoot_proofs(shown)):
         print(f"drew {image}")

@@ -104,10 +104,15 @@ def test_turn_time_machine_doubt_and_misfit_are_told(page: Any) -> None:
 
 def test_a_rig_without_a_controller_claims_no_lease_and_no_interlock(page: Any) -> None:
     by = page.get_by_test_id
-    with Panel(busy(guarantees=claims(DOCS / "vialux_zaber.toml"), interlock_closed=None)) as panel:
+    board = busy(guarantees=claims(DOCS / "vialux_zaber.toml"), interlock_closed=None)
+    with Panel(board) as panel:
         page.goto(panel.url)
         by("lease").get_by_text("not there: the light may stay on if the host dies").wait_for()
-        assert "closed" not in told(by, "interlock")
+        assert told(by, "interlock") == "not there"
+        board.show(guarantees=claims("emulated"))
+        by("interlock").get_by_text("not known").wait_for()
+        board.show(guarantees=claims(DOCS / "vialux_zaber.toml"))
+        by("interlock").get_by_text("not there").wait_for()
         page.route("**/state?page", lambda route: route.abort())
         by("lost").get_by_text("No answer for").wait_for()
         assert "The controller closes the light" not in told(by, "lost")
@@ -294,6 +299,8 @@ def test_a_print_tells_what_is_in_doubt_as_its_record_does(tmp_path: Path) -> No
     board, _ = printed(tmp_path, act=cut)
     run = read_run(tmp_path / "part.run")
     assert run.doubt and tuple(map(tuple, board.now.doubt)) == run.doubt
+    (told,) = history.past(tmp_path)
+    assert told["doubt"] == sum(stop - first for first, stop in run.doubt) > 0
 
 
 def test_programs_get_what_the_page_draws() -> None:

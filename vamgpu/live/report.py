@@ -58,7 +58,7 @@ def page(
         note = "Bars are standard deviations; a dashed line is the true value at the start of an emulated print."
         cards.insert(0, Card("Estimates", Chart(_curves(found, true, setup)), wide=True, note=note))
         header = ("", "value", "σ", "true at the start") if true else ("", "value", "σ")
-        cards.append(Card("Estimates after the last turn", Table(_estimates(found[-1], true, setup), header)))
+        cards.append(Card("Last estimates", Table(_estimates(found[-1], true, setup), header)))
     if any(each.get("checks") for each in told):
         note = "Relative to the limits. Beyond a limit, the line is red; images do not decide in the red turns."
         cards.insert(0, Card("Images against the light shown", Chart(_checked(told)), wide=True, note=note))

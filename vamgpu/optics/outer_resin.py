@@ -262,13 +262,13 @@ class _Tile:
         ray = int(self.paths.indices.max(initial=-1))
         return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
 
-    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
-        from scipy.fft import irfft, rfft
-
-        pose = (self.paths @ self.columns[:, first_column : first_column + found.shape[2]]).toarray()
-        pose = pose.reshape(found.shape)
-        waves = np.prod(np.sinc(self.arcs[..., None] / FULL_TURN * np.arange(pose.shape[1] // 2 + 1)), axis=0)
-        found += irfft(rfft(pose, axis=1) * waves[..., None], pose.shape[1], axis=1)
+    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
+        angles, cells, width = out.shape
+        light = (self.paths @ self.columns[:, first : first + width]).toarray()
+        pose = np.zeros((angles, cells // ROWS, ROWS, width))
+        pose[..., : light.shape[1]] = light.reshape(ROWS, angles, cells // ROWS, -1).transpose(1, 2, 0, 3)
+        pose[..., 0] *= factor
+        out.device.put(pose.reshape(out.shape), out)
 
 
 def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:

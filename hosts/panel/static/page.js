@@ -202,7 +202,7 @@ function claims(now) { // as the record of the run lists them
   at("machine").hidden = !now.guarantees.length;
   at("claims").replaceChildren();
   for (const each of now.guarantees) {
-    const row = made("tr", at("claims")), sure = each.kind || (each.holds ? "guaranteed" : "believed");
+    const row = made("tr", at("claims")), sure = each.kind;
     made("th", row, each.about).scope = "row"; // its role stays where a phone sets the cells below each other
     const cell = made("td", row, undefined, sure.replace(" ", "-"));
     made("span", cell, `${SURE[sure] || ""} `).ariaHidden = "true";
@@ -281,7 +281,7 @@ async function past() {
     drawn("path", drawn("svg", item, { viewBox: "0 0 24 24", "aria-hidden": true }), { d: SHAPES[state] || SHAPES.held });
     const gone = ["standby", "printing", "paused", "held"].includes(state) && !now && !each.running;
     made("strong", item, `${each.job || each.name}: ${state}${now ? " (this print)" : each.running ? " (running now)" : gone ? ", left by its host" : ""} `);
-    made("small", item, `${new Date(1000 * each.began).toLocaleString("sv")} · ${time(each.seconds)} · ${each.name} `);
+    made("small", item, `${new Date(1000 * each.began).toLocaleString("sv")} · ${time(each.seconds)} · ${each.name}${each.doubt ? ` · ${each.doubt} frames in doubt` : ""} `);
     if (each.running) made("small", item, `· watch it with vam panel --attach ${each.name} `);
     for (const page of each.reports) made("a", item, "report ").href = `runs/${encodeURIComponent(each.name)}/${page}`;
     if (each.message) { made("br", item); made("small", item, each.message); }
