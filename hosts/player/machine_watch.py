@@ -12,14 +12,16 @@ from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
 PERIOD = SECOND // 2  # between two questions [ns]
-SLACK = SECOND // 100  # error of these times [ns]
+LAG = PERIOD // 4  # time of frames without a voucher after which it is asked at each poll [ns]
+SLACK = SECOND // 100  # error of the times of polls and answers [ns]
 STEP = 0.005  # of focal powers [1/m]
 
 
 class MachineWatch:
     """Asks the machines. ask: raises `DeviceError`; returns fields of a snapshot, ``focus`` is the lens's power [1/m].
 
-    A lens that stands still may be where it should by chance, so it vouches only by another power than before.
+    A lens that stands still may be where it should by chance: it vouches only for frames of its power, and by another
+    power than at the last answer for those up to the first frame that needed it.
     """
 
     vouched: int  # slot before which all machines did their work
@@ -27,14 +29,15 @@ class MachineWatch:
 
     def __init__(self, ask: Callable[[], Mapping[str, object]], clock: Clock) -> None:
         self._ask, self._clock = ask, clock
-        self._first = self._due = self._slot = self._before = self._seen = self.vouched = 0
+        self._first = self._due = self._slot = self._before = self._seen = self._slot_asked = self.vouched = 0
         self._power: float | None = None
         self.silent = False
 
     def begin(self, first: int) -> Mapping[str, object]:
         """Ask in the dark, before a slot, when a lens may be at any power."""
         told = self._asked()
-        self._first, self.vouched, self._power = first, first, None
+        self._first = self.vouched = self._slot_asked = first
+        self._power = None
         return self._done(told)
 
     def due(self, slot: int, schedule: Schedule, seen: int) -> bool:
@@ -59,11 +62,15 @@ class MachineWatch:
         if not np.any(np.abs(possible - power) <= STEP):
             wanted = ", ".join(f"{each:.3f}" for each in sorted(set(possible.tolist())))
             raise DeviceError(f"the lens is at {power:.3f} dpt; expected {wanted}: check the line that sets it")
-        moved = (schedule.command[self.vouched : max(near) + 1] != NONE).any()
-        if not moved or (self._power is not None and abs(power - self._power) > STEP):
-            self.vouched = slot
-        self._power = power
-        return self._done(told, again=self.vouched < slot)
+        last = max(near) + 1
+        if (np.abs(schedule.focus[self.vouched : last] - power) <= STEP).all():
+            self.vouched = slot  # it need not have moved
+        elif self._power is not None and abs(power - self._power) > STEP:
+            start = max(self._slot_asked - 1, 0)  # it moved since the last answer, for the first such slot at least
+            reached = start + int(np.argmax(np.abs(schedule.focus[start:last] - power) <= STEP))
+            self.vouched = min(max(self.vouched, reached + 1), slot)
+        self._power, self._slot_asked = power, slot
+        return self._done(told, again=(slot - self.vouched) * schedule.gap > LAG)
 
     def _asked(self) -> Mapping[str, object]:
         self.silent = True

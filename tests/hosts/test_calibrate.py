@@ -191,7 +191,8 @@ def test_tables_that_are_missing_are_named() -> None:
 
 
 def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
-    text = '[rig]\nname = "lab"\nmachine = "web"\n[motion]\nmicrosteps = 80.0\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
+    text = '[rig]\nname = "lab"\nmachine = "web"\n[motion]\nmicrosteps = 80.0\n'
+    text += '[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
     text += '[display]\ndriver = "alp"\nlibrary = "/none.so"\n'
     camera = '[[feedback]]\ndriver = "camera"\nproducer = "/none.cti"\n'
     with pytest.raises(DeviceNotFound, match="/dev/none"):

@@ -36,7 +36,7 @@ class Answers:
 
     def __init__(self, name: str, place: Path) -> None:
         self.stand, self.board = RigStand(name, place), Board(job="part.vam")
-        self.answered, self.during = set[str](), Snapshot()
+        self.answered, self.after, self.during = set[str](), set[str](), Snapshot()
         for machine, method in ASKED.items():
             found: Any = getattr(self.stand.stand.machines, machine, None)
             for each in found if isinstance(found, list) else [found]:
@@ -58,8 +58,7 @@ class Answers:
 
         def asked(*arguments: Any, **named: Any) -> Any:
             answer = ask(*arguments, **named)
-            if self.board.now.light:
-                self.answered.add(machine)
+            (self.answered if self.board.now.light else self.after if self.during.light else set[str]()).add(machine)
             return answer
 
         setattr(driver, method, asked)
@@ -89,7 +88,7 @@ def test_each_claim_of_the_record_has_a_machine_that_answered(answers: Answers) 
         assert one["holds"] is (one["kind"] in ("guaranteed", "watched")) is bool(one["sensor"]), about
         assert not one["holds"] or one["sensor"] in answers.answered, f"{about}: {one['sensor']} said nothing"
     assert {"step", "display", "position", "scale", "light", "lease", "interlock", "lamp"} <= set(answers.claims)
-    assert ("lens" in answers.claims) is ("lens" in answers.answered)
+    assert ("lens" in answers.claims) is ("lens" in answers.answered) is ("lens" in answers.after), "also at the end"
 
 
 def test_the_terminal_shows_the_table_of_the_record(answers: Answers) -> None:

@@ -57,12 +57,14 @@ class Trial:
         def happens() -> None:
             self.happened = True
             fault(self)
-            self.dead = life.dead = life.dead or self.dead
 
         count, _ = acts(self.stand.name)
-        life._happens = {self.chance.randrange(count // 5, count): happens}
+        moment = self.chance.randrange(count // 5, count)
+        life._happens = {moment: happens}
+        life._death, life._after = (moment if fault is killed else None), self.chance.random() < 0.5
         with suppress(VamError, KeyboardInterrupt, SystemExit):
             self.stand.hosts(life, board=self.board, go_on=lambda job: False)
+        self.dead = life.dead
         if self.dead:
             self.stand.abandoned(at_once=True)
         return read_run(self.stand.run).state
@@ -71,8 +73,25 @@ class Trial:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def killed(trial: Trial) -> None:
-    trial.dead = True
+class Later:
+    """Does something a few milliseconds from now, while the host sleeps, as another thread does."""
+
+    def __init__(self, trial: Trial, act: Callable[[], object]) -> None:
+        self._clock, self._act = trial.emulated.clock, act
+        self._at: int | None = self._clock.now() + round(trial.chance.uniform(0.001, 0.03) * SECOND)
+        self._clock.attach(self)
+
+    def due(self) -> int | None:
+        return self._at
+
+    def advance(self, now: int) -> None:
+        if self._at is not None and now >= self._at:
+            self._at = None
+            self._act()
+
+
+def killed(_: Trial) -> None:
+    """The host dies at this act."""
 
 
 def stalled(trial: Trial) -> None:
@@ -80,15 +99,15 @@ def stalled(trial: Trial) -> None:
 
 
 def stopped(trial: Trial) -> None:
-    trial.board.stop("emergency stop")
+    Later(trial, lambda: trial.board.stop("emergency stop"))
 
 
-def interrupted(_: Trial) -> None:
-    signal.raise_signal(signal.SIGINT)
+def interrupted(trial: Trial) -> None:
+    Later(trial, lambda: signal.raise_signal(signal.SIGINT))
 
 
-def terminated(_: Trial) -> None:
-    signal.raise_signal(signal.SIGTERM)
+def terminated(trial: Trial) -> None:
+    Later(trial, lambda: signal.raise_signal(signal.SIGTERM))
 
 
 def paused(trial: Trial) -> None:
