@@ -192,10 +192,12 @@ def plan(
         schedule = of(1 if turns is None else turns)
     else:
         known = partial(_known, exposure, loaded, device, taken)
-        others = () if display is None else (
-            _cable_speeds(first.poses, going, display, rig), partial(_on_a_cable, first, rig, display)
-        )  # fmt: skip
-        schedule, dose = Turning(of, rig.setup.light, first.frames.scale, least, *others).schedule(turns, known)
+        speeds, at = (), None
+        if display is not None:
+            speeds = _cable_speeds(first.poses, going, display, rig)
+            at = partial(_on_a_cable, first, rig, display)
+        turning = Turning(of, rig.setup.light, first.frames.scale, least, speeds, at)
+        schedule, dose = turning.schedule(turns, known)
     if driver_of(rig.setup.clock) == "stage" and display is None:
         whole_poses(schedule, rig.setup.motion.microsteps)
     elif not rehearsed and display is None:

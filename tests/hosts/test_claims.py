@@ -197,9 +197,10 @@ def test_a_projector_that_lost_its_video_or_its_light_is_told() -> None:
 
 def test_a_stage_that_is_wrong_by_two_gets_no_light(tmp_path: Path) -> None:
     stand = RigStand("vialux_zaber", tmp_path)
+    machines: Any = stand.stand.machines
     stand.emulated.stage.settings["limit.cycle.dist"] *= 2
     with pytest.raises(WrongDevice, match="every angle would be wrong"):
-        stand.emulated.machines(stand.stand.machines.microsteps)
+        stand.emulated.machines(machines.microsteps)
 
 
 def test_a_lens_that_dies_holds_the_print_and_is_revived(tmp_path: Path) -> None:

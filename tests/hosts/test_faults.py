@@ -34,7 +34,8 @@ class Trial:
 
     def __init__(self, name: str, place: Path, seed: int, patch: pytest.MonkeyPatch) -> None:
         self.stand, self.chance, self.patch, self.board = RigStand(name, place), random.Random(seed), patch, Board()
-        self.emulated, self.machines = self.stand.emulated, self.stand.stand.machines
+        self.emulated: Any = self.stand.emulated
+        self.machines: Any = self.stand.stand.machines
         self.happened = self.dead = False
         self.record: Any = None
         begin = RunFolder.begin
