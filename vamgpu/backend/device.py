@@ -415,7 +415,7 @@ class Device(ABC):
 
         Raises `KernelError` for what does not fit the declaration.
         """
-        if set(bindings) != set(kernel.arguments):
+        if bindings.keys() != kernel.arguments.keys():
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"
             )

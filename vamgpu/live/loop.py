@@ -247,8 +247,9 @@ class LiveLoop:
             decision = self._kept(at, f"refused: {error}")
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
+        found = np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else state.values
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, _values(decision, state.values), at.clear, at.images,
+                          at.committed, found, at.clear, at.images,
                           decision.doubt)  # fmt: skip
         return after, decision
 
@@ -442,7 +443,3 @@ class LiveLoop:
             row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
         i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
         return float(GAINS[i]), float(INHIBITORS[k])
-
-
-def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:
-    return np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else last

@@ -116,6 +116,9 @@ def _read(file: Path) -> trimesh.Trimesh:
             f"cannot read {file.name!r} as {kind.upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"
         ) from error
+    if not len(mesh.faces):
+        raise EmptyMesh(f"{file.name!r} has no triangles: it is empty, or no {kind.upper()} file; expected a triangle "
+                        "mesh: export the part again")  # fmt: skip
     if count > len(mesh.faces):  # the reader drops them in silence, which leaves holes
         raise MeshError(
             f"{file.name}: {count - len(mesh.faces)} of {count} triangles have corners that are NaN or infinite; "
