@@ -75,10 +75,8 @@ def print_(
             light allow it
     """
     if jobs == ("demo", "live") or live:
-        given = (
-            speed is None and stop is None and resume is None and not (dry_run or panel or settings or device or mend)
-        )
-        return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
+        given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
+        return _live(jobs, rig, 16 if turns is None else turns, out, plain=not given)
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
