@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from math import ceil, floor
@@ -76,7 +76,10 @@ class PrintPlan:
     @property
     def guarantees(self) -> Guarantees:
         """The rig's guarantees at the plan's speed, with those that do not hold."""
-        return guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
+        found = guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
+        if self.rehearsed and len(self.focus) < 2:  # then no lens is emulated
+            found = replace(found, each=tuple(one for one in found.each if one.about != "lens"))
+        return found
 
     @property
     def bits(self) -> int:

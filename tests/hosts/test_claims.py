@@ -123,6 +123,16 @@ def test_the_page_draws_no_more(answers: Answers, page: Any) -> None:
         assert claims[about]["holds"] or not re.search("closed|closes", values[about])
 
 
+def test_a_lens_that_a_rehearsal_does_not_emulate_vouches_for_nothing(tmp_path: Path) -> None:
+    from test_planning import vial
+
+    from vamgpu.hosts.rig import plan, read_rig, rehearsal
+
+    planned = plan(vial(tmp_path / "job.vam", images=36), read_rig("emulated"), turns=1)
+    machines: Any = rehearsal(planned).machines
+    assert machines.lens is None and "lens" not in dict(planned.lines())
+
+
 def test_every_rig_file_is_read_here() -> None:
     assert {path.stem for path in RIGS.glob("*.toml")} == set(NAMES)
 
