@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Self
+from typing import Protocol, Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers import optotune_protocol as ld4
@@ -14,8 +14,21 @@ log: logging.Logger = logging.getLogger(__name__)
 WINDOW = (20.0, 45.0)  # temperatures [degC] in which the lens keeps its focal power
 
 
+class Lens(Protocol):
+    """A tunable lens that the host sets."""
+
+    # set the focal power [1/m]; returns before the lens has settled
+    def set_power(self, diopters: float) -> None: ...
+    def power(self) -> float: ...  # the focal power set [1/m]
+    def temperature(self) -> float: ...  # of the lens [degC]; DeviceRefused without a sensor
+    def status(self) -> tuple[str, ...]: ...  # faults
+    def inspect(self) -> float: ...  # the power set [1/m]; raises `DeviceError` for a fault
+    def revive(self) -> None: ...  # start again after it lost its power, at its last focal power
+    def close(self) -> None: ...  # release it
+
+
 class LensDriver(Closing):
-    """A lens driver: one handshake, then settings without answers, so that no schedule waits."""
+    """A lens driver: one handshake, then settings without answers; no schedule waits for it."""
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire
@@ -119,7 +132,10 @@ class LensDriver(Closing):
         """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        return self.power()
+        power = self.power()
+        if self._set is not None and abs(power - self._set) > ld4.STEP_DIOPTERS:
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
+        return power
 
     def revive(self) -> None:
         """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""

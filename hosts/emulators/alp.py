@@ -1,6 +1,6 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
-``EmulatedAlp.library`` has real C functions, so wrong integer widths or bad pointers fail as on the device.
+``EmulatedAlp.library`` has real C functions; wrong integer widths or bad pointers therefore fail as on the device.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ ENTRIES: dict[str, tuple[Any, ...]] = {
     "AlpDevAlloc": (N, N, IDS),
     "AlpDevInquire": (U, N, LONGS),
     "AlpDevControl": (U, N, N),
+    "AlpDevControlEx": (U, N, P),
     "AlpDevHalt": (U,),
     "AlpDevFree": (U,),
     "AlpSeqAlloc": (U, N, N, IDS),
@@ -40,7 +41,7 @@ ENTRIES: dict[str, tuple[Any, ...]] = {
 
 
 class EmulatedAlp(EmulatedArray):
-    """The device; a driver is given its ``library``. ``removed`` is a pulled plug, ``crash`` an error in a call."""
+    """The emulated device; a driver gets its ``library``. ``removed``: a pulled plug; ``crash``: an error in a call."""
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
         super().__init__(clock, model)
@@ -48,6 +49,7 @@ class EmulatedAlp(EmulatedArray):
         self._next_id = self._next_queue = 1
         self.allocated: bool = False
         self.floating: bool = False
+        self.gates: dict[int, bytes] = {}  # what was set of each gated synch output
         self.rising: bool = True
         self.crash: BaseException | None = None
         entries = {name: self._entry(name, types) for name, types in ENTRIES.items()}
@@ -159,7 +161,7 @@ class EmulatedAlp(EmulatedArray):
     # the device
 
     def disconnect(self) -> None:
-        """The process that held it has ended, and the system released it: dark, without frames."""
+        """The process that used it has ended, and the system released it: dark, without frames."""
         with self.clock.lock:
             self.advance(self.clock.now())
             self._queue.clear()
@@ -192,6 +194,13 @@ class EmulatedAlp(EmulatedArray):
             self.floating = value == 1
         else:
             return INVALID
+        return 0
+
+    def _AlpDevControlEx(self, kind: int, address: int) -> int:  # noqa: N802
+        gate = ctypes.string_at(address, 18)
+        if kind not in (2023, 2024, 2025) or gate[0] > 16 or gate[1] > 1 or max(gate[2 : 2 + gate[0]], default=0) > 1:
+            return INVALID
+        self.gates[kind - 2022] = gate
         return 0
 
     def _AlpDevHalt(self) -> None:  # noqa: N802

@@ -77,7 +77,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         )
         self._lost = approach.lost
         self._origin = approach.to(start, self._origin, alive)
-        code = None if self.machines.lens is None else self.machines.lens.code
+        code = getattr(self.machines.lens, "code", None)  # only a lens driver on the controller's line has one
         channels = (1 << self.schedule.engines) - 1
         self._rows = RowTable(self.schedule, self.machines.microsteps, self._origin.at, code, channels)
         self._motion = SpeedMonitor(self.schedule, self.machines.microsteps)
@@ -107,7 +107,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         lost = {} if self._lost is None else {"lost": self._lost}
         return {"origin": self._origin.at, "preroll": PREROLL} | own | lost
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Let the controller play its rows."""
         self._polled = self.clock.now()
@@ -149,7 +149,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
             speed = float(self.schedule.speed) * self.machines.microsteps
             overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
             if overdue > PATIENCE:
-                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, though the motion is there"
+                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, although the axis turns"
         return None
 
     def feed(self) -> None:

@@ -126,7 +126,7 @@ def _on_a_cable(setup: RigFile, motion: str, clock: str, display: str, by_rows: 
          f'"web", got "{machine}"', "rig.machine"),
         (motion == "controller", f'driver "{display}": expected [motion] with a stage, whose angle chooses the frames, '
          'or a stepper; got "controller"', "motion"),
-        (setup.lens is not None, f'driver "{display}" prints with one focus, without a lens; remove [lens]',
+        (by_rows, f'driver "{display}" prints with one focus, which the host sets; expected controlled_by = "host"',
          "lens"),
         (clock not in ("vblank", "free"), f'driver "{clock}": a video cable has no trigger input; expected "vblank", '
          'or "free" with an accepted drift', "clock"),
@@ -174,7 +174,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
         why = "each frame is triggered by the controller's own steps"
         return Guarantee("step", "guaranteed", why, sensor="controller"), 0.0
     if clock == "stage":
-        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its pose", sensor="stage"), 0.0
+        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its angle", sensor="stage"), 0.0
     if clock == "vblank" and setup.motion.reports:
         why = "the angle that the stage reports selects the frame of every refresh"
         return Guarantee("step", "watched", why, sensor="stage"), 0.0
@@ -197,7 +197,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
 
 
 def _rounded_up(drift: float) -> float:
-    """Round a drift up to two digits, so that the number in the message is enough to accept it."""
+    """Round a drift up to two digits, which makes the number in the message large enough to accept it."""
     if drift <= 0:
         return 0.0
     digit = 10.0 ** (floor(log10(drift)) - 1)

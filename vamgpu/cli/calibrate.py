@@ -1,10 +1,10 @@
-"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | list``."""
+"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | list``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from rich.markup import escape
@@ -13,8 +13,8 @@ from vamgpu.cli.commands import app
 from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.calibrate.machines import CalibrationMachines
     from vamgpu.hosts.calibrate.report import CalibrationResult
+    from vamgpu.hosts.rigs.config import RigConfig
 
 group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; --rig emulated is a dry run.")
 app.command(group)
@@ -60,10 +60,10 @@ def axis(
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
         first: first column that is lit
-        stop: column after the last one
+        stop: column after the last lit one
         every: step from one lit column to the next
         repeats: number of readings of each
-        radius: radius of the roller [columns], if only one edge is in reach
+        radius: radius of the roller [columns], if only one edge can be scanned
         flip_r: set it if jobs are packed with flip_r
         projector: number of the projector, from 0
     """
@@ -102,7 +102,7 @@ def flat(
 ) -> None:  # fmt: skip
     """Measure how uniform each projector is at full drive, with a photodiode that collects all of its light.
 
-    Keep everything out of the light during the measurement, a roller as well.
+    Keep everything out of the light during the measurement, also the roller.
 
     Args:
         rig: the TOML file of the rig, or emulated
@@ -146,9 +146,9 @@ def mtf(
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default. A job's beam.spread may name it
+        out: folder of the result; beside the rig's file by default. beam.spread of a job may name it
         at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
-        focused: result of vam calibrate focus, which focuses the lens on each position; without it the lens stays
+        focused: result of vam calibrate focus, used to focus on each position; by default the lens does not change
         angle: angle between the edge and the columns [deg]
         repeats: number of images that are averaged
         projector: number of the projector, from 0
@@ -185,9 +185,30 @@ def runout(
         machines, poses=angles, repeats=repeats, speed=speed, projector=projector, progress=progress))  # fmt: skip
 
 
+@group.command
+def turn(
+    *, rig: str, out: Path | None = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
+    overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Measure the vial's speed, and its turn in degrees that the motion reports: a camera watches a mark on the vial.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        out: folder of the result; beside the rig's file by default, where prints find it
+        turns: number of turns that are watched
+        speed: speed of the vial [deg/s]
+    """
+    from vamgpu.hosts.calibrate.connection import opened_turn
+    from vamgpu.hosts.calibrate.turn import turn
+
+    _run("turn", rig, (), out, settings, overwrite, lambda machines, progress: turn(
+        machines, speed=speed, turns=turns, progress=progress), opened_turn)  # fmt: skip
+
+
 def _run(
     kind: str, rig: str, tables: tuple[str, ...], out: Path | None, settings: list[str] | None, overwrite: bool,
-    measure: Callable[[CalibrationMachines, Callable[[float], None]], CalibrationResult],
+    measure: Callable[[Any, Callable[[float], None]], CalibrationResult],
+    opening: Callable[[RigConfig], tuple[Any, Any]] | None = None,
 ) -> None:  # fmt: skip
     """Open the machines, measure, and write the result."""
     from rich.progress import Progress
@@ -203,7 +224,9 @@ def _run(
         out = Path(kind)
     if out is not None:
         free(out, overwrite)
-    if config.setup.emulated:
+    if opening is not None:
+        stand, optics = opening(config)
+    elif config.setup.emulated:
         stand, optics = rehearsal(config, tables, kind=kind)
     else:
         stand, optics = opened(config, tables), None
