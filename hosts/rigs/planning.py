@@ -77,9 +77,11 @@ class PrintPlan:
     def guarantees(self) -> Guarantees:
         """The rig's guarantees at the plan's speed, with those that do not hold."""
         found = guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
-        if self.rehearsed and len(self.focus) < 2:  # then no lens is emulated
-            found = replace(found, each=tuple(one for one in found.each if one.about != "lens"))
-        return found
+        if not self.rehearsed:
+            return found
+        lens = len(self.focus) > 1  # of one focus no lens is emulated, and of projectors no LEDs
+        each = (replace(one, kind="believed", sensor="") if one.sensor == "lamp" else one for one in found)
+        return replace(found, each=tuple(one for one in each if lens or one.about != "lens"))
 
     @property
     def bits(self) -> int:
