@@ -162,7 +162,14 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
         '[display]\ndriver = "lightcrafter"\n[light]\ndriver = "display"\n'
     )
     one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True, turns=1)
-    assert [each.about for each in one.guarantees.lacking] == ["display", "scale", "light", "lease", "interlock", "lamp"]
+    assert [each.about for each in one.guarantees.lacking] == [
+        "display",
+        "scale",
+        "light",
+        "lease",
+        "interlock",
+        "lamp",
+    ]
     assert seen(one, tmp_path / "run").greatest < 0.02
 
 
