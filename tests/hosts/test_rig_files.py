@@ -164,13 +164,6 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
     one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True, turns=1)
     lacking = [each.about for each in one.guarantees.lacking]
     assert lacking == ["display", "scale", "light", "lease", "interlock", "lamp"]
-        "display",
-        "scale",
-        "light",
-        "lease",
-        "interlock",
-        "lamp",
-    ]
     assert seen(one, tmp_path / "run").greatest < 0.02
 
 
