@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound, DeviceRefused
@@ -85,20 +85,21 @@ class IccLens(Closing):
         """Faults of the lens; empty if there are none."""
         return ("lens or sensor missing",) if self._missing() else ()
 
-    def inspect(self, powers: Set[float]) -> None:
-        """Raise `DeviceError` for a fault, or for a power [1/m] that is none of those expected (empty: any)."""
+    def inspect(self) -> float:
+        """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
-            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable", "status")
+            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
         power = self.power()
-        if powers and min(abs(each - power) for each in powers) > SAME:
-            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {sorted(powers)}: set it again")
+        if self._set is not None and abs(power - self._set) > SAME:
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
+        return power
 
     def revive(self) -> None:
         """Choose its input and its last power again."""
         self._call(self._channel.StaticInput.SetAsInput, "the choice of its input")
         if self._set is not None:
             self.set_power(self._set)
-        self.inspect(set())
+        self.inspect()
 
     def close(self) -> None:
         """Release the controller; the lens keeps its last setting."""

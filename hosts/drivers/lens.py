@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Set
 from typing import Protocol, Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
@@ -23,8 +22,7 @@ class Lens(Protocol):
     def power(self) -> float: ...  # the focal power set [1/m]
     def temperature(self) -> float: ...  # of the lens [degC]; DeviceRefused without a sensor
     def status(self) -> tuple[str, ...]: ...  # faults
-    # raise `DeviceError` for a fault, or for a power that is none of those expected
-    def inspect(self, powers: Set[float]) -> None: ...
+    def inspect(self) -> float: ...  # the power set [1/m]; raises `DeviceError` for a fault
     def revive(self) -> None: ...  # start again after it lost its power, at its last focal power
     def close(self) -> None: ...  # release it
 
@@ -130,19 +128,20 @@ class LensDriver(Closing):
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
 
-    def inspect(self, powers: Set[float]) -> None:
-        """Raise `DeviceError` for a fault, or for a power [1/m] that is none of those expected (empty: any)."""
+    def inspect(self) -> float:
+        """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
-        power = self.power() if powers else 0.0
-        if powers and min(abs(each - power) for each in powers) > ld4.STEP_DIOPTERS:
-            told = ", ".join(f"{each:.3f}" for each in sorted(powers))
-            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {told}: check the line that sets it")
+        power = self.power()
+        if self._set is not None and abs(power - self._set) > ld4.STEP_DIOPTERS:
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {self._set:.3f}: set it again")
+        return power
 
     def revive(self) -> None:
         """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""
         try:
-            return self.inspect(set())
+            self.inspect()
+            return
         except DeviceError:
             self._start(self._expected)
         if self._power_mode:

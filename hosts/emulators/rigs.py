@@ -26,6 +26,7 @@ from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMac
 
 LENS_BAUD = 38400
 MICROSTEPS = 1000.0  # microsteps of the video rig's stage per degree
+UNBOUND = 10**12  # limits of a stage without ends [microsteps]
 FINER = 100  # microsteps per millimeter / microsteps per degree
 
 
@@ -126,7 +127,7 @@ class EmulatedStageRig(_TriggeredRig):
     ) -> None:  # fmt: skip
         super().__init__(clock, model, engines)
         self.microsteps, self.unit = microsteps, unit
-        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1])
+        self.stage = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1])
         self.controller = EmulatedController(channels=max(2, engines)) if controller else None
         self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
         self._record(DoseRecorder(
@@ -148,6 +149,8 @@ class EmulatedStageRig(_TriggeredRig):
 
     def machines(self, microsteps_per_unit: float) -> StageMachines:
         """The drivers, opened like those of real machines."""
+        if self.unit == "deg" and not self.stage.settings["limit.cycle.dist"]:
+            self.stage.settings["limit.cycle.dist"] = round(360 * microsteps_per_unit)
         stage, controller = self._plug_stage(microsteps_per_unit, self.unit), self._plug_controller()
         lamp = None if self.line is None else TtlLamp(self.line)
         return StageMachines(self.clock, stage, self._mirrors(), microsteps_per_unit, controller, lamp)
@@ -172,7 +175,8 @@ class EmulatedVideoRig(_EmulatedRig):
             None if stepper is None else EmulatedStepper(self.clock, 360.0 * MICROSTEPS, stepper)
         )
         self._indexed, self.gated = indexed, gated
-        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
+        self.stage = EmulatedStage(UNBOUND, rotary=True, acceleration=200_000.0, scale=scale)
+        self.stage.settings["limit.cycle.dist"] = round(360 * MICROSTEPS) if unit == "deg" else 0
         self.controller: EmulatedController = EmulatedController()
         self._layout = layout or (TWO_OF_8 if bits == 8 else THREE_OF_7)
         order = "".join("RGB"[channel] for channel in self._layout.channels)

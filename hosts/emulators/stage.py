@@ -23,6 +23,7 @@ class EmulatedStage(LineDevice):
     acceleration: float = 2_000_000.0
     device: int = 1
     latency_us: float = 90.0
+    encoder: bool = False
     scale: float = 1.0  # ratio of true to reported position, as with a slipping belt
     wired: int = 1  # number of the output on the mirrors' trigger
     joined: int | None = None  # number of the output that a board joins with it
@@ -30,7 +31,8 @@ class EmulatedStage(LineDevice):
     def __post_init__(self) -> None:
         super().__init__(self.latency_us)
         self.track: Track = Track(self.acceleration)
-        self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64, "limit.max": self.limit}
+        limits = {"limit.min": -self.limit if self.rotary else 0, "limit.max": self.limit, "limit.cycle.dist": 0}
+        self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64} | limits
         self.settings |= {"deviceid": 50081, "system.serial": 42}
         self.fault = ""
         self.rejected: list[str] = []
@@ -102,6 +104,8 @@ class EmulatedStage(LineDevice):
                     return True, "0"
                 case ["get", "pos"]:
                     return True, str(round(self.track.position(now)))
+                case ["get", "encoder.pos"] if self.encoder:
+                    return True, str(round(self.true_position(now)))
                 case ["get", name] if name in self.settings:
                     return True, str(self.settings[name])
                 case ["set", "pos", value]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -50,8 +50,12 @@ class TriggeringStage(Stage, Protocol):
 
 @dataclass
 class StageMachines:
-    """The opened machines of a rig whose stage triggers the mirrors."""
+    """The opened machines of a rig whose stage triggers the mirrors.
 
+    run_up: time before its first slot at which the stage starts moving [s].
+    """
+
+    run_up: ClassVar[float] = 2.0
     clock: Clock
     stage: TriggeringStage
     mirrors: Sequence[Dmd]
@@ -108,6 +112,14 @@ RATES = 0.01  # greatest difference between the expected refresh and that of the
 
 
 @runtime_checkable
+class Limited(Protocol):
+    """A stage that tells its travel."""
+
+    def travel(self) -> tuple[float, float]: ...  # least and greatest position
+    def position(self) -> float: ...  # the reported position
+
+
+@runtime_checkable
 class Inspected(Protocol):
     """A lamp that tells whether it does its work."""
 
@@ -116,8 +128,12 @@ class Inspected(Protocol):
 
 @dataclass
 class VideoMachines:
-    """The opened machines of a rig with a projector on a video cable."""
+    """The opened machines of a rig with a projector on a video cable.
 
+    run_up: of a web, until it is in step with the cable [s].
+    """
+
+    run_up: ClassVar[float] = 12.0
     clock: Clock
     controller: Controller | None  # gates the light and holds its lease; None: there is none
     stage: Stage  # stage of the vial [deg] or web [mm]
@@ -163,16 +179,29 @@ def senses(machines: Machines) -> dict[str, bool | float | None]:
     return told
 
 
-def inspect(machines: Machines, powers: Set[float]) -> None:
-    """Ask the machines that no status poll reads. powers: of the lens for the present frames [1/m]; empty in the dark.
+def within_travel(schedule: Schedule, machines: Machines) -> None:
+    """Raise `BadInput` for a web that leaves the travel of its stage, where the stage tells it."""
+    if schedule.unit != "mm" or isinstance(machines, MirrorMachines) or not isinstance(machines.stage, Limited):
+        return
+    (low, high), here = machines.stage.travel(), machines.stage.position()
+    begin, end = here - machines.run_up * float(schedule.speed), here + float(schedule.advance) * len(schedule)
+    if begin < low or end > high:
+        raise BadInput(
+            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage tells that it goes from "
+            f"{low:.4g} to {high:.4g} mm: move it to its start, or check microsteps in [motion]"
+        )
 
-    Raises `DeviceError` for one that does not answer, has a fault, or does something else.
+
+def inspect(machines: Machines) -> dict[str, float]:
+    """Ask the machines that no status poll reads; returns what they answer, as a `Snapshot` names it.
+
+    Raises `DeviceError` for a machine that does not answer, or has a fault.
     """
-    lens = getattr(machines, "lens", None)
-    if lens is not None:
-        lens.inspect(powers)
-    if isinstance(machines, VideoMachines) and isinstance(machines.lamp, Inspected):
-        machines.lamp.inspect()
+    if isinstance(machines, VideoMachines):
+        if isinstance(machines.lamp, Inspected):
+            machines.lamp.inspect()
+        return {}
+    return {} if machines.lens is None else {"focus": machines.lens.inspect()}
 
 
 def recover(machines: Machines) -> None:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping, Set
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -18,6 +18,8 @@ import numpy as np
 from vamgpu.errors import BadInput, OriginLost, Underrun, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.player.machine_watch import MachineWatch
+from vamgpu.hosts.player.mending import Mending
 from vamgpu.hosts.player.player import Player, StatusPoll, no_lease
 from vamgpu.hosts.records.account import account, wanted_light
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
@@ -59,8 +61,8 @@ class Print:
     """One print: a player's schedule with one holder of the light.
 
     enough: called at every poll for why the part has enough light.  short: message for a print without.  watch: asks
-    the machines that no poll reads; called with the focal powers of the present frames [1/m].  mend: show frames in
-    doubt again, as far as dose and budget allow.  dose: of the plan, if it is known.
+    the machines that no poll reads.  mend: show frames in doubt again, as far as dose and budget allow.  dose: of the
+    plan, if it is known.
     """
 
     player: Player
@@ -76,24 +78,21 @@ class Print:
         self, player: Player, folder: RunFolder, *, limits: SafetyLimits = SafetyLimits(), board: Board | None = None,
         power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
         recover: Callable[[], None] = lambda: None, senses: Callable[[], Mapping[str, object]] = dict,
-        live: PrintObserver | None = None, watch: Callable[[Set[float]], None] = lambda powers: None,
+        live: PrintObserver | None = None, watch: Callable[[], Mapping[str, object]] = dict,
         mend: bool = False, dose: GivenDose | None = None,
     ) -> None:  # fmt: skip
         if (share := positive("power", power)) > 1:
             raise BadInput(f"power is {power!r}; expected a share of the schedule's: at most 1")
         self.player, self.folder, self.limits, self.power = player, folder, limits, share
         self._enough, self._short, self._recover, self._live = enough, short, recover, live
-        self._senses, self._sensed, self._watch, self._watched = senses, -SIGN, watch, 0
-        self._vouched = self._opened = 0  # slots of the last answer of all watched machines, and of the first light
-        self._silent = False  # whether one of them did not answer
-        self._mend, self._dose, self._mended = mend, dose, Counter[int]()
+        self._senses, self._sensed, self._watch = senses, -SIGN, MachineWatch(watch, player.clock)
         self.board, self.states = board or Board(), PrintStates()
         self._leased = player.renew is not no_lease
         self.lease: Lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
         self._wanted = wanted_light(schedule)
-        self._planned = total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
-        self._repeated = 0.0  # light of frames in doubt that are shown again, as the plan's
+        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
+        self._mending = Mending(dose, total * (limits.budget - 1.0)) if mend else None
         self.guard: LightGuard = LightGuard(
             player.lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
             others=player.switches, notify=self._notified,
@@ -161,7 +160,7 @@ class Print:
                 self._write()
                 self._recover()
                 self.player.recover()
-                self._silent = False
+                self._watch.silent = False
             self.sense()
             with self.guard:
                 going = self.begin(start)
@@ -181,8 +180,7 @@ class Print:
         """Prime the machines and turn the light on from a slot on; False if a pause was requested meanwhile."""
         self.next, self._finishing, self._lit = first, False, False
         self._swap()
-        self._opened = first
-        self._ask(first)
+        self.board.show(**self._watch.begin(first))
         ahead = self.player.prime(first, self._alive)
         self.states.to(PrintState.PRINTING, "" if first == 0 else f"from slot {first}")
         dark = 0 if self.dark_since is None else self.player.clock.now() - self.dark_since
@@ -219,19 +217,11 @@ class Print:
         self._why = self._why or self._enough() or ""
         if not seen.running or self._at_stop:
             return self._over()
-        if self._seen >= self._watched + SIGN:
-            self._ask(self.next)
+        if self._watch.due(self.next, self.player.schedule, self._seen):
+            self.board.show(**self._watch.ask(self.next, self.player.schedule))
         self.player.feed()
         self._alive()
         return True
-
-    def _ask(self, slot: int) -> None:
-        """Ask the machines that no poll reads; what was shown since their last answer is in doubt if one is silent."""
-        focus, near = self.player.schedule.focus, NEAR + round(self.player.schedule.rate * NEAR_TIME)
-        powers = focus[max(slot - near, 0) : slot + near if slot > self._opened else 0]  # before, it may be anywhere
-        self._silent = True
-        self._watch(set(powers[~np.isnan(powers)].tolist()))
-        self._silent, self._vouched, self._watched = False, slot, self.player.clock.now()
 
     def ended(self, error: BaseException) -> None:
         """Stop everything after an error, in the dark. The first error is raised, a second one is logged."""
@@ -282,13 +272,15 @@ class Print:
 
     def _doubt(self) -> None:
         """Record the frames that were cut, and those since the last answer of a silent machine."""
+        failed: VamError | None = None
         try:
             doubtful = self.player.doubtful()
-        except VamError:
-            self._final = True  # the dose of the resin is not known
-            raise
-        if self._silent:
-            doubtful = range(min(self._vouched, doubtful.start), max(self.next, doubtful.stop))
+        except VamError as error:  # more may have been shown than is known
+            self._final, failed = True, error
+            since = (self.player.clock.now() - self._seen) // self.player.schedule.gap
+            doubtful = range(max(self.next - 1, 0), min(self.next + since + 1, self._end_slot))
+        if self._watch.silent:
+            doubtful = range(min(self._watch.vouched, doubtful.start), max(self.next, doubtful.stop))
         if not len(doubtful):
             return
         schedule, given = self.player.schedule, []
@@ -308,28 +300,20 @@ class Print:
         for power, on in given:  # after all records are queued, because it raises if the budget is used up
             self.guard.spend(self.power * power, on)
         self._write()
+        if failed is not None:
+            raise failed
 
     def _repeat(self, slots: range) -> None:
         """Show frames in doubt again in an added turn of a vial, if neither dose nor budget forbid it."""
-        schedule, dose = self.player.schedule, self._dose
-        if not self._mend or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
+        schedule = self.player.schedule
+        if self._mending is None or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
             return
-        counts = self._mended + Counter(schedule.frame[slots].tolist())
         light = float((schedule.on[:, None] * schedule.power)[slots].sum()) * 1e-9 * self.power
-        spare = self._planned * (self.limits.budget - 1.0)
-        most = 0.0 if dose is None else dose.share * (1.0 + max(counts.values(), default=0) / dose.turns)
-        why = ""
-        if dose is None:
-            why = "the proved dose is not known"
-        elif most > dose.proved.most:
-            why = f"the dose could reach ×{most:.3f}; expected ×{dose.proved.most:.3f} at most"
-        elif self._repeated + light > spare:
-            why = f"they take {self._repeated + light:.3g} of light; the budget has {spare:.3g} over the plan"
-        else:
-            self._mended, self._repeated = counts, self._repeated + light
+        why, facts = self._mending.refused(schedule.frame[slots].tolist(), light), {"first": slots.start}
+        if why is None:
             self.player.repeat(slots)
-        facts = {"first": slots.start, "stop": slots.stop} | ({"why": why} if why else {})
-        self._unwritten.append(partial(self._event, "not mended" if why else "mended", **facts))
+        told = ("mended", {}) if why is None else ("not mended", {"why": why})
+        self._unwritten.append(partial(self._event, told[0], **facts, stop=slots.stop, **told[1]))
 
     def _check_pause(self, ahead: int = 0) -> None:
         """Raise `BadInput` if it was dark for too long. ahead: time until light [ns]."""
@@ -383,7 +367,7 @@ class Print:
         self.guard.off(PrintState.PAUSED.value if paused else "complete")
         if paused:
             self.dark_since = self.player.clock.now()
-        self._ask(self.next)
+        self.board.show(**self._watch.ask(self.next, self.player.schedule, over=True))
         if paused:
             return self._rest(PrintState.PAUSED)
         self._lit = False
@@ -468,14 +452,15 @@ class Print:
         while self._unwritten:
             self._unwritten[0]()
             self._unwritten.popleft()
+        self.folder.failed = False
 
     def _show(self, seen: StatusPoll) -> None:
         schedule, slot = self.player.schedule, max(self.next - 1, 0)
-        frame, focus, budget = int(schedule.frame[slot]), float(schedule.focus[slot]), self.guard.budget
+        frame, budget = int(schedule.frame[slot]), self.guard.budget
         last = max(self._end_slot - 1, slot)
         self.board.show(
-            slot=slot, frame=frame, position=seen.position, focus=None if np.isnan(focus) else focus, fill=seen.fill,
-            margin=round(seen.margin * SECOND), spent=0.0 if budget is None else budget.spent / budget.limit,
+            slot=slot, frame=frame, position=seen.position, fill=seen.fill, margin=round(seen.margin * SECOND),
+            spent=0.0 if budget is None else budget.spent / budget.limit,
             dark=self.board.now.dark + sum(shown.dark for shown in seen.frames),
             left=float(schedule.light[last] + schedule.on[last] - schedule.light[slot]) / SECOND,
             lease=self.limits.lease / SECOND if self._leased else None,
@@ -496,7 +481,6 @@ class Print:
             self.board.show(doubt=(*self.board.now.doubt, (facts["first"], facts["stop"])))
 
 
-NEAR, NEAR_TIME = 2, 0.05  # slots, and time [s], around the present one, in which a lens may be at their powers
 _RECORDED = ("frame", "pose", "light", "on")
 
 

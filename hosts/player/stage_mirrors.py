@@ -22,7 +22,6 @@ from vamgpu.hosts.schedules.clock import TimedQuery
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
-RUN_UP = 2.0  # time before its first slot at which the stage starts moving [s]
 LEAD = 0.25  # time before that slot at which it must have its speed [s]
 EVEN = 0.05  # greatest error of that speed, over a status poll [poses]
 STEP = 1.0  # allowed error of a stage's reported position [microsteps]
@@ -78,7 +77,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
 
     def _run_up(self) -> int:
         """Poses until the motion surely has its speed."""
-        return ceil(RUN_UP * float(self.schedule.speed) / self._pose) + 1
+        return ceil(self.machines.run_up * float(self.schedule.speed) / self._pose) + 1
 
     def _ahead(self, first: int) -> int:
         """Black frames until a slot, for triggers of earlier poses."""

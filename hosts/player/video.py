@@ -92,7 +92,6 @@ class SlotCounter:
 SPIN_UP = 10 * SECOND  # longest wait for the stage's speed [ns]
 SETTLED = SECOND // 4  # time for which it must keep its speed [ns]
 EVEN = 0.05  # greatest error of its speed [poses]
-RUN_UP = 12.0  # run-up of a web, until it is in step with the cable [s]
 BACK = 4  # speed of a web's return, relative to its speed
 LEAD = 0.25  # time before its first frame at which a stage is ready [s]
 NUDGE = 15  # video frames for bringing the stage into step with the cable
@@ -161,7 +160,7 @@ class StageTracker:
         self._stage.wait()
         if not self._placed:
             self.origin, self._placed = self._stage.position(), True
-        self._stage.move(self.origin + first * self._advance - RUN_UP * self.speed, BACK * self.speed)
+        self._stage.move(self.origin + first * self._advance - VideoMachines.run_up * self.speed, BACK * self.speed)
         self._stage.wait()
 
     def _settle(self, refresh: Callable[[], int]) -> None:

@@ -17,7 +17,15 @@ from vamgpu.geometry import positive
 from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
 from vamgpu.hosts.player.exposure import ScatterWatch, StopRule
-from vamgpu.hosts.player.machines import Machines, SourceFrames, StageMachines, VideoMachines, inspect, senses
+from vamgpu.hosts.player.machines import (
+    Machines,
+    SourceFrames,
+    StageMachines,
+    VideoMachines,
+    inspect,
+    senses,
+    within_travel,
+)  # fmt: skip
 from vamgpu.hosts.player.motor import Origin
 from vamgpu.hosts.player.operator import attended, print_with_operator
 from vamgpu.hosts.player.player import Player
@@ -66,6 +74,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
         TimingInfeasible: A machine is too slow; the message names it, and its greatest speed.
     """
     seconds = positive("seconds", seconds)
+    within_travel(planned.schedule, machines)
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
             raise WrongDevice(

@@ -37,6 +37,7 @@ class PrintOrder:
     rehearsed: bool = False  # print on emulated machines
     resume: bool = False  # continue the folder's print
     unattended: int = 0
+    mend: bool = False  # show frames in doubt again
     page: bool = False  # buttons continue a held print
     asks: bool = False  # whether the client is asked before a held print continues
     live: str | None = None  # function that plans coming turns, ``module:function``
@@ -97,7 +98,7 @@ def printed(
             told("preflight", str(found))
         state, _ = carry_out(
             planned, machines, order.folder, board, found, order.resume, unattended=order.unattended, go_on=go_on,
-            process=process, live=live,
+            process=process, live=live, mend=order.mend,
         )  # fmt: skip
     finally:
         close(machines)

@@ -115,7 +115,7 @@ def account(
     for first, stop in run.doubt:
         unsure |= (shown["slot"] >= first) & (shown["slot"] < stop)
 
-    died = run.state is PrintState.PRINTING and not ended
+    died = (run.state is PrintState.PRINTING and not ended) or run.unwritten
     for engine in range(engines) if died else ():  # its last frame may have been cut
         unsure[np.flatnonzero(shown["engine"] == engine)[-1:]] = True
     stopped = any(event["event"] == "enough" for event in run.events)

@@ -71,6 +71,7 @@ class RunFolder:
         self.path = path
         self._lock = threading.RLock()
         self._write: Callable[[int, bytes], int] = os.write
+        self.failed = False  # whether a record could not be written, and was not written since
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
         try:
             self._events = os.open(path / "events.jsonl", flags, 0o644)
@@ -142,7 +143,8 @@ class RunFolder:
 
     def state(self, change: StateChange) -> None:
         """Write the state atomically."""
-        told = {"state": change.after.value, "message": change.message[:LONGEST], "wall": round(time.time(), 3)}
+        told: dict[str, Any] = {"state": change.after.value, "message": change.message[:LONGEST]}
+        told |= {"wall": round(time.time(), 3)} | ({"unwritten": True} if self.failed else {})
         text, place, draft = json.dumps(told) + "\n", self.path / "state.json", self.path / ".state.json"
         try:
             try:
@@ -190,8 +192,10 @@ class RunFolder:
             try:
                 written = self._write(file, data)
             except OSError as error:
+                self.failed = True
                 raise explained("write", self.path / name, error) from error
             if written != len(data):
+                self.failed = True
                 os.ftruncate(file, os.fstat(file).st_size - written)
                 raise StorageError(f"{str(self.path / name)!r} took {written} of {len(data)} bytes: the disk is full")
 
@@ -214,6 +218,7 @@ class RunRecord:
     shown: np.ndarray  # `FRAME_RECORD`, one per frame, in order
     events: tuple[dict[str, Any], ...]
     torn: int  # bytes of an incomplete last record
+    unwritten: bool = False  # whether the last records could not be written
 
     @property
     def doubt(self) -> tuple[tuple[int, int], ...]:
@@ -240,7 +245,7 @@ def read_run(path: str | Path) -> RunRecord:
         data = read_bytes(place / "shown.bin", MOST_RECORD)
         with open_file(place / "events.jsonl") as lines:
             events = _told(lines)
-        state, message = PrintState(told["state"]), str(told["message"])
+        state, message, unwritten = PrintState(told["state"]), str(told["message"]), bool(told.get("unwritten"))
     except FileNotFoundError as error:
         if not place.is_dir():
             raise explained("read", place, error) from error
@@ -259,7 +264,7 @@ def read_run(path: str | Path) -> RunRecord:
     count = next((n for n in range(len(body) // size) if not _whole(body, n, size)), len(body) // size)
     shown = np.frombuffer(body, FRAME_RECORD, count)
     torn = len(body) - count * size
-    return RunRecord(place, asked, state, message, shown, events, torn)
+    return RunRecord(place, asked, state, message, shown, events, torn, unwritten)
 
 
 def _told(lines: Iterable[bytes]) -> tuple[dict[str, Any], ...]:

@@ -30,6 +30,7 @@ class Guarantee:
     kind: Kind
     why: str  # the reason, in words
     remedy: str = ""  # how to guarantee it
+    sensor: str = ""  # the machine whose answers tell; empty if none does
 
     @property
     def holds(self) -> bool:
@@ -170,18 +171,19 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
     """Whether frames stay in step with the motion, and how fast they drift apart."""
     clock = driver_of(setup.clock)
     if clock == "controller":
-        return Guarantee("step", "guaranteed", "each frame is triggered by the controller's own steps"), 0.0
+        why = "each frame is triggered by the controller's own steps"
+        return Guarantee("step", "guaranteed", why, sensor="controller"), 0.0
     if clock == "stage":
-        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its angle"), 0.0
+        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its angle", sensor="stage"), 0.0
     if clock == "vblank" and setup.motion.reports:
         why = "the angle that the stage reports selects the frame of every refresh"
-        return Guarantee("step", "watched", why), 0.0
+        return Guarantee("step", "watched", why, sensor="stage"), 0.0
     display: Any = setup.display[0]  # only a video cable's is left
     cable, motion = display.tolerance, setup.motion.tolerance
     apart = 1e-6 * (cable + motion)
     if _indexed(setup):
         why = f"the index corrects the angle once per turn, within {360 * apart:.2g} deg"
-        return Guarantee("step", "watched", why), 0.0
+        return Guarantee("step", "watched", why, sensor="index"), 0.0
     drift = MINUTE * speed * apart
     enough = _rounded_up(drift)
     accepts = drift <= setup.safety.drift * (1 + SLACK)
@@ -218,13 +220,20 @@ def accepted(setup: RigFile, speed: float, unit: str) -> Guarantees:
 
 def _display(setup: RigFile) -> Guarantee:
     if not setup.video:
-        return Guarantee("display", "watched", "the mirrors count the frames that they show")
+        return Guarantee("display", "watched", "the mirrors count the frames that they show", sensor="mirrors")
     if setup.display[0].lamps:
-        return Guarantee("display", "watched", "the projector is asked whether its patterns run")
+        return Guarantee("display", "watched", "the projector is asked whether its patterns run", sensor="lamp")
     return Guarantee(
         "display", "believed", "no machine tells what the projector shows: a dead lamp, a blank screen or a scaled "
         "image go unnoticed", "watch the first turn",
     )  # fmt: skip
+
+
+def _measured_by(setup: RigFile) -> str:
+    """The machine that reads encoder or index."""
+    if setup.motion.measured:
+        return "stage"
+    return "controller" if driver_of(setup.motion) in ("controller", "emulated") else "index"
 
 
 def _encoded(setup: RigFile) -> bool:
@@ -233,9 +242,10 @@ def _encoded(setup: RigFile) -> bool:
 
 def _position(setup: RigFile) -> Guarantee:
     if _encoded(setup):
-        return Guarantee("position", "watched", "an encoder measures the position")
+        return Guarantee("position", "watched", "an encoder measures the position", sensor=_measured_by(setup))
     if _indexed(setup):
-        return Guarantee("position", "watched", "an index marks each turn; between two, steps are counted")
+        why = "an index marks each turn; between two, steps are counted"
+        return Guarantee("position", "watched", why, sensor=_measured_by(setup))
     return Guarantee(
         "position", "believed", "the position is not measured: lost steps of the motor go unnoticed",
         'add [[feedback]] with driver = "encoder" or "index", or set encoder = true if the stage has one',
@@ -246,9 +256,11 @@ def _scale(setup: RigFile, unit: str) -> Guarantee:
     """Whether a microstep is as large as the rig's file says."""
     count = f"{setup.motion.microsteps:.6g} microsteps per {unit}"
     if setup.motion.scaled and unit == "deg":
-        return Guarantee("scale", "watched", f"the stage tells its own, compared with the file's {count}")
+        why = f"the stage tells its own, compared with the file's {count}"
+        return Guarantee("scale", "watched", why, sensor="stage")
     if any(each.sees == "motion" for each in setup.feedback):
-        return Guarantee("scale", "watched", f"[[feedback]] shows whether {count} are right")
+        why = f"[[feedback]] shows whether {count} are right"
+        return Guarantee("scale", "watched", why, sensor=_measured_by(setup))
     return Guarantee(
         "scale", "believed", f"{count} are the file's: were they wrong by 2, so were every angle or place",
         "measure one turn or travel by hand, or add [[feedback]]",
@@ -257,18 +269,19 @@ def _scale(setup: RigFile, unit: str) -> Guarantee:
 
 def _light(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
-        return Guarantee("light", "guaranteed", "the controller gates it")
+        return Guarantee("light", "guaranteed", "the controller gates it", sensor="controller")
     if setup.light.gate == "line":
         return Guarantee("light", "believed", "a line of the host and the projector switch it, and none answers")
     if setup.display[0].lamps:
-        return Guarantee("light", "watched", "the host switches the projector's LEDs, which tell whether they are on")
+        why = "the host switches the projector's LEDs, which tell whether they are on"
+        return Guarantee("light", "watched", why, sensor="lamp")
     return Guarantee("light", "believed", "black frames switch it off, as dark as the projector's black")
 
 
 def _lease(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
         why = f"{1e3 * setup.safety.lease:.0f} ms after the host's last signal it is dark"
-        return Guarantee("lease", "guaranteed", why)
+        return Guarantee("lease", "guaranteed", why, sensor="controller")
     return Guarantee(
         "lease", "not there", "if the host dies or hangs, the light may stay on: no controller gates the lamp",
         'let the controller gate it: [light] driver = "controller"',
@@ -277,13 +290,15 @@ def _lease(setup: RigFile) -> Guarantee:
 
 def _interlock(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
-        return Guarantee("interlock", "guaranteed", "the controller closes the light when the enclosure opens")
+        why = "the controller closes the light when the enclosure opens"
+        return Guarantee("interlock", "guaranteed", why, sensor="controller")
     if setup.controller is not None:
-        return Guarantee("interlock", "watched", "the controller tells whether the enclosure is closed")
+        why = "the controller tells whether the enclosure is closed"
+        return Guarantee("interlock", "watched", why, sensor="controller")
     return Guarantee("interlock", "not there", "no machine tells whether the enclosure is closed")
 
 
 LAMP = Guarantee(
     "lamp", "believed", "nobody measures its brightness during the print", "measure it with vam calibrate gray or flat"
 )
-LENS = Guarantee("lens", "watched", "its driver tells its power and its faults, in the dark and during the print")
+LENS = Guarantee("lens", "watched", "its driver tells its power and its faults during the print", sensor="lens")

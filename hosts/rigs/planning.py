@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
+from math import ceil, floor
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +19,7 @@ from vamgpu.hosts.player.exposure import StopRule
 from vamgpu.hosts.player.rows import steppable
 from vamgpu.hosts.rigs.calibrations import MachineCalibration, calibration_of
 from vamgpu.hosts.rigs.config import RigConfig
-from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees
+from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guarantees, refused
 from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
 from vamgpu.hosts.rigs.turns import Turning, proved
@@ -33,6 +34,7 @@ from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
 from vamgpu.quantity import parse
 
 HOUR = 3600.0
+NEAR = 10  # greatest ratio of a speed that is suggested to the wanted one
 UNITS: dict[Kind, str] = {"vial": "deg/s", "web": "mm/s", "slices": "mm/h"}  # unit of a speed that is a plain number
 
 
@@ -74,7 +76,12 @@ class PrintPlan:
     @property
     def guarantees(self) -> Guarantees:
         """The rig's guarantees at the plan's speed, with those that do not hold."""
-        return guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
+        found = guarantees(self.rig.setup, float(self.schedule.speed), self.schedule.unit)
+        if not self.rehearsed:
+            return found
+        lens = len(self.focus) > 1  # of one focus no lens is emulated, and of projectors no LEDs
+        each = (replace(one, kind="believed", sensor="") if one.sensor == "lamp" else one for one in found)
+        return replace(found, each=tuple(one for one in each if lens or one.about != "lens"))
 
     @property
     def bits(self) -> int:
@@ -119,6 +126,8 @@ class PrintPlan:
             return ()
         turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
+        if self.stop is not None:
+            return (("exposure", f"at most {shown}"),)
         if dose is None:
             return (("exposure", shown), ("dose", "not known: this job has no proof with its exposure"))
         light = dose.share * dose.proved.seconds
@@ -179,7 +188,7 @@ def plan(
     focus, first = _focus(loaded[0], rig, calibration), loaded[0]
     if rig.setup.video:
         mirrors, display = _screen(first, rig, rehearsed)
-        of, least = partial(_on_a_cable, first, rig, going, display), None
+        of, least = partial(_on_a_cable, first, rig, display, going), None
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
         of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
@@ -190,7 +199,12 @@ def plan(
         schedule = of(1 if turns is None else turns)
     else:
         known = partial(_known, exposure, loaded, device, taken)
-        schedule, dose = Turning(of, rig.setup.light, first.frames.scale, least).schedule(turns, known)
+        speeds, at = (), None
+        if display is not None:
+            speeds = _cable_speeds(first.poses, going, display, rig)
+            at = partial(_on_a_cable, first, rig, display)
+        turning = Turning(of, rig.setup.light, first.frames.scale, least, speeds, at)
+        schedule, dose = turning.schedule(turns, known)
     if driver_of(rig.setup.clock) == "stage" and display is None:
         whole_poses(schedule, rig.setup.motion.microsteps)
     elif not rehearsed and display is None:
@@ -315,7 +329,15 @@ def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[Mir
     return (screen,), display
 
 
-def _on_a_cable(first: PrintJob, rig: RigConfig, speed: float, display: HdmiTiming, turns: int) -> Schedule:
+def _cable_speeds(images: int, wanted: float, display: HdmiTiming, rig: RigConfig) -> tuple[float, ...]:
+    """Speeds [deg/s] at which images take whole slots and the rig does not drift too far, the nearest first."""
+    most = Fraction(360, images) * display.slot_rate  # one slot for each
+    counts = range(max(1, ceil(most / (NEAR * Fraction(wanted)))), floor(NEAR * most / Fraction(wanted)) + 1)
+    found = sorted((float(f"{float(most / count):.6g}") for count in counts), key=lambda speed: abs(speed - wanted))
+    return tuple(speed for speed in found if not refused(guarantees(rig.setup, speed), rig.setup))
+
+
+def _on_a_cable(first: PrintJob, rig: RigConfig, display: HdmiTiming, speed: float, turns: int) -> Schedule:
     """A vial or web in front of a video projector."""
     common: dict[str, Any] = {"speed": speed, "display": display, "power": rig.setup.light.power}
     if first.advance is None:

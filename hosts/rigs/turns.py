@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput, DoseWarning, StorageError
+from vamgpu.errors import BadInput, DoseWarning, StorageError, TimingInfeasible
 from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.rigs.roles import LightPart
 from vamgpu.hosts.schedules.schedule import Schedule
@@ -48,10 +48,22 @@ class Turning:
     light: LightPart
     scale: float  # irradiance of a full-on pixel of the frames
     least: int | None  # shortest light of a frame [ns]; None on a video cable
+    speeds: Sequence[float] = ()  # speeds at which a video cable and the rig can print [deg/s], the nearest first
+    at: Callable[[float, int], Schedule] | None = None  # makes the schedule of a speed and a number of turns
 
     def schedule(self, turns: int | None, known: Callable[[], ProvedDose | str]) -> tuple[Schedule, GivenDose | None]:
         """Return the slots and their dose; BadInput for a dose outside the verdict that the user did not choose."""
-        once = self.of(1)
+        try:
+            once = self.of(1)
+        except TimingInfeasible as error:
+            if turns is not None or not self.speeds or isinstance(proved := known(), str):
+                raise
+            speed = self._fitting(proved) or self.speeds[0]
+            exact, count = self._turns(proved, speed)
+            keeps = proved.least <= count / exact <= proved.most
+            told = "" if keeps else f" with --turns {count}, for a dose of ×{count / exact:.3f} of the proved one"
+            why = str(error).replace(f"turn at {error.speed:.6g} deg/s", f"turn at {speed:.6g} deg/s{told}")
+            raise TimingInfeasible(why, error.limit, speed, error.unit) from error
         self._check(turns or 1, once, "")
         proved = known()
         if isinstance(proved, str):
@@ -59,8 +71,7 @@ class Turning:
                 raise BadInput(f"{proved}, so its number of turns is not known; expected a number: "
                                "give --turns (turns= in Python), or solve the job with [print]")  # fmt: skip
             return self.of(turns), None
-        full = self.light.irradiance or proved.irradiance
-        need = proved.seconds * proved.irradiance / full * self.scale / proved.scale / once.frames
+        need = self._need(proved, once)
         exact = need / self._lit(once)
         lit = 1.0
         if turns is None:
@@ -76,8 +87,28 @@ class Turning:
         share = self._lit(found) * count / need
         dose = GivenDose(proved, share, count, found.duration / SECOND, lit, self.least is None, turns is not None)
         if not dose.keeps:
-            self._off(dose, exact, once)
+            self._off(dose, exact, once, None if turns is not None else self._fitting(proved))
         return found, dose
+
+    def _need(self, proved: ProvedDose, once: Schedule) -> float:
+        """Seconds of full drive for each frame."""
+        full = self.light.irradiance or proved.irradiance
+        return proved.seconds * proved.irradiance / full * self.scale / proved.scale / once.frames
+
+    def _fitting(self, proved: ProvedDose) -> float | None:
+        """The speed nearest to the wanted one at which whole turns give the proved dose; None without one."""
+        for speed in self.speeds:
+            exact, count = self._turns(proved, speed)
+            if proved.least <= count / exact <= proved.most:
+                return speed
+        return None
+
+    def _turns(self, proved: ProvedDose, speed: float) -> tuple[float, int]:
+        """Turns of the proved dose at one of the speeds, and the nearest whole number of them."""
+        assert self.at is not None
+        once = self.at(speed, 1)
+        exact = self._need(proved, once) / self._lit(once)
+        return exact, max(round(exact), 1)
 
     def _lit(self, schedule: Schedule) -> float:
         """Seconds of full drive per frame and turn, as rounded by the machines."""
@@ -100,16 +131,16 @@ class Turning:
             raise BadInput(f"{turns} turns of {once.frames} frames{why}; expected at most {SLOTS} frames: use fewer "
                            "turns, or more light")  # fmt: skip
 
-    def _off(self, dose: GivenDose, exact: float, once: Schedule) -> None:
-        """Reject a dose outside the verdict, or warn if the user chose it."""
+    def _off(self, dose: GivenDose, exact: float, once: Schedule, fitting: float | None) -> None:
+        """Reject a dose outside the verdict, or warn if the user chose it. fitting: speed of the proved dose."""
         takes = f"the exposure takes {exact:.4g} turns of {float(360 / once.speed):.4g} s"
         if dose.asked:
             warnings.warn(f"{counted(dose.turns)} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
             return
-        remedy = f"turn at {float(once.speed) * dose.share:.4g} deg/s, to make turns whole"
+        remedy = "" if fitting is None else f"turn at {fitting:.6g} deg/s, to make turns whole, or "
         if self.least is not None:
-            remedy = f"frames cannot be shorter, so lower power in [light] to {self.light.power / dose.share:.3g}"
+            remedy = f"frames cannot be shorter, so lower power in [light] to {self.light.power / dose.share:.3g}, or "
         raise BadInput(
             f"{takes}; with {counted(dose.turns)} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
-            f"×{dose.proved.most:.3f}: {remedy}, or accept this dose with --turns {dose.turns} (turns= in Python)"
+            f"×{dose.proved.most:.3f}: {remedy}accept this dose with --turns {dose.turns} (turns= in Python)"
         )

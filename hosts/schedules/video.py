@@ -15,7 +15,7 @@ from vamgpu.hosts.schedules.mirrors import even_images
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, exact, nanoseconds, whole
 
-SAME = Fraction(1, 10**9)  # speeds this close are the same, because users write rounded ones
+SAME = Fraction(1, 10**5)  # speeds this close are the same, because users write the rounded ones of messages
 
 
 def vial(

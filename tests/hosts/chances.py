@@ -152,14 +152,15 @@ class RigStand:
 
         self.emulated.screen.on_slot = slot
 
-    def hosts(self, life: Life, unattended: int = 0) -> PrintState | None:
-        """Print, or go on with the print that is there; None where the host died."""
+    def hosts(self, life: Life, unattended: int = 0, **options: Any) -> PrintState | None:
+        """Print, or go on with the print that is there; None where the host died. options: of `carry_out`."""
         again = self.run.exists()
         machines: Any = self.stand.machines
         if again and self.mirrors:
             machines = self.emulated.machines(machines.microsteps)
         with pytest.MonkeyPatch.context() as patch, self._living(life, machines, patch):
-            return carry_out(self.planned, machines, self.run, found=self.found, resume=again, unattended=unattended)[0]
+            options |= {"found": self.found, "resume": again, "unattended": unattended}
+            return carry_out(self.planned, machines, self.run, **options)[0]
         return None
 
     @contextmanager
@@ -209,6 +210,13 @@ class RigStand:
         """The record, and its account of the light."""
         record = read_run(self.run)
         found = account(record, wanted_light(self.planned.schedule))
+        assert found is not None
+        return record, found
+
+    def told_by_itself(self) -> tuple[RunRecord, LightAccount]:
+        """The record, and its account of the light by what is in the folder alone."""
+        record = read_run(self.run)
+        found = account(record)
         assert found is not None
         return record, found
 

@@ -38,6 +38,7 @@ driver = "vam-controller"
 port = "/dev/does-not-exist"
 [motion]
 driver = "controller"
+microsteps = 3200.0
 [display]
 driver = "alp"
 library = "/does/not/exist.so"

@@ -191,7 +191,8 @@ def test_tables_that_are_missing_are_named() -> None:
 
 
 def test_real_rigs_open_real_machines_or_none(tmp_path: Path) -> None:
-    text = '[rig]\nname = "lab"\nmachine = "web"\n[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
+    text = '[rig]\nname = "lab"\nmachine = "web"\n[motion]\nmicrosteps = 80.0\n'
+    text += '[controller]\ndriver = "vam-controller"\nport = "/dev/none"\n'
     text += '[display]\ndriver = "alp"\nlibrary = "/none.so"\n'
     camera = '[[feedback]]\ndriver = "camera"\nproducer = "/none.cti"\n'
     with pytest.raises(DeviceNotFound, match="/dev/none"):
@@ -222,7 +223,7 @@ def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -
     with PtyServer(box) as a, PtyServer(glass) as b, TcpServer(axis) as c, PtyServer(meter) as d:
         text = f"""
 [rig]\nname = "lab"\nmachine = "web"
-[controller]\ndriver = "vam-controller"\nport = "{a.url}"
+[motion]\nmicrosteps = 80.0\n[controller]\ndriver = "vam-controller"\nport = "{a.url}"
 [display]\ndriver = "alp"\nlibrary = "there.so"\nsize = [8, 64]
 [lens]\ndriver = "optotune"\nport = "{b.url}"
 [camera_stage]\ndriver = "zaber"\nport = "{c.url}"\nmicrosteps = 5000.0\nmiddle = "1 mm"\nspeed = "20 mm/s"

@@ -47,7 +47,8 @@ class Lab:
         wanted = "".join(f"{name} = {value!r}\n".replace("'", '"') for name, value in lens.items())
         mirrors = '[[display]]\ndriver = "alp"\nlibrary = "{}"\nsize = [12, 64]\n'
         return parse_rig(
-            self.head + f'[motion]\ndriver = "controller"\n[lens]\ndriver = "optotune"\nport = "{self.lens}"\n{wanted}'
+            self.head + '[motion]\ndriver = "controller"\nmicrosteps = 3200\n'
+            f'[lens]\ndriver = "optotune"\nport = "{self.lens}"\n{wanted}'
             + mirrors.format(0) + mirrors.format(1)
         )  # fmt: skip
 
@@ -97,7 +98,7 @@ def test_a_rig_is_opened_measured_and_let_go_of(lab: Lab) -> None:
     assert len(found.found) == 2 and np.isfinite(found.found[0].measured), "both wires at once"
     close(machines)
     assert not any(each.allocated for each in lab.alps)
-    ramping = parse_rig(lab.rig().text.replace("[lens]", "microsteps = 100.0\nramp = 30.0\n[lens]"))
+    ramping = parse_rig(lab.rig().text.replace("microsteps = 3200", "microsteps = 100.0\nramp = 30.0"))
     close(opened(ramping))
     assert lab.box.web.acceleration == 3000.0, "30 deg/s2 of 100 microsteps a degree"
 

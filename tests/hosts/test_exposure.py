@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import threading
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from vamgpu.hosts.emulators.clock import PacedClock, VirtualClock
 from vamgpu.hosts.player import exposure
 from vamgpu.hosts.player.motor import POLL
 from vamgpu.hosts.player.video import STEP
+from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.record import RunFolder, RunRecord, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, opened, plan, rehearsal, stopping
@@ -119,9 +121,12 @@ def test_the_light_goes_out_within_a_frame_of_the_camera(job: Path, tmp_path: Pa
     assert seconds[0] < 0 < seconds[1] and (np.diff(seconds) > 0).all() and density[0] == 0
     assert density[-1] >= THRESHOLD > density[1:-1].max() and np.allclose(np.diff(seconds[1:]), 0.1, atol=0.021)
     assert run.message == f"scatter density {density[-1]:.3g} reached 2 after {seconds[-1]:.1f} s"
+    found = account(run)
+    assert found is not None and found.complete and not found.unsure.any(), "its last frame is not cut"
+    assert re.search(r"each of 36 frames has \d+ to \d+ % of the light of all turns", str(found))
     shown = [event for event in run.events if event["event"] == "enough"]
     assert [event["threshold"] for event in shown] == [2.0] and shown[0]["density"] == pytest.approx(density[-1])
-    assert seconds[-1] == pytest.approx(len(run.shown) / 12, abs=0.15), "seconds count from the first frame"
+    assert seconds[-1] == pytest.approx(len(run.shown) / 12, abs=0.15 + 1 / 12), "seconds count from the first frame"
     verdict = emulated.monitor.verdict(run.shown["frame"])
     near = {"mirrors": 1e-6, "cable": STEP / 3}[rig]  # as far as the stage is in step with the cable
     assert verdict.greatest < near and verdict.frames == 34 and verdict.beside < 1e-9

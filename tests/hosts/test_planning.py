@@ -47,6 +47,7 @@ machine = "any"
 port = "/dev/ttyACM0"
 [motion]
 driver = "controller"
+microsteps = 3200.0
 [[display]]
 driver = "alp"
 library = "libalpD43.so"
@@ -317,7 +318,7 @@ def test_rigs_that_cannot_be_are_told() -> None:
         (ALP + "serail = 3\n", "did you mean 'serial'"),
         (ALP + LENS + "lowest = 9.0\n", "lowest below highest"),
         (HDMI.replace('machine = "vial"', 'machine = "slices"'), "prints vials and webs"),
-        (HDMI[: HDMI.index("[motion]")], "a stage, whose angle chooses"),
+        (HDMI[: HDMI.index("[motion]")] + "[motion]\nmicrosteps = 80\n", "a stage, whose angle chooses"),
         (HDMI + LENS, "without a lens"),
         (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each once"),
         (HDMI.replace("[display]", '[[display]]\ndriver = "video"\n[[display]]'), "one projector"),

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from vamgpu.errors import StorageError
+from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.record import MAGIC, FrameRecord, RunFolder, read_run, timing
 from vamgpu.hosts.records.state import PrintState, PrintStates, StateChange
 
@@ -111,6 +112,22 @@ def test_a_disk_without_space_for_the_run_is_told_before_the_light(
     monkeypatch.setattr("vamgpu.hosts.records.record.take", full)
     with pytest.raises(StorageError, match="cannot take 600 bytes for the record of the run"):
         RunFolder.begin(tmp_path / "run", {"slots": 10}, RIG)
+
+
+def test_the_record_of_a_dead_host_ends_in_the_light(tmp_path: Path) -> None:
+    asked = {"slots": 4, "views": {"frames": 4, "engines": 1, "on_ns": 10**6}}
+    folder = RunFolder.begin(tmp_path / "run", asked, RIG)
+    folder.state(StateChange(PrintState.STANDBY, PrintState.PRINTING, ""))
+    for slot in range(4):
+        folder.shown(FrameRecord(slot, slot, slot, 0, 10**6))
+    found = account(read_run(tmp_path / "run"))
+    assert found is not None and found.open and not found.complete
+    assert found.sure.tolist() == [[10**6] * 3 + [0]] and found.unsure.tolist() == [[0, 0, 0, 10**6]]
+    assert "the record ends in the light" in str(found)
+    folder.state(StateChange(PrintState.PRINTING, PrintState.COMPLETE, ""))
+    found = account(read_run(tmp_path / "run"))
+    assert found is not None and found.complete and not found.open and "all 4 frames have their light" in str(found)
+    folder.close()
 
 
 def test_a_killed_host_loses_no_frame(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
         (("[rig]", '[safety]\nlease = "0 furlongs"\n[rig]'), "furlongs"),
         (("[rig]", '[safety]\nlease = "1.1 s"\n[rig]'), "expected 20 ms to 1000 ms"),
         (("[rig]", '[safety]\nlease = "1 ms"\n[rig]'), "expected 20 ms to 1000 ms"),
-        (("[display]", "microsteps = 3.2e9\n[display]"), "less than or equal to 1000000"),
+        (("3200.0", "3.2e9"), "less than or equal to 1000000"),
         (("[display]", "ramp = 1e5\n[display]"), "expected at most 1e.08"),
         (("[display]", "channel = 0\n[display]"), "channel"),
     ):
@@ -119,7 +119,7 @@ def test_bad_rigs_are_told(tmp_path: Path) -> None:
 def test_jobs_that_do_not_fit_are_told(job: Path, tmp_path: Path) -> None:
     with pytest.raises(TimingInfeasible):
         planned(job, speed=4000.0)
-    real = parse_rig(LAB.replace("[display]", "microsteps = 8000\n[display]"))
+    real = parse_rig(LAB.replace("3200.0", "8000"))
     with pytest.raises(TimingInfeasible, match="3.2e.05 microsteps/s.*move at most at 25 deg/s"):
         plan(job, real, speed=40.0, device="numpy", turns=1)
     assert len(plan(job, real, speed=25.0, device="numpy", turns=1).schedule) == 36

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from test_planning import Shifted, vial, web
 
 from vamgpu.cli import main
-from vamgpu.errors import BadInput, DeviceError, TimingInfeasible
+from vamgpu.errors import BadInput, DeviceError, DoseWarning, TimingInfeasible
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, plan, rehearsal
 from vamgpu.hosts.rigs.config import parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
+from vamgpu.printing.given_dose import ProvedDose
 
 RIGS = Path(__file__).parents[2] / "docs" / "rigs"
 IMAGES = 60
@@ -160,7 +162,8 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
         '[display]\ndriver = "lightcrafter"\n[light]\ndriver = "display"\n'
     )
     one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True, turns=1)
-    assert [each.about for each in one.guarantees.lacking] == ["scale", "lease", "interlock", "lamp"]
+    lacking = [each.about for each in one.guarantees.lacking]
+    assert lacking == ["display", "scale", "light", "lease", "interlock", "lamp"]
     assert seen(one, tmp_path / "run").greatest < 0.02
 
 
@@ -183,3 +186,32 @@ def test_a_web_before_a_video_projector_fits_the_cable_or_is_refused(tmp_path: P
     assert float(one.schedule.speed) == pytest.approx(float(one.schedule.advance) * 120 / 28)
     verdict = seen(one, tmp_path / "run")
     assert verdict.frames == len(one.schedule) and verdict.greatest < 0.02, verdict
+
+
+KNOWN = ProvedDose(seconds=30.0, irradiance=1.0, scale=1.0, least=0.95, most=1.06, right=True)
+
+
+@pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, seconds=7.7), False], ids=["long", "short", "turns"])
+@pytest.mark.parametrize("images", [7, 60, 100, 120, 144, 300, 360])
+@pytest.mark.parametrize("speed", [10.0, 40.0])
+def test_the_speed_that_a_refusal_tells_is_accepted(
+    tmp_path: Path, images: int, speed: float, known: ProvedDose | Literal[False]
+) -> None:
+    folder, rig, turns = vial(tmp_path / "job.vam", images=images), read_rig(RIGS / "pi_video_stepper.toml"), None
+    if known is False:
+        turns = 2
+    try:
+        plan(folder, rig, speed=speed, turns=turns, exposure=known)
+    except (TimingInfeasible, BadInput) as refused:
+        found = re.search(r": turn at (\S+) deg/s", str(refused))
+        if found is None:  # no speed that the rig's drift allows
+            count = re.search(r"accept this dose with --turns (\d+)", str(refused))
+            with pytest.warns(DoseWarning):
+                assert count is not None and plan(folder, rig, speed=speed, turns=int(count[1]), exposure=known).dose
+            return
+        if count := re.search(r"with --turns (\d+), for a dose of ×(\S+) of", str(refused)):
+            with pytest.warns(DoseWarning, match=f"×{count[2]} of the proved one"):
+                plan(folder, rig, speed=float(found[1]), turns=int(count[1]), exposure=known)
+            return
+        made = plan(folder, rig, speed=float(found[1]), turns=turns, exposure=known)
+        assert known is False or (made.dose is not None and made.dose.keeps)

@@ -104,7 +104,7 @@ def test_every_frame_is_at_its_pose(job: Path, tmp_path: Path, rig: str) -> None
     run = read_run(tmp_path / "run")
     assert run.shown["slot"].tolist() == list(range(72)) and not run.shown["dark"].any()
     lacking = {one["about"] for one in run.asked["guarantees"] if not one["holds"]}
-    assert lacking == ({"position"} if rig is GATED else {"position", "lease"})
+    assert lacking == {"lamp", "position"} | (set() if rig is GATED else {"light", "lease", "interlock"})
 
 
 def test_a_web_is_triggered_by_its_stage_too(tmp_path: Path) -> None:

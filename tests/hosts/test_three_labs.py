@@ -308,15 +308,15 @@ def test_a_lens_on_an_icc() -> None:
             assert board.power == lens.power() == 1.25 and lens.temperature() == 31.5
             with pytest.raises(BadInput, match="-2 to 4 dpt"):
                 lens.set_power(4.5)
-            lens.inspect({0.5, 1.25})
-            with pytest.raises(DeviceError, match="is at 1.250 dpt"):
-                lens.inspect({0.5})
+            assert lens.inspect() == 1.25
             board.power, board.input = 0.0, ""
+            with pytest.raises(DeviceError, match="is at 0.000 dpt; expected 1.250"):
+                lens.inspect()
             lens.revive()
             assert board.power == 1.25 and board.input == "static"
             board.device = 0
             with pytest.raises(DeviceRefused, match="sensor missing"):
-                lens.inspect(set())
+                lens.inspect()
             assert lens.status() == ("lens or sensor missing",)
             board.open = False
             with pytest.raises(DeviceError, match="failed in a focal power"):

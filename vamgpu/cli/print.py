@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
@@ -16,7 +17,7 @@ from rich.markup import escape
 
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
-from vamgpu.errors import BadInput, VamError
+from vamgpu.errors import BadInput, DoseWarning, VamError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,7 +43,7 @@ def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
-    host: str = "127.0.0.1", port: int = 0, live: Switch = False, anyway: Switch = False,
+    host: str = "127.0.0.1", port: int = 0, live: Switch = False, anyway: Switch = False, mend: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
     that a camera watches, in resin that differs from the plan.
@@ -70,10 +71,12 @@ def print_(
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
         anyway: print a job although its proof does not print; by default a terminal is asked
+        mend: show frames of a vial whose light was cut again in an added turn, where the proved dose and the budget of
+            light allow it
     """
     if jobs == ("demo", "live") or live:
-        given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
-        return _live(jobs, rig, 16 if turns is None else turns, out, plain=given)
+        given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
+        return _live(jobs, rig, 16 if turns is None else turns, out, plain=not given)
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
@@ -86,7 +89,10 @@ def print_(
     exposure = None
     if resume is not None:
         turns, exposure = _begun(resume, turns)
-    planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
+    with warnings.catch_warnings():
+        if stop is not None:  # its turns are the most, and the scatter decides on the dose
+            warnings.simplefilter("ignore", DoseWarning)
+        planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
     exposure = False if planned.dose is None else planned.dose.proved
     if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
@@ -98,7 +104,8 @@ def print_(
 
     order = PrintOrder.of(
         folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
-        rehearsed=dry_run, resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
+        rehearsed=dry_run, resume=resume is not None, unattended=unattended, mend=mend, page=panel,
+        asks=sys.stdin.isatty(),
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
     if not (planned.rehearsed or order.resume or anyway):
@@ -207,7 +214,7 @@ def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
 def panel(
     *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
-    device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
+    device: str | None = None, dry_run: Switch = False, mend: Switch = False, attach: Path | None = None,
     host: str = "127.0.0.1", port: int = 8521, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
@@ -223,6 +230,7 @@ def panel(
         unattended: as for ``vam print``
         device: as for ``vam print``
         dry_run: print on emulated machines, on any rig, in the time that a print takes
+        mend: as for ``vam print``
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
@@ -236,7 +244,7 @@ def panel(
         raise BadInput("there is no rig; expected --rig with its TOML file or the word emulated")
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
-        settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port,
+        settings=settings, device=device, dry_run=dry_run, mend=mend, panel=True, stay=True, host=host, port=port,
         anyway=anyway,
     )  # fmt: skip
 

@@ -58,6 +58,7 @@ function clock(now) { // turn k of n, and the time left
 }
 
 const claim = (now, about) => now.guarantees.find((each) => each.about === about);
+const unsensed = (now, about) => (claim(now, about) || {}).holds === false;
 
 function doubtful(now) {
   if (!now.doubt.length) return now.frame < 0 ? ["nothing yet", ""] : ["nothing", ""];
@@ -71,11 +72,11 @@ function rows(now) {
   const age = now.renewed === null ? null : now.renewed + now.ago, silent = now.light && now.ago > SILENT;
   const leased = claim(now, "lease");
   const told = {
-    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") + (now.rehearsed ? ", emulated" : "") : "off", now.light ? "lit" : ""],
+    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") + (now.rehearsed ? ", emulated" : "")  + (unsensed(now, "light") ? ", as commanded: no machine tells" : "") : "off", now.light ? "lit" : ""],
     "time left": [now.ended ? "none: the print has ended" : time(now.left) + (now.waits === null ? "" : " of light"), ""],
     dose: [`${fixed(100 * now.spent, 1)} % of the plan`, ""],
     frame: [now.frame < 0 ? "none yet" : `${now.frame} (slot ${now.slot + 1}${now.slots ? ` of ${now.slots}` : ""})`, ""],
-    position: [`${fixed(now.position, 3)} ${now.unit}`, ""],
+    position: [`${fixed(now.position, 3)} ${now.unit}${unsensed(now, "position") ? ", by counted steps" : ""}`, ""],
     interlock: (claim(now, "interlock") || {}).kind === "not there" ? ["not there", "warn"] : now.light && now.interlock_closed ? ["closed: the controller allows the light", ""] : now.ended ? ["no longer read", ""]
       : now.interlock_closed === null ? [now.state === "standby" ? "not read yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
     lease: leased && !leased.holds ? ["not there: the light may stay on if the host dies", "warn"] : !now.light || age === null ? ["light is off", ""]
