@@ -6,9 +6,15 @@ import numpy as np
 from skimage.measure import euler_number
 
 from vamgpu.metrics.body_changes import body_changes
-from vamgpu.metrics.topology import topology
+from vamgpu.metrics.runs import runs_of
+from vamgpu.metrics.topology import Topology
+from vamgpu.metrics.topology import topology as labeled
 
 X, Y, Z = np.mgrid[:70, :40, :40] - np.array([34.5, 19.5, 19.5])[:, None, None, None]
+
+
+def topology(mask: np.ndarray) -> Topology:
+    return labeled(runs_of(mask))
 
 
 def test_a_ring_has_a_hole_and_a_shell_a_cavity() -> None:

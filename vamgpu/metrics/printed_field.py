@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.metrics.runs import Indices, Runs, runs_of
 from vamgpu.metrics.triangle_search import Array
 
 _SLAB = 32
@@ -25,11 +26,7 @@ class PrintedField:
     origin: Array  # center of voxel [0, 0, 0] [mm], (3,)
     pitch: float  # voxel edge [mm]
     threshold: float  # printed from this dose on
-
-    @property
-    def mask(self) -> npt.NDArray[np.bool_]:
-        """Voxels that reach the threshold, [x, y, z]."""
-        return self.values >= self.threshold
+    runs: Runs  # voxels that reach it
 
     def printed(self, points: Array) -> npt.NDArray[np.bool_]:
         """Whether the dose at points (n, 3) [mm], linear between voxels' centers, reaches the threshold."""
@@ -66,20 +63,21 @@ def printed_field(
     if not np.isfinite(values.max() - values.min()):
         raise BadInput("the dose holds NaN or infinity; expected finite numbers: look for a division by zero in it")
     box = (np.asarray(bounds, np.float64) - start) / edge
-    low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64)
-    mask = values >= level
-    for axis in range(3):
-        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
-        if along.size:
-            low[axis], high[axis] = min(low[axis], along[0]), max(high[axis], along[-1])
-    low, high = low - _AROUND, high + _AROUND + 1
-    return PrintedField(_cut(values, low, high, level), start + low * edge, edge, level)
+    low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64) + 1
+    runs = runs_of(values, level)
+    if runs.start.size:
+        low, high = np.minimum(low, runs.box[0]), np.maximum(high, runs.box[1])
+    low, high = low - _AROUND, high + _AROUND
+    cut = _cut(values, low, high, level)
+    return PrintedField(cut, start + low * edge, edge, level, runs.moved(low, cut.shape))
 
 
 def _cut(values: np.ndarray, low: np.ndarray, high: np.ndarray, level: float) -> npt.NDArray[np.float32]:
     """Voxels low..high of a dose; the layer beyond its end mirrors the last one about the level, the rest is 0."""
-    cut = np.zeros(high - low, np.float32)
     start, stop = np.maximum(low, 0), np.minimum(high, values.shape)
+    if (start == low).all() and (stop == high).all():
+        return np.asarray(values[tuple(map(slice, start, stop))], np.float32)
+    cut = np.zeros(high - low, np.float32)
     if (start >= stop).any():
         return cut
     here = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))

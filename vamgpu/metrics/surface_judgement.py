@@ -14,10 +14,11 @@ from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.line import Line, length
-from vamgpu.metrics.mesh_mask import mesh_mask
+from vamgpu.metrics.mesh_runs import mesh_runs
 from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
+from vamgpu.metrics.runs import Runs
 from vamgpu.metrics.surface_distance import iso_solid
 from vamgpu.metrics.thin_regions import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.topology import Topology, topology
@@ -130,7 +131,7 @@ def judge_surface(
         thin = unjudged(fraction, grid, solid)
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
-    inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
+    inside = mesh_runs(part, around.origin, around.pitch, around.runs.shape)
 
     def triangles() -> TriangleSearch | None:
         found = around.triangles()
@@ -143,7 +144,7 @@ def judge_surface(
             triangles,
             lambda: Nearest(part, 0.5 * grid.pitch),
             lambda: _own_bodies(part, topology(inside), around),
-            lambda: topology(around.mask),
+            lambda: topology(around.runs),
         )
     changes = body_changes(own, there, around.pitch**3)
     points, face = drawn_on(near.search.corners, number, near.search.areas)
@@ -182,13 +183,13 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     pieces = [np.unique(faces, return_inverse=True) for faces in parted]
     meshes = [Solid(part.vertices[used], own.reshape(-1, 3).astype(np.int32)) for used, own in pieces]
     genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
-    boxes = [np.stack([one.vertices.min(axis=0), one.vertices.max(axis=0)]) for one in meshes]
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
-    for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # what lies in a cavity comes after its shell
-        low, high = np.rint((boxes[k] - around.origin) / around.pitch).astype(np.int64) + [[0], [1]]
-        mask = mesh_mask(meshes[k], around.origin + low * around.pitch, around.pitch, tuple((high - low).tolist()))
-        there = found.body[tuple(map(slice, low, high))][mask]
-        shared = np.bincount(there, minlength=found.bodies + 1)[1:]
+    for k in np.argsort(
+        [-np.ptp(one.vertices, axis=0).prod() for one in meshes]
+    ):  # what lies in a cavity comes after its shell
+        own = mesh_runs(meshes[k], around.origin, around.pitch, found.runs.shape)
+        _, there, both = own.shared(found.runs)
+        shared = np.bincount(found.body[there], both.length, found.bodies + 1)[1:].astype(np.int64)
         its = (shared > 0) & (shared >= most)
         group[its], most[its] = k, shared[its]
     return found.together(group, genus)
@@ -215,10 +216,10 @@ def _dense(search: TriangleSearch, pitch: float) -> Array:
     return drawn_on(search.corners, count, search.areas)[0]
 
 
-def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:
+def _masked(inside: Runs, around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:
     """Whether the voxel that each point lies in is inside the part."""
     index = np.rint((points - around.origin) / around.pitch).astype(np.int64)
-    return inside[tuple(np.clip(index, 0, np.array(inside.shape) - 1).T)]
+    return inside.holds(np.clip(index, 0, np.array(inside.shape) - 1))
 
 
 def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:
