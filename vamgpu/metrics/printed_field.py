@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.metrics.runs import Indices, Runs, runs_of
+from vamgpu.metrics.runs import Runs, runs_of
 from vamgpu.metrics.triangle_search import Array
 
 _SLAB = 32
@@ -42,10 +42,22 @@ class PrintedField:
         found = [np.zeros((0, 3, 3))]
         for first in range(0, len(self.values) - 1, _SLAB):
             slab = self.values[first : first + _SLAB + 1]
-            if slab.min() < self.threshold < slab.max():
-                points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent")
+            crossed = _crossed(slab > self.threshold)
+            if crossed.any():
+                points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent", mask=crossed)
                 found.append(((points + (first, 0, 0)) * self.pitch + self.origin)[faces])
         return np.concatenate(found)
+
+
+def _crossed(above: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Cubes between voxels' centers that the surface crosses, each at its last corner, [x, y, z]."""
+    every, some = above, above
+    for axis in range(3):
+        low, high = (tuple(cut if k == axis else slice(None) for k in range(3)) for cut in (slice(-1), slice(1, None)))
+        every, some = every[low] & every[high], some[low] | some[high]
+    crossed = np.zeros(above.shape, bool)
+    np.not_equal(every, some, out=crossed[1:, 1:, 1:])
+    return crossed
 
 
 def printed_field(

@@ -45,9 +45,12 @@ class TriangleSearch:
         self.kept: np.ndarray = double > 0
         self.corners: np.ndarray = corners[self.kept]
         self.areas: Array = double[self.kept].cumsum()
-        pieces, self._parent = _pieces(self.corners, max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES))))
-        self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
-        self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
+        limit = max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES)))
+        self._middles, self._reaches = _balls(self.corners)
+        self._parent: Indices = np.arange(len(self.corners))
+        if 2.0 * self._reaches.max(initial=0.0) > limit:  # otherwise no edge is longer
+            pieces, self._parent = _pieces(self.corners, limit)
+            self._middles, self._reaches = _balls(pieces)
         self.reach: float = float(self._reaches.max())
         self._tree = KDTree(self._middles, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
@@ -123,6 +126,12 @@ class TriangleSearch:
         found = barycentric(asked, corners)
         apart[row, column] = _length(asked - np.einsum("nk,nki->ni", found, corners))
         weight[row, column] = found
+
+
+def _balls(corners: Array) -> tuple[Array, Array]:
+    """Middles (m, 3) of triangles, and the greatest distances (m,) of their corners from them."""
+    middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    return middles, np.max([_length(corners[:, k] - middles) for k in range(3)], axis=0)
 
 
 def double_areas(corners: Array) -> Array:

@@ -97,7 +97,8 @@ class Causes:
         grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
         reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
         depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)
-        part, *moved = (topology(runs_of(depth, at)) for at in (np.finfo(depth.dtype).tiny, reach, -reach))
+        part = topology(runs_of(depth > 0.0))
+        moved = (topology(runs_of(depth, at)) for at in (reach, -reach))
         inside, outside = (body_changes(part, one, grid.voxel_volume) for one in moved)
         return inside, outside
 
