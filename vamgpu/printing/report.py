@@ -24,8 +24,6 @@ from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Pa
 
 BYTES_A_VOXEL = 1800
 """Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
-GAMMA = 2.2
-"""Patterns are shown to the power of its inverse, because their mean is a fortieth of their peak."""
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
@@ -45,10 +43,10 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Ju
 
 def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
     """The page of a proof."""
+    verdict = proof.verdict if judgement is None else verdict_of(proof, judgement)
     judgement = proof.judgement if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    verdict = verdict_of(proof, judgement)
     printed = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
     asked = _asked(proof)
     data, deviation = _drawn(proof, dose, asked, printed)
@@ -115,11 +113,11 @@ def _pareto(plan: Any) -> Iterator[Card]:
 
 
 def _light(proof: Proof) -> Iterator[Card]:
-    light = (proof.frames.irradiance(proof.operator.device).numpy() / float(proof.frames.scale)) ** (1.0 / GAMMA)
+    light, full = proof.frames.irradiance(proof.operator.device).numpy(), float(proof.frames.scale)
     motion = proof.operator.motion
-    note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
-    yield Card("Sinogram", Images([pictures.sinogram(light, 1.0)], "sinogram"), note=note)
-    shown = Images(pictures.frames(light, 1.0, np.degrees(motion.poses)), "frames")
+    note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {pictures.GAMMA:g}."
+    yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
+    shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
     yield Card("Frames", shown, note=_frames_note(proof))
 
 
@@ -193,7 +191,7 @@ def _frames_note(proof: Proof) -> str:
     angles, columns, rows = proof.operator.range.shape
     bits = getattr(proof.frames, "bits", None)
     depth = f" of {bits} bit{'s' * (bits > 1)}" if bits else ""
-    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {GAMMA:g}."
+    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {pictures.GAMMA:g}."
 
 
 def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
