@@ -9,6 +9,7 @@ from math import isnan, nan
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
@@ -117,8 +118,8 @@ class SurfaceJudgement:
 
 
 def judge_surface(
-    dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: npt.ArrayLike, grid: Grid,
-    solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
+    dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: DeviceArray | npt.ArrayLike,
+    grid: Grid, solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
     # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities
@@ -128,6 +129,7 @@ def judge_surface(
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
+        fraction = np.asarray(fraction.numpy() if isinstance(fraction, DeviceArray) else fraction)
         thin = unjudged(fraction, grid, solid)
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     around = printed_field(dose, origin, pitch, threshold, part.bounds)

@@ -17,6 +17,7 @@ from vamgpu.methods.tolerances import CornerDose, CornerDoses
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.judgement import WHOLE, Judgement
+from vamgpu.printing.pictures import GAMMA
 from vamgpu.printing.proof import Proof, efficiency
 from vamgpu.printing.summary import headline, summary
 from vamgpu.printing.verdict import verdict_of
@@ -47,9 +48,10 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
     judgement = proof.judgement if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    printed = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
-    asked = _asked(proof)
-    data, deviation = _drawn(proof, dose, asked, printed)
+    judged = dose if proof.limits is None else proof.parts.dose.numpy()
+    printed = pictures.verdicts(target, judged >= scores.threshold, grid.cylinder())
+    asked = _asked(proof, target)
+    data, deviation = _drawn(proof, dose, target, asked, printed)
     return Page(
         "Print proof",
         proof.name,
@@ -115,22 +117,24 @@ def _pareto(plan: Any) -> Iterator[Card]:
 def _light(proof: Proof) -> Iterator[Card]:
     light, full = proof.frames.irradiance(proof.operator.device).numpy(), float(proof.frames.scale)
     motion = proof.operator.motion
-    note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {pictures.GAMMA:g}."
+    note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
     yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
     shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
     yield Card("Frames", shown, note=_frames_note(proof))
 
 
-def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
+def _drawn(
+    proof: Proof, dose: np.ndarray, target: np.ndarray, asked: np.ndarray, verdict: np.ndarray
+) -> tuple[dict[str, Any], float]:
     """Data that the page's script draws, and the deviation [mm] at the ends of its color scale."""
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
-    wanted = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
+    wanted = surface.iso_surface(target, 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
     outer = surface.NOTHING
     if proof.outer is not None and proof.outer_share >= 1.0:
         slabs, radius = proof.fine() if proof.independent else (), proof.operator.grid.inscribed_radius
         outer = surface.stray(slabs, proof.solid_from, radius, proof.outer.place, 2.0 * proof.outer.width)
-    sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
+    sheet = pictures.sheet(dose, asked, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
@@ -179,9 +183,9 @@ def _stray_note(proof: Proof) -> str:
     return "Orange: resin beyond the judged cylinder that also prints. " if proof.outer_share >= 1.0 else ""
 
 
-def _asked(proof: Proof) -> np.ndarray:
+def _asked(proof: Proof, target: np.ndarray) -> np.ndarray:
     """The target as it is shown [x, y, z]: gray bodies that need more dose are darker."""
-    target, limits = proof.target.numpy(), proof.limits
+    limits = proof.limits
     if limits is None:
         return target
     return np.where(limits.gray, np.maximum(target, 0.2 + 0.6 * np.clip(limits.dose, 0.0, 1.0)), target)
@@ -191,7 +195,7 @@ def _frames_note(proof: Proof) -> str:
     angles, columns, rows = proof.operator.range.shape
     bits = getattr(proof.frames, "bits", None)
     depth = f" of {bits} bit{'s' * (bits > 1)}" if bits else ""
-    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {pictures.GAMMA:g}."
+    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {GAMMA:g}."
 
 
 def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
