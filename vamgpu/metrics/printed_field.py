@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.metrics.runs import Runs, runs_of
@@ -39,14 +40,15 @@ class PrintedField:
         """The surface of the print, (m, 3, 3) [mm], by marching cubes in slabs; m = 0 where nothing prints."""
         from skimage.measure import marching_cubes
 
-        found = [np.zeros((0, 3, 3))]
-        for first in range(0, len(self.values) - 1, _SLAB):
+        def of_slab(first: int) -> Array:
             slab = self.values[first : first + _SLAB + 1]
             crossed = _crossed(slab > self.threshold)
-            if crossed.any():
-                points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent", mask=crossed)
-                found.append(((points + (first, 0, 0)) * self.pitch + self.origin)[faces])
-        return np.concatenate(found)
+            if not crossed.any():
+                return np.zeros((0, 3, 3))
+            points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent", mask=crossed)
+            return ((points + (first, 0, 0)) * self.pitch + self.origin)[faces]
+
+        return np.concatenate([np.zeros((0, 3, 3)), *ahead(of_slab, range(0, len(self.values) - 1, _SLAB))])
 
 
 def _crossed(above: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

@@ -135,15 +135,12 @@ def judge_surface(
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
     inside = mesh_runs(part, around.origin, around.pitch, around.runs.shape)
 
-    def triangles() -> TriangleSearch | None:
-        found = around.triangles()
-        return TriangleSearch(found, 0.5 * around.pitch) if len(found) else None
-
+    surface = around.triangles()
+    printed = TriangleSearch(surface, 0.5 * around.pitch) if len(surface) else None
     with warnings.catch_warnings():
         if solid is None:  # a surface made from voxels, which the user cannot repair
             warnings.simplefilter("ignore", MeshWarning)
-        printed, near, own, there = together(
-            triangles,
+        near, own, there = together(
             lambda: Nearest(part, 0.5 * grid.pitch),
             lambda: _own_bodies(part, topology(inside), around),
             lambda: topology(around.runs),
