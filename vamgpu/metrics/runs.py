@@ -51,12 +51,9 @@ class Runs:
 
     @property
     def box(self) -> tuple[Indices, Indices]:
-        """Least index of its voxels along each axis, and one more than the greatest; (0, 0, 0) twice without voxels."""
-        if not self.start.size:
-            return np.zeros(3, np.int64), np.zeros(3, np.int64)
-        index = self.index
-        low, high = index.min(axis=1), index.max(axis=1) + 1
-        return low, np.array([high[0], high[1], (index[2] + self.length).max()])
+        """Least index of the voxels, of which there must be some, along each axis, and one more than the greatest."""
+        x, y, z = self.index
+        return self.index.min(axis=1), np.array([x.max() + 1, y.max() + 1, (z + self.length).max()])
 
     def holding(self, place: Indices) -> Indices:
         """The run that each place (n,) lies in, −1 if in none."""

@@ -140,12 +140,8 @@ def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudg
 def _joined(slabs: list[np.ndarray]) -> np.ndarray:
     """Slabs along z as one volume [x, y, z]."""
     whole = np.empty((*slabs[0].shape[:2], sum(slab.shape[2] for slab in slabs)), slabs[0].dtype)
-
-    def planes(first: int) -> None:
-        some = slice(first, first + _PLANES)
-        np.concatenate([slab[some] for slab in slabs], axis=2, out=whole[some])
-
-    for _ in ahead(planes, range(0, len(whole), _PLANES)):
+    some = [slice(first, first + _PLANES) for first in range(0, len(whole), _PLANES)]
+    for _ in ahead(lambda x: np.concatenate([slab[x] for slab in slabs], axis=2, out=whole[x]), some):
         pass
     return whole
 
