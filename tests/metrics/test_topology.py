@@ -26,6 +26,13 @@ def test_a_ring_has_a_hole_and_a_shell_a_cavity() -> None:
     assert nested.cavity_size.tolist() == [np.count_nonzero((r <= 12) & (r >= 6))]
 
 
+def test_cavities_belong_to_the_body_around_them() -> None:
+    """The first of two bodies is hollow: counted for the other, its cavity would be a hole there."""
+    first, other = (np.maximum(np.maximum(np.abs(X - x), np.abs(Y)), np.abs(Z)) for x in (-18, 18))
+    found = topology(((first < 9) & (first > 4)) | (other < 9))
+    assert (found.bodies, found.cavities, found.holes.tolist()) == (2, 1, [0, 0])
+
+
 def test_holes_belong_to_the_body_that_has_them() -> None:
     """Across the planes where slabs meet."""
     bar = (np.abs(Y) < 8) & (np.abs(Z) < 4)

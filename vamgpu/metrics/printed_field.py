@@ -45,8 +45,12 @@ class PrintedField:
             crossed = _crossed(slab > self.threshold)
             if not crossed.any():
                 return np.zeros((0, 3, 3))
-            points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent", mask=crossed)
-            return ((points + (first, 0, 0)) * self.pitch + self.origin)[faces]
+            y, z = (np.flatnonzero(crossed.any(axis=0).any(axis=axis)) for axis in (1, 0))
+            cut = slice(None), slice(y[0] - 1, y[-1] + 1), slice(z[0] - 1, z[-1] + 1)
+            points, faces, _, _ = marching_cubes(
+                slab[cut], self.threshold, gradient_direction="ascent", mask=crossed[cut]
+            )
+            return ((points + (first, y[0] - 1, z[0] - 1)) * self.pitch + self.origin)[faces]
 
         return np.concatenate([np.zeros((0, 3, 3)), *ahead(of_slab, range(0, len(self.values) - 1, _SLAB))])
 
