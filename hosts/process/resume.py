@@ -156,7 +156,7 @@ def asked_for(planned: PrintPlan) -> dict[str, Any]:
     table, jobs = planned.schedule, [each.path for each in planned.jobs]
     return {
         "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
-        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "slots": len(table), "seconds": table.duration / SECOND, "unit": table.unit, "speed": float(table.speed),
         "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
         "guarantees": [one.record() for one in planned.guarantees],
         "calibrations": dict(planned.calibration.used),

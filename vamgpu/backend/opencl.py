@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
+from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
@@ -74,6 +75,8 @@ class OpenclDevice(Device):
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
+        # drivers of GPUs take milliseconds to find and to free memory
+        self._pool = MemoryPool(ImmediateAllocator(self.queue)) if self.is_gpu else None
         self._compiled = lru_cache(maxsize=None)(self.compile)
 
     @property
@@ -86,7 +89,7 @@ class OpenclDevice(Device):
         # the widest slab that pads z least
         return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
 
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.Buffer:
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.MemoryObjectHolder:
         nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         limit = self._device.max_mem_alloc_size
         if nbytes > limit:
@@ -98,6 +101,8 @@ class OpenclDevice(Device):
             beyond = self.memory is not None and self.ledger.allocated + nbytes > self.memory
             if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
+            if self._pool is not None:
+                return self._pool.allocate(max(nbytes, 4))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
@@ -108,16 +113,18 @@ class OpenclDevice(Device):
         weakref.finalize(pages, _release, self.queue, mapped).atexit = False
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
 
-    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+    def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
         nbytes, limit = 4 * prod(shape), self._device.max_mem_alloc_size
         if nbytes > limit and (self.is_gpu or not self._shares_memory):
             raise OutOfMemory(
                 f"a table of {nbytes} bytes; {self.name} takes at most {limit} at once: use a Projection in place of "
                 "rings, a coarser grid or fewer angles"
             )
+        if self.is_gpu:
+            return super().reserve(shape)
         if self.memory is None or nbytes <= SMALL_TABLE:
-            return super().room(shape)
-        return _mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape)
+            return self.adopt(np.empty(shape, np.float32))
+        return self.adopt(_mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape))
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
         if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
@@ -135,9 +142,6 @@ class OpenclDevice(Device):
         if not self._shares_memory or self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
             return None
         return self.borrow(values)
-
-    def settle(self, values: np.ndarray) -> DeviceArray:
-        return super().settle(values) if self.is_gpu else self.adopt(values)
 
     def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
         if isinstance(handle, cl.SVM):
