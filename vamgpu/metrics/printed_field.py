@@ -45,7 +45,7 @@ class PrintedField:
             crossed = _crossed(slab > self.threshold)
             if not crossed.any():
                 return np.zeros((0, 3, 3))
-            y, z = (np.flatnonzero(crossed.any(axis=0).any(axis=axis)) for axis in (1, 0))
+            y, z = (np.flatnonzero(np.any(crossed, axis=(0, axis))) for axis in (2, 1))
             cut = slice(None), slice(y[0] - 1, y[-1] + 1), slice(z[0] - 1, z[-1] + 1)
             points, faces, _, _ = marching_cubes(
                 slab[cut], self.threshold, gradient_direction="ascent", mask=crossed[cut]
