@@ -75,16 +75,13 @@ class Watched:
         for told in self.decisions:
             found = ", ".join(f"{name} {value:.3g} ± {error:.2g}" for name, (value, error) in
                               told["parameters"].items())  # fmt: skip
+            begins = "not shown" if told["effective"] is None else f"from turn {told['effective']} on"
             rows.append(
-                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {_begins(told['effective'])}, "
+                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {begins}, "
                 f"{told['turns']} to go, {told['seconds']:.2f} s  "
                 + (f"inhibitor {told['inhibitor']:.2f}, {found}" if found else told["reason"])
             )
         return "\n".join(rows if self.iou is None else [*rows, f"proved overlap {self.iou:.4f}"])
-
-
-def _begins(turn: int | None) -> str:
-    return "not shown" if turn is None else f"from turn {turn} on"
 
 
 def live(
@@ -154,7 +151,7 @@ def _may_watch(planned: PrintPlan, camera: RedCamera, truth: Truth | None) -> No
 
 
 def _even_vial(planned: PrintPlan, path: Path, solid: float) -> tuple[Frames, Any, float]:
-    """Frames, operator, and the resin's dose in the method's own unit, of a round vial in even light, or `BadInput`."""
+    """Frames and operator of a round vial with uniform light, and its dose in the method's unit; or `BadInput`."""
     frames, proof = planned.jobs[0].frames, prove(path).proof
     A = proof.operator
     round_vial = isinstance(A, Projection) and isinstance(A.vessel, Vial)

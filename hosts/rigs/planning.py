@@ -126,6 +126,7 @@ class PrintPlan:
             ("exposure", f"{shown} for {light:.3g} s of full light"),
             ("dimmed", dose.dimming if dose.lit < 1.0 else ""),
             ("dose", str(dose)),
+            ("proof", "" if dose.proved.right else f"does not print: {dose.proved.faults}"),
         )
 
 
@@ -263,7 +264,7 @@ def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
             raise BadInput(f"speed {speed!r}: {error}, or a plain number of {unit}") from error
     text = str(speed).removesuffix("deg/s").strip()
     if not _number(text):
-        raise BadInput(f"speed is {speed!r}; expected a number of {unit} > 0")
+        raise BadInput(f'speed is {speed!r}; expected a number of {unit} > 0: write it like "{USUAL:g} {unit}"')
     return float(text) / (HOUR if first.kind == "slices" else 1.0)
 
 

@@ -29,25 +29,25 @@ from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid
 
 SAMPLES = 10_000
-"""Points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
+"""Number of points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
 _DENSE = 300_000
-"""Most points on each surface in the search for the greatest distances."""
+"""Greatest number of points on each surface in the search for the greatest distances."""
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
-"""Most pieces of triangles that a point is compared with: enough except for points equally far from a whole part."""
+"""Greatest number of pieces of triangles compared with a point; more matter only if equally far from a whole part."""
 _WIDEST = 4.0
-"""In voxels of the part; anything thicker does not count as a wall."""
+"""Thickness, in voxels of the part, above which nothing counts as a wall."""
 
 
 @dataclass(frozen=True)
 class WallChanges:
-    """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none of a kind."""
+    """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none."""
 
     # A wall is thinner than four of the part's voxels. It is lost if the dose in its middle stays below the threshold.
-    # A sharp edge also counts as a wall, which tapers to zero thickness.
+    # A sharp edge, which tapers to zero thickness, also counts as a wall.
 
-    share_lost: float  # of the area of all walls, 0..1
+    share_lost: float  # share of the area of all walls, 0..1
     thinnest_lost: float
     thickest_lost: float  # of those that are lost
     thinnest_printed: float  # of those that are printed
@@ -63,8 +63,8 @@ class SurfaceJudgement:
     distances: Array = field(repr=False)  # of n points of the print's surface, then of n of the part's, (2 n,) [mm]
     greatest_excess: float  # greatest distance by which the print is too thick [mm], ≥ 0
     greatest_lack: float  # greatest distance by which it is too thin or missing [mm], ≥ 0
-    walls: WallChanges  # which walls of the part were lost
-    changes: BodyChanges  # which bodies, holes and cavities were lost, joined or gained
+    walls: WallChanges  # walls of the part that were lost
+    changes: BodyChanges  # bodies, holes and cavities that were lost, joined or gained
     unjudged: Unjudged  # features too thin for the part's voxels
 
     @property
@@ -79,7 +79,7 @@ class SurfaceJudgement:
 
     @property
     def p95(self) -> float:
-        """The distance [mm] that 95 % of the points stay below."""
+        """The distance [mm] that 95 % of the points do not exceed."""
         return float(np.quantile(np.abs(self.distances), 0.95)) if self.distances.size else nan
 
     @property
@@ -122,10 +122,9 @@ def judge_surface(
     grid: Grid, solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
-    # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities
-    # are those of voxels of the dose's grid: anything thinner is not compared. `unjudged` reports what is thinner than
-    # the part's voxels.
-    # dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
+    # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities are
+    # compared on voxels of the dose's grid; thinner ones are not compared. `unjudged` reports features thinner than the
+    # part's voxels. dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
@@ -134,7 +133,6 @@ def judge_surface(
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
     inside = mesh_runs(part, around.origin, around.pitch, around.runs.shape)
-
     surface = around.triangles()
     printed = TriangleSearch(surface, 0.5 * around.pitch) if len(surface) else None
     with warnings.catch_warnings():
@@ -151,25 +149,32 @@ def judge_surface(
     if printed is None:
         return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
 
+    distances, most = _distances(near, points, printed, inside, around)
+    return SurfaceJudgement(
+        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
+    )  # fmt: skip
+
+
+def _distances(
+    near: Nearest, points: Array, printed: TriangleSearch, inside: Runs, around: PrintedField
+) -> tuple[Array, Array]:
+    """Signed distances at points of the print and of the part; and these with those that may be greatest."""
+
     def of_part(at: Array) -> Array:
         return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
 
     def of_print(at: Array) -> Array:
         return near(at, most=_PIECES).distance
 
-    cloud = drawn_on(printed.corners, number, printed.areas)[0]
+    cloud = drawn_on(printed.corners, len(points), printed.areas)[0]
     dense_part, dense_print = _dense(near.search, around.pitch), _dense(printed, around.pitch)
     ways = (
         (of_print, near.search, cloud, dense_print, ~_masked(inside, around, dense_print)),
         (of_part, printed, points, dense_part, around.printed(dense_part)),
     )
     distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
-    most = np.concatenate(
-        [distances, *(measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways)]
-    )
-    return SurfaceJudgement(
-        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
-    )  # fmt: skip
+    farthest = [measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways]
+    return distances, np.concatenate([distances, *farthest])
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
@@ -183,9 +188,8 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     meshes = [Solid(part.vertices[used], own.reshape(-1, 3).astype(np.int32)) for used, own in pieces]
     genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
-    for k in np.argsort(
-        [-np.ptp(one.vertices, axis=0).prod() for one in meshes]
-    ):  # what lies in a cavity comes after its shell
+    sizes = [np.ptp(one.vertices, axis=0).prod() for one in meshes]
+    for k in np.argsort(np.negative(sizes)):  # a cavity comes after its shell
         own = mesh_runs(meshes[k], around.origin, around.pitch, found.runs.shape)
         _, there, both = own.shared(found.runs)
         shared = np.bincount(found.body[there], both.length, found.bodies + 1)[1:].astype(np.int64)
@@ -222,7 +226,7 @@ def _masked(inside: Runs, around: PrintedField, points: Array) -> npt.NDArray[np
 
 
 def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:
-    """The points that may be farthest from a surface, for points where the print is too thick and for the others."""
+    """Candidates for the points farthest from a surface, for points where the print is too thick and for the others."""
     low, high = search.bounds(points)
     chosen = []
     for side in (np.flatnonzero(thick), np.flatnonzero(~thick)):

@@ -35,8 +35,8 @@ class Topology:
         return len(self.cavity_size)
 
     def together(self, group: Indices, genus: Indices) -> Topology:
-        """The same, where all bodies of a group count as one; group: the number of each body's, (bodies,)."""
-        # genus: holes of each group that is numbered from 0 on; they count where it has several bodies
+        """The same, with all bodies of a group as one; group: the group number of each body, (bodies,)."""
+        # genus: holes of each group, numbered from 0; they are used for groups of several bodies
         own, number, many = np.unique(group, return_inverse=True, return_counts=True)
         size, holes = (np.bincount(number, each).astype(np.int64) for each in (self.size, self.holes))
         holes = np.where(many > 1, genus[np.maximum(own, 0)], holes)
@@ -62,7 +62,7 @@ def topology(runs: Runs) -> Topology:
 
 
 def _labeled(runs: Runs, *pairs: Sequence[Indices]) -> tuple[Indices, Indices]:
-    """Numbers of the pieces, from 1 on, that pairs of runs connect, and their sizes."""
+    """Numbers of the components, from 1 on, that pairs of runs connect, and their sizes."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -75,7 +75,7 @@ def _labeled(runs: Runs, *pairs: Sequence[Indices]) -> tuple[Indices, Indices]:
 
 
 def _cavities(void: Runs) -> tuple[Runs, Indices, Indices]:
-    """Runs of void voxels that no path of voxels leads out from, the numbers of their cavities, and their sizes."""
+    """Runs of void voxels from which no path leads out, the numbers of their cavities, and the size of each."""
     steps = void.step_y, void.step_x - void.step_y, void.step_x, void.step_x + void.step_y
     number, size = _labeled(void, *(void.meeting(void, step, 1) for step in steps))
     (x, y, z), (nx, ny, nz) = void.index, void.shape
@@ -87,6 +87,6 @@ def _cavities(void: Runs) -> tuple[Runs, Indices, Indices]:
 
 
 def _owners(runs: Runs, body: Indices, hollow: Runs, cavity: Indices) -> Indices:
-    """The body around each cavity: it lies before the cavity's first voxel along x."""
+    """The body around each cavity: the voxel before the cavity's first voxel along x belongs to it."""
     _, first = np.unique(cavity, return_index=True)
     return body[runs.holding(hollow.start[first] - runs.step_x)]
