@@ -79,6 +79,15 @@ def test_slabs_with_a_halo_agree_with_the_whole() -> None:
         assert np.mean(part[:, :, start - low : start - low + 8] != whole[:, :, start : start + 8]) < 1e-3
 
 
+def test_both_sides_of_a_face_between_full_and_empty_are_a_surface() -> None:
+    """Around a full voxel each of its neighbors knows the face; from the voxel alone the distance would be 1.49."""
+    fraction = np.zeros((9, 9, 9))
+    fraction[4, 4, 4] = 1.0
+    found = signed_depth(fraction, 3.0)
+    for axis in range(3):
+        assert np.moveaxis(found, axis, 0)[[2, 6], 4, 4] == pytest.approx([-1.5, -1.5], abs=1e-4)
+
+
 def test_nothing_and_everything() -> None:
     assert (signed_depth(np.zeros((5, 6, 7)), 3.0) == -3).all()
     assert (signed_depth(np.ones((5, 6, 7)), 3.0) == 3).all()

@@ -6,9 +6,15 @@ import numpy as np
 from skimage.measure import euler_number
 
 from vamgpu.metrics.body_changes import body_changes
-from vamgpu.metrics.topology import topology
+from vamgpu.metrics.runs import runs_of
+from vamgpu.metrics.topology import Topology
+from vamgpu.metrics.topology import topology as labeled
 
 X, Y, Z = np.mgrid[:70, :40, :40] - np.array([34.5, 19.5, 19.5])[:, None, None, None]
+
+
+def topology(mask: np.ndarray) -> Topology:
+    return labeled(runs_of(mask))
 
 
 def test_a_ring_has_a_hole_and_a_shell_a_cavity() -> None:
@@ -18,6 +24,13 @@ def test_a_ring_has_a_hole_and_a_shell_a_cavity() -> None:
     nested = topology(((r < 18) & (r > 12)) | (r < 6))
     assert (nested.bodies, nested.holes.tolist(), nested.cavities) == (2, [0, 0], 1)
     assert nested.cavity_size.tolist() == [np.count_nonzero((r <= 12) & (r >= 6))]
+
+
+def test_cavities_belong_to_the_body_around_them() -> None:
+    """The first of two bodies is hollow: counted for the other, its cavity would be a hole there."""
+    first, other = (np.maximum(np.maximum(np.abs(X - x), np.abs(Y)), np.abs(Z)) for x in (-18, 18))
+    found = topology(((first < 9) & (first > 4)) | (other < 9))
+    assert (found.bodies, found.cavities, found.holes.tolist()) == (2, 1, [0, 0])
 
 
 def test_holes_belong_to_the_body_that_has_them() -> None:

@@ -10,7 +10,7 @@ import trimesh
 
 from vamgpu.errors import ShapeMismatch
 from vamgpu.geometry import Grid
-from vamgpu.metrics.mesh_mask import mesh_mask
+from vamgpu.metrics.mesh_runs import mesh_runs
 from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.thin_regions import unjudged
 from vamgpu.metrics.triangle_search import TriangleSearch, barycentric
@@ -96,16 +96,18 @@ def test_a_mask_agrees_with_the_sides_of_the_surface() -> None:
     solid = build("nut")
     low, pitch = solid.bounds[0] - 0.1, 0.31
     shape = tuple(int(n) for n in np.ceil((solid.bounds[1] - low) / pitch + 1))
-    mask = mesh_mask(solid, low, pitch, shape)  # type: ignore[arg-type]
+    inside = mesh_runs(solid, low, pitch, shape)  # type: ignore[arg-type]
     index = np.random.default_rng(0).integers(0, shape, (500, 3))
     distance = Nearest(solid)(low + index * pitch).distance
     sure = np.abs(distance) > 1e-6
-    assert np.array_equal(mask[tuple(index.T)][sure], (distance < 0)[sure])
+    assert np.array_equal(inside.holds(index)[sure], (distance < 0)[sure])
     twice = Solid(
         np.concatenate([solid.vertices, solid.vertices + 0.05]),
         np.concatenate([solid.faces, solid.faces + len(solid.vertices)]),
     )
-    assert (mesh_mask(twice, low, pitch, shape) >= mask).all()  # type: ignore[arg-type]
+    both = mesh_runs(twice, low, pitch, shape)  # type: ignore[arg-type]
+    assert (both.holds(index) >= inside.holds(index)).all()
+    assert (both.start[1:] > both.stop[:-1]).all() and (both.start < both.stop).all()
 
 
 def test_triangles_that_do_not_close_are_searched_exactly() -> None:

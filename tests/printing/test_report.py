@@ -25,7 +25,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import StorageError
 from vamgpu.printing import charts, pictures, report, summary, surface
-from vamgpu.printing.judgement import judged
+from vamgpu.printing.judgement import _joined, judged
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.simulate import simulate
 from vamgpu.printing.verdict import verdict_of
@@ -248,6 +248,20 @@ def test_verdicts_add_up_to_the_scores(proof: Proof) -> None:
     verdict = pictures.verdicts(target, printed, GRID.cylinder())
     assert (verdict == pictures.MISSING).sum() == proof.scores.missing
     assert (verdict == pictures.EXCESS).sum() == proof.scores.excess
+
+
+def test_every_kind_of_voxel_has_its_verdict() -> None:
+    target, printed = np.array([[[0.0, 0.0, 0.5, 1.0]]]), np.array([[[False, True, False, True]]])
+    found = pictures.verdicts(target, printed, np.ones((1, 1), bool))
+    assert found.tolist() == [[[0, pictures.EXCESS, pictures.MISSING, pictures.HIT]]]
+
+
+def test_blocks_and_slabs_of_a_field() -> None:
+    """Voxels missing in the last blocks count as zero; slabs along z follow each other."""
+    field = np.random.default_rng(0).random((37, 5, 7)).astype(np.float32)
+    padded = np.pad(field, ((0, 2), (0, 1), (0, 2))).reshape(13, 3, 2, 3, 3, 3)
+    assert surface.block_mean(field, 3) == pytest.approx(padded.mean(axis=(1, 3, 5)), rel=1e-6)
+    assert np.array_equal(_joined([field[:, :, :2], field[:, :, 2:6], field[:, :, 6:]]), field)
 
 
 def test_surfaces_enclose_the_volume_and_face_outwards() -> None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.metrics.topology import Labels, Topology
+from vamgpu.metrics.runs import Indices, Runs
+from vamgpu.metrics.topology import Topology
 
 _LOST = 0.5
 """A body or a cavity is lost if less than this share of it remains."""
@@ -47,7 +48,7 @@ class BodyChanges:
 def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> BodyChanges:
     """Compare a part and its print, labeled on one grid."""
     # voxel_volume [mm³]
-    table = _shared(part.body, printed.body)
+    table = _shared(part.runs, part.body, printed.runs, printed.body)
     one, other, shared = table
     printed_share = np.bincount(one, shared, part.bodies + 1)[1:] / np.maximum(part.size, 1)
     speck, dust = (each.size < min(_SPECK, _TINY * each.size.max(initial=0)) for each in (part, printed))
@@ -75,18 +76,18 @@ def body_changes(part: Topology, printed: Topology, voxel_volume: float) -> Body
     )
 
 
-_Table = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]
+_Table = tuple[Indices, Indices, Indices]
 
 
-def _shared(a: Labels, b: Labels) -> _Table:
-    """Pairs of labels that share voxels, and how many."""
-    both = (a > 0) & (b > 0)
-    width = int(b.max(initial=0)) + 1
-    pair, count = np.unique(a[both].astype(np.int64) * width + b[both], return_counts=True)
-    return pair // width, pair % width, count
+def _shared(a: Runs, number_a: Indices, b: Runs, number_b: Indices) -> _Table:
+    """Pairs of the numbers of runs that share voxels, and how many."""
+    one, other, both = a.shared(b)
+    width = int(number_b.max(initial=0)) + 1
+    pair, which = np.unique(number_a[one] * width + number_b[other], return_inverse=True)
+    return pair // width, pair % width, np.bincount(which, both.length, len(pair)).astype(np.int64)
 
 
-def _main(table: _Table, number: int) -> npt.NDArray[np.int64]:
+def _main(table: _Table, number: int) -> Indices:
     """The second label that shares most voxels with each first one, (number,); 0 if there is none."""
     one, other, shared = table
     order = np.argsort(shared, kind="stable")  # the largest is written last
@@ -110,7 +111,7 @@ def _holes(part: Topology, printed: Topology, table: _Table, lost: npt.NDArray[n
 
 def _cavities(part: Topology, printed: Topology) -> tuple[int, int]:
     """Cavities of the part that are filled, and those of the print that are new."""
-    within = part.cavity > 0
-    empty = np.bincount(part.cavity[within & (printed.body == 0)], minlength=part.cavities + 1)[1:]
-    shared = np.unique(printed.cavity[within & (printed.cavity > 0)])
-    return int((empty < _LOST * part.cavity_size).sum()), printed.cavities - len(shared)
+    own, _, filled = part.hollow.shared(printed.runs)
+    empty = part.cavity_size - np.bincount(part.cavity[own], filled.length, part.cavities + 1)[1:]
+    _, other = part.hollow.meeting(printed.hollow)
+    return int((empty < _LOST * part.cavity_size).sum()), printed.cavities - len(np.unique(printed.cavity[other]))

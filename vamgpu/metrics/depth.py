@@ -69,9 +69,8 @@ def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
     padded, inner, halo = np.pad(values[box], ((1, 1), (1, 1), (1, 1)), mode="edge"), depth[box], span + 1
 
     def planes(first: int) -> Array:
-        begin = max(first - halo, 0)
-        near = _near(padded[begin : first + _PLANES + halo + 2], span, float(reach))
-        return near[first - begin : first - begin + _PLANES]
+        begin, last = max(first - halo, 0), min(first + _PLANES, inner.shape[0])
+        return _near(padded[begin : last + halo + 2], slice(first - begin, last - begin), span, float(reach))
 
     firsts = range(0, inner.shape[0], _PLANES)
     for first, near in zip(firsts, ahead(planes, firsts), strict=True):
@@ -94,22 +93,23 @@ def _box(values: Array, span: int) -> tuple[slice, slice, slice] | None:
     return x, y, z
 
 
-def _near(padded: Array, span: int, reach: float) -> Array:
-    """Signed distances of a block that is padded by one voxel."""
+def _near(padded: Array, some: slice, span: int, reach: float) -> Array:
+    """Signed distances in some planes of a block that is padded by one voxel."""
     core = padded[1:-1, 1:-1, 1:-1]
-    inside = core >= HALF
+    inside = core[some] >= HALF
     depth = np.where(inside, np.float32(reach), np.float32(-reach))
     seeds = np.flatnonzero(_cut(padded))
     if not seeds.size:
         return depth
     normal, place = _planes(padded, np.unravel_index(seeds, core.shape))
-    keys = _nearest(core.shape, seeds, span).ravel()
+    before = some.start * core.shape[1] * core.shape[2]
+    keys = _nearest(depth.shape, seeds - before, span).ravel()
     band = np.flatnonzero(keys < int((reach + 1.0) ** 2 + 1) << 3 * _BITS)
-    number = np.zeros(core.size, np.int32)
+    number = np.empty(core.size, np.int32)
     number[seeds] = np.arange(seeds.size, dtype=np.int32)
     x, y, z = _steps(keys[band], span)
     back = (x * core.shape[1] + y).astype(np.int64) * core.shape[2] + z.astype(np.int64)
-    own = number[band - back]
+    own = number[band + before - back]
     across = x * normal[own, 0] + y * normal[own, 1] + z * normal[own, 2]
     beside = np.sqrt(np.maximum(x * x + y * y + z * z - across * across, 0.0))
     distance = np.hypot(across + place[own], np.maximum(beside - _PATCH, 0.0))
@@ -124,20 +124,21 @@ def _cut(padded: Array) -> npt.NDArray[np.bool_]:
     core = padded[1:-1, 1:-1, 1:-1]
     cut = (core > _FULL) & (core < 1.0 - _FULL)
     for axis in range(3):
-        for side in (0, 2):
-            at = tuple(slice(side, padded.shape[k] - 2 + side) if k == axis else slice(1, -1) for k in range(3))
-            cut |= np.abs(core - padded[at]) > 1.0 - 2.0 * _FULL
+        lines = padded[tuple(slice(None) if k == axis else slice(1, -1) for k in range(3))]
+        jump = np.moveaxis(np.abs(np.diff(lines, axis=axis)) > 1.0 - 2.0 * _FULL, axis, 0)
+        sides = np.moveaxis(cut, axis, 0)
+        sides |= jump[:-1] | jump[1:]
     return cut
 
 
 def _planes(padded: Array, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[Array, Array]:
     """Inward normals (n, 3) of the surface in voxels, and depths [voxels] of their centers behind it (n,)."""
-    gradient = np.zeros((at[0].size, 3), np.float32)
+    gradient, line = np.zeros((at[0].size, 3), np.float32), padded.ravel()
+    own = np.ravel_multi_index(tuple(index + 1 for index in at), padded.shape)
     for offset in product((-1, 0, 1), repeat=3):
         if offset == (0, 0, 0):
             continue
-        x, y, z = (index + 1 + d for index, d in zip(at, offset, strict=True))
-        value = padded[x, y, z]
+        value = line[own + ((offset[0] * padded.shape[1] + offset[1]) * padded.shape[2] + offset[2])]
         weight = 4.0 / 2 ** sum(map(abs, offset))  # 2, 1 and 1/2: faces, edges and corners
         for axis, d in enumerate(offset):
             if d:
@@ -146,8 +147,7 @@ def _planes(padded: Array, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[Array,
     flat = length[:, 0] < 1e-6  # a sheet within one row of voxels: any direction is equally good
     gradient[flat], length[flat] = (0.0, 0.0, 1.0), 1.0
     normal = gradient / length
-    filled = padded[at[0] + 1, at[1] + 1, at[2] + 1]
-    return normal, _place(np.abs(normal).astype(np.float64), filled.astype(np.float64)).astype(np.float32)
+    return normal, _place(np.abs(normal).astype(np.float64), line[own].astype(np.float64)).astype(np.float32)
 
 
 def _place(normal: Floats, filled: Floats) -> Floats:
@@ -180,10 +180,13 @@ def _corner(sides: Floats, cut: Floats) -> tuple[Floats, Floats]:
 def _nearest(shape: tuple[int, ...], seeds: npt.NDArray[np.intp], span: int) -> npt.NDArray[np.uint32]:
     """Squared distances of voxels to the nearest seed and the steps from it, packed; from `_NONE` on without seed."""
     # Exact for seeds at most ``span`` voxels away along every axis: the smallest packed number has the smallest
-    # distance, whatever steps its lower bits hold.
+    # distance, whatever steps its lower bits hold. Seeds may also lie in the planes before and behind the block.
     keys = np.full(shape, _NONE, np.uint32)
-    keys.ravel()[seeds] = sum(span << (_BITS * axis) for axis in range(3))
-    for axis in range(3):
+    flat, plane, base = keys.ravel(), shape[1] * shape[2], sum(span << (_BITS * axis) for axis in range(3))
+    for step in sorted(range(-span, span + 1), key=lambda step: (-abs(step), -step)):  # the nearest is written last
+        to = seeds[slice(*np.searchsorted(seeds, (-step * plane, flat.size - step * plane)))] + step * plane
+        flat[to] = base + (step * step << 3 * _BITS) + step
+    for axis in (1, 2):
         old, n = keys, shape[axis]
         keys = old.copy()
         for k in range(1, min(span, n - 1) + 1):

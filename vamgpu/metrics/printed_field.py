@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.cores import ahead
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
+from vamgpu.metrics.runs import Runs, runs_of
 from vamgpu.metrics.triangle_search import Array
 
 _SLAB = 32
@@ -25,11 +27,7 @@ class PrintedField:
     origin: Array  # center of voxel [0, 0, 0] [mm], (3,)
     pitch: float  # voxel edge [mm]
     threshold: float  # resin prints from this dose on
-
-    @property
-    def mask(self) -> npt.NDArray[np.bool_]:
-        """Voxels that reach the threshold, [x, y, z]."""
-        return self.values >= self.threshold
+    runs: Runs  # voxels that reach it
 
     def printed(self, points: Array) -> npt.NDArray[np.bool_]:
         """Whether the dose at points (n, 3) [mm], linear between voxels' centers, reaches the threshold."""
@@ -42,13 +40,30 @@ class PrintedField:
         """The surface of the print, (m, 3, 3) [mm], by marching cubes in slabs; m = 0 if nothing prints."""
         from skimage.measure import marching_cubes
 
-        found = [np.zeros((0, 3, 3))]
-        for first in range(0, len(self.values) - 1, _SLAB):
+        def of_slab(first: int) -> Array:
             slab = self.values[first : first + _SLAB + 1]
-            if slab.min() < self.threshold < slab.max():
-                points, faces, _, _ = marching_cubes(slab, self.threshold, gradient_direction="ascent")
-                found.append(((points + (first, 0, 0)) * self.pitch + self.origin)[faces])
-        return np.concatenate(found)
+            crossed = _crossed(slab > self.threshold)
+            if not crossed.any():
+                return np.zeros((0, 3, 3))
+            y, z = (np.flatnonzero(np.any(crossed, axis=(0, axis))) for axis in (2, 1))
+            cut = slice(None), slice(y[0] - 1, y[-1] + 1), slice(z[0] - 1, z[-1] + 1)
+            points, faces, _, _ = marching_cubes(
+                slab[cut], self.threshold, gradient_direction="ascent", mask=crossed[cut]
+            )
+            return ((points + (first, y[0] - 1, z[0] - 1)) * self.pitch + self.origin)[faces]
+
+        return np.concatenate([np.zeros((0, 3, 3)), *ahead(of_slab, range(0, len(self.values) - 1, _SLAB))])
+
+
+def _crossed(above: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Cubes between voxels' centers that the surface crosses, each at its last corner, [x, y, z]."""
+    every, some = above, above
+    for axis in range(3):
+        low, high = (tuple(cut if k == axis else slice(None) for k in range(3)) for cut in (slice(-1), slice(1, None)))
+        every, some = every[low] & every[high], some[low] | some[high]
+    crossed = np.zeros(above.shape, bool)
+    np.not_equal(every, some, out=crossed[1:, 1:, 1:])
+    return crossed
 
 
 def printed_field(
@@ -66,20 +81,21 @@ def printed_field(
     if not np.isfinite(values.max() - values.min()):
         raise BadInput("the dose holds NaN or infinity; expected finite numbers: check it for a division by zero")
     box = (np.asarray(bounds, np.float64) - start) / edge
-    low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64)
-    mask = values >= level
-    for axis in range(3):
-        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
-        if along.size:
-            low[axis], high[axis] = min(low[axis], along[0]), max(high[axis], along[-1])
-    low, high = low - _AROUND, high + _AROUND + 1
-    return PrintedField(_cut(values, low, high, level), start + low * edge, edge, level)
+    low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64) + 1
+    runs = runs_of(values, level)
+    if runs.start.size:
+        low, high = np.minimum(low, runs.box[0]), np.maximum(high, runs.box[1])
+    low, high = low - _AROUND, high + _AROUND
+    cut = _cut(values, low, high, level)
+    return PrintedField(cut, start + low * edge, edge, level, runs.moved(low, cut.shape))
 
 
 def _cut(values: np.ndarray, low: np.ndarray, high: np.ndarray, level: float) -> npt.NDArray[np.float32]:
     """Voxels low..high of a dose; the layer beyond its end mirrors the last one about the level, all others are 0."""
-    cut = np.zeros(high - low, np.float32)
     start, stop = np.maximum(low, 0), np.minimum(high, values.shape)
+    if (start == low).all() and (stop == high).all():
+        return np.asarray(values[tuple(map(slice, start, stop))], np.float32)
+    cut = np.zeros(high - low, np.float32)
     if (start >= stop).any():
         return cut
     here = tuple(slice(a, b) for a, b in zip(start - low, stop - low, strict=True))

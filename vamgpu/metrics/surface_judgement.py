@@ -9,15 +9,17 @@ from math import isnan, nan
 import numpy as np
 import numpy.typing as npt
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import together
 from vamgpu.errors import MeshWarning
 from vamgpu.geometry import Grid, counts
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.line import Line, length
-from vamgpu.metrics.mesh_mask import mesh_mask
+from vamgpu.metrics.mesh_runs import mesh_runs
 from vamgpu.metrics.mesh_union import joined
 from vamgpu.metrics.nearest_points import Nearest
 from vamgpu.metrics.printed_field import PrintedField, printed_field
+from vamgpu.metrics.runs import Runs
 from vamgpu.metrics.surface_distance import iso_solid
 from vamgpu.metrics.thin_regions import IN_THE_PART, Unjudged, unjudged
 from vamgpu.metrics.topology import Topology, topology
@@ -116,8 +118,8 @@ class SurfaceJudgement:
 
 
 def judge_surface(
-    dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: npt.ArrayLike, grid: Grid,
-    solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
+    dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, fraction: DeviceArray | npt.ArrayLike,
+    grid: Grid, solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
     # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities are
@@ -126,23 +128,20 @@ def judge_surface(
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
+        fraction = np.asarray(fraction.numpy() if isinstance(fraction, DeviceArray) else fraction)
         thin = unjudged(fraction, grid, solid)
     part = iso_solid(fraction, grid.pitch, IN_THE_PART) if solid is None else solid
     around = printed_field(dose, origin, pitch, threshold, part.bounds)
-    inside = mesh_mask(part, around.origin, around.pitch, around.values.shape)  # type: ignore[arg-type]
-
-    def triangles() -> TriangleSearch | None:
-        found = around.triangles()
-        return TriangleSearch(found, 0.5 * around.pitch) if len(found) else None
-
+    inside = mesh_runs(part, around.origin, around.pitch, around.runs.shape)
+    surface = around.triangles()
+    printed = TriangleSearch(surface, 0.5 * around.pitch) if len(surface) else None
     with warnings.catch_warnings():
         if solid is None:  # a surface made from voxels, which the user cannot repair
             warnings.simplefilter("ignore", MeshWarning)
-        printed, near, own, there = together(
-            triangles,
+        near, own, there = together(
             lambda: Nearest(part, 0.5 * grid.pitch),
             lambda: _own_bodies(part, topology(inside), around),
-            lambda: topology(around.mask),
+            lambda: topology(around.runs),
         )
     changes = body_changes(own, there, around.pitch**3)
     points, face = drawn_on(near.search.corners, number, near.search.areas)
@@ -157,7 +156,7 @@ def judge_surface(
 
 
 def _distances(
-    near: Nearest, points: Array, printed: TriangleSearch, inside: npt.NDArray[np.bool_], around: PrintedField
+    near: Nearest, points: Array, printed: TriangleSearch, inside: Runs, around: PrintedField
 ) -> tuple[Array, Array]:
     """Signed distances at points of the print and of the part; and these with those that may be greatest."""
 
@@ -188,13 +187,12 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     pieces = [np.unique(faces, return_inverse=True) for faces in parted]
     meshes = [Solid(part.vertices[used], own.reshape(-1, 3).astype(np.int32)) for used, own in pieces]
     genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
-    boxes = [np.stack([one.vertices.min(axis=0), one.vertices.max(axis=0)]) for one in meshes]
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
-    for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # a cavity comes after its shell
-        low, high = np.rint((boxes[k] - around.origin) / around.pitch).astype(np.int64) + [[0], [1]]
-        mask = mesh_mask(meshes[k], around.origin + low * around.pitch, around.pitch, tuple((high - low).tolist()))
-        there = found.body[tuple(map(slice, low, high))][mask]
-        shared = np.bincount(there, minlength=found.bodies + 1)[1:]
+    sizes = [np.ptp(one.vertices, axis=0).prod() for one in meshes]
+    for k in np.argsort(np.negative(sizes)):  # a cavity comes after its shell
+        own = mesh_runs(meshes[k], around.origin, around.pitch, found.runs.shape)
+        _, there, both = own.shared(found.runs)
+        shared = np.bincount(found.body[there], both.length, found.bodies + 1)[1:].astype(np.int64)
         its = (shared > 0) & (shared >= most)
         group[its], most[its] = k, shared[its]
     return found.together(group, genus)
@@ -221,10 +219,10 @@ def _dense(search: TriangleSearch, pitch: float) -> Array:
     return drawn_on(search.corners, count, search.areas)[0]
 
 
-def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:
+def _masked(inside: Runs, around: PrintedField, points: Array) -> npt.NDArray[np.bool_]:
     """Whether the voxel that each point lies in is inside the part."""
     index = np.rint((points - around.origin) / around.pitch).astype(np.int64)
-    return inside[tuple(np.clip(index, 0, np.array(inside.shape) - 1).T)]
+    return inside.holds(np.clip(index, 0, np.array(inside.shape) - 1))
 
 
 def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.backend.cores import threads
+from vamgpu.backend.cores import pointwise, threads
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -41,11 +41,14 @@ class TriangleSearch:
 
         double = double_areas(corners)
         self.kept: np.ndarray = double > 0
-        self.corners: np.ndarray = corners[self.kept]
+        self.corners: np.ndarray = corners if self.kept.all() else corners[self.kept]
         self.areas: Array = double[self.kept].cumsum()
-        pieces, self._parent = _pieces(self.corners, max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES))))
-        self._middles = (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3.0
-        self._reaches = np.max([_length(pieces[:, k] - self._middles) for k in range(3)], axis=0)
+        limit = max(longest, float(np.sqrt(2.0 * double.sum() / _PIECES)))
+        self._middles, self._reaches = _balls(self.corners)
+        self._parent: Indices = np.arange(len(self.corners))
+        if 2.0 * self._reaches.max(initial=0.0) > limit:  # otherwise no edge is longer
+            pieces, self._parent = _pieces(self.corners, limit)
+            self._middles, self._reaches = _balls(pieces)
         self.reach: float = float(self._reaches.max())
         self._tree = KDTree(self._middles, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
@@ -123,10 +126,25 @@ class TriangleSearch:
         weight[row, column] = found
 
 
+def _balls(corners: Array) -> tuple[Array, Array]:
+    """Middles (m, 3) of triangles, and the greatest distances (m,) of their corners from them."""
+
+    def balls(some: Array) -> tuple[Array, ...]:
+        middles = (some[:, 0] + some[:, 1] + some[:, 2]) / 3.0
+        return *middles.T, np.max([_length(some[:, k] - middles) for k in range(3)], axis=0)
+
+    *middles, reaches = pointwise(balls, corners)
+    return np.stack(middles, axis=1), reaches
+
+
 def double_areas(corners: Array) -> Array:
     """Twice the area [mm²] of each triangle (m, 3, 3)."""
-    (ax, ay, az), (bx, by, bz) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
-    return np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+
+    def areas(some: Array) -> tuple[Array]:
+        (ax, ay, az), (bx, by, bz) = ((some[:, k] - some[:, 0]).T for k in (1, 2))
+        return (np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2),)
+
+    return pointwise(areas, corners)[0]
 
 
 def drawn_on(corners: Array, samples: int, areas: Array | None = None) -> tuple[Array, Indices]:

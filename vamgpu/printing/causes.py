@@ -13,6 +13,7 @@ from vamgpu.errors import BadInput
 from vamgpu.methods.part import radius_of
 from vamgpu.metrics.body_changes import BodyChanges, body_changes
 from vamgpu.metrics.depth import LARGEST_REACH, padded_depth
+from vamgpu.metrics.runs import runs_of
 from vamgpu.metrics.topology import topology
 from vamgpu.optics.sampling import more_angles, resin_pixel
 
@@ -96,8 +97,9 @@ class Causes:
         grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
         reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
         depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)
-        part = topology(depth > 0.0)
-        inside, outside = (body_changes(part, topology(depth >= at), grid.voxel_volume) for at in (reach, -reach))
+        part = topology(runs_of(depth > 0.0))
+        moved = (topology(runs_of(depth, at)) for at in (reach, -reach))
+        inside, outside = (body_changes(part, one, grid.voxel_volume) for one in moved)
         return inside, outside
 
 

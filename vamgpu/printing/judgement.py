@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vamgpu.backend.cores import ahead
 from vamgpu.geometry import centers
 from vamgpu.metrics.depth import LARGEST_REACH
 from vamgpu.metrics.interpolation import interpolated
@@ -35,6 +36,8 @@ FINEST = 5
 """Greatest number of sampled voxels along an edge for which depths come from the part's mesh."""
 DEEP = 2.0
 """Pixels from the surface beyond which wrong resin is a fault; closer, light cannot make the dose jump."""
+_PLANES = 16
+"""Planes along x that a thread joins."""
 WHOLE = 2**28
 """Greatest number of fine voxels whose surface is judged; above it, the surface of the part's own voxels is judged."""
 
@@ -117,20 +120,30 @@ def _depth(proof: Proof, finer: int, reach: float) -> Depth:
     grid = proof.operator.grid
     if proof.joined is None or not 1 < finer <= FINEST or proof.operator.beam.flat:
         return depth_of_fractions(proof.target.numpy(), grid, proof.operator.beam.flat, reach)
-    part = Target.from_array(proof.target.numpy(), grid.pitch, proof.name)
-    return depth_of_target(replace(part, solid=proof.joined), grid.pitch / finer, grid.pitch, reach)
+    solid = proof.joined
+    part = Target(grid, proof.name, proof.target, solid.radius, solid.volume, solid.height, solid)
+    return depth_of_target(part, grid.pitch / finer, grid.pitch, reach)
 
 
 def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudgement:
-    grid, fraction = proof.operator.grid, proof.target.numpy()
+    grid = proof.operator.grid
     if slabs is None:
         dose, pitch = refined(proof.parts.dose.numpy(), grid.pitch, 0.5 * pixel)
         place = [-0.5 * (count - 1) * pitch for count in dose.shape]
     else:
-        dose = np.concatenate([slab.dose for slab in slabs], axis=2)
+        dose = _joined([slab.dose for slab in slabs])
         place, pitch = [slabs[0].x[0], slabs[0].y[0], slabs[0].z[0]], slabs[0].pitch
     at, thin = proof.scores.threshold, proof.unjudged
-    return judge_surface(dose, place, pitch, at, fraction, grid, proof.joined, thin=thin)
+    return judge_surface(dose, place, pitch, at, proof.target, grid, proof.joined, thin=thin)
+
+
+def _joined(slabs: list[np.ndarray]) -> np.ndarray:
+    """Slabs along z as one volume [x, y, z]."""
+    whole = np.empty((*slabs[0].shape[:2], sum(slab.shape[2] for slab in slabs)), slabs[0].dtype)
+    some = [slice(first, first + _PLANES) for first in range(0, len(whole), _PLANES)]
+    for _ in ahead(lambda x: np.concatenate([slab[x] for slab in slabs], axis=2, out=whole[x]), some):
+        pass
+    return whole
 
 
 def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, float]:

@@ -16,8 +16,14 @@ SLICES = 64
 EDGE = 192
 """Greatest edge of a slice in the viewer [px]."""
 
+GAMMA = 2.2
+"""Patterns are shown to the power of its inverse, because their mean is only a fortieth of their peak."""
+
 HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
 """Verdicts on a voxel; 0 is a voxel that is correctly unprinted."""
+
+_VERDICTS = np.array([0, EXCESS, MISSING, HIT], np.uint8)
+"""By twice whether a voxel is in the part, and whether it prints."""
 
 COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
 """Color of each verdict."""
@@ -30,8 +36,7 @@ def ramp(name: str) -> list[int]:
 
 def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, level: float = 0.5) -> np.ndarray:
     """uint8 [x, y, z]: right, `HIT`, `MISSING`, `EXCESS`, or `OUTSIDE` the judged cylinder [x, y]."""
-    expected = target >= level
-    verdict = np.where(expected, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
+    verdict = _VERDICTS[2 * (target >= level).view(np.uint8) + printed.view(np.uint8)]
     verdict[~cylinder] = OUTSIDE
     return verdict
 
@@ -47,8 +52,9 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
     step = max(1, ceil(max(nx, ny) / EDGE))
     chosen = np.unique(np.linspace(0, nz - 1, min(nz, SLICES)).round().astype(int))
     across = ceil(sqrt(len(chosen)))
+    dose, target, verdict = (values[::step, ::step][:, :, chosen] for values in (dose, target, verdict))
     channels = (np.clip(dose / (peak or 1.0), 0, 1) * 255, np.clip(target, 0, 1) * 255, verdict * 40.0)
-    tiles = [[upright(channel[::step, ::step, z]) for channel in channels] for z in chosen]
+    tiles = [[upright(channel[:, :, k]) for channel in channels] for k in range(len(chosen))]
     height, width = tiles[0][0].shape
     pixels = np.zeros((ceil(len(chosen) / across) * height, across * width, 3), np.uint8)
     for index, tile in enumerate(tiles):
@@ -80,13 +86,15 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
 
 def sinogram(light: np.ndarray, full: float) -> Image:
     """The middle row [angle, r] of a sinogram [angle, r, z], angles downwards."""
-    middle = colored(light[:, :, light.shape[2] // 2] / full, "inferno")
-    return Image(picture(middle), "Light of the middle row over all angles")
+    return Image(_bright(light[:, :, light.shape[2] // 2], full), "Light of the middle row over all angles")
 
 
 def frames(light: np.ndarray, full: float, angles: np.ndarray, count: int = 4) -> list[Image]:
     """``count`` frames [z, r] as they leave the projector, and their angles [°]."""
     chosen = [round(k * light.shape[0] / count) for k in range(min(count, light.shape[0]))]
-    return [
-        Image(picture(colored(upright(light[k]) / full, "inferno")), f"{angles[k % len(angles)]:g}°") for k in chosen
-    ]
+    return [Image(_bright(upright(light[k]), full), f"{angles[k % len(angles)]:g}°") for k in chosen]
+
+
+def _bright(light: np.ndarray, full: float) -> str:
+    """Patterns with a gamma of `GAMMA`."""
+    return picture(colored((light / full) ** (1.0 / GAMMA), "inferno"))

@@ -17,6 +17,7 @@ from vamgpu.methods.tolerances import CornerDose, CornerDoses
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.printing import charts, pictures, surface
 from vamgpu.printing.judgement import WHOLE, Judgement
+from vamgpu.printing.pictures import GAMMA
 from vamgpu.printing.proof import Proof, efficiency
 from vamgpu.printing.summary import headline, summary
 from vamgpu.printing.verdict import verdict_of
@@ -24,8 +25,6 @@ from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Pa
 
 BYTES_A_VOXEL = 1800
 """Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
-GAMMA = 2.2
-"""Patterns are shown to the power of its inverse, because their mean is only a fortieth of their peak."""
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
@@ -45,13 +44,14 @@ def write_report(proof: Proof, path: str | Path, plan: Any = None, judgement: Ju
 
 def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) -> Page:
     """The page of a proof."""
+    verdict = proof.verdict if judgement is None else verdict_of(proof, judgement)
     judgement = proof.judgement if judgement is None else judgement
     grid, scores = proof.operator.grid, proof.scores
     dose, target = proof.dose.numpy(), proof.target.numpy()
-    verdict = verdict_of(proof, judgement)
-    printed = pictures.verdicts(target, proof.parts.dose.numpy() >= scores.threshold, grid.cylinder())
-    asked = _asked(proof)
-    data, deviation = _drawn(proof, dose, asked, printed)
+    judged = dose if proof.limits is None else proof.parts.dose.numpy()
+    printed = pictures.verdicts(target, judged >= scores.threshold, grid.cylinder())
+    asked = _asked(proof, target)
+    data, deviation = _drawn(proof, dose, target, asked, printed)
     return Page(
         "Print proof",
         proof.name,
@@ -115,24 +115,26 @@ def _pareto(plan: Any) -> Iterator[Card]:
 
 
 def _light(proof: Proof) -> Iterator[Card]:
-    light = (proof.frames.irradiance(proof.operator.device).numpy() / float(proof.frames.scale)) ** (1.0 / GAMMA)
+    light, full = proof.frames.irradiance(proof.operator.device).numpy(), float(proof.frames.scale)
     motion = proof.operator.motion
     note = f"Patterns of the middle row: pixels across, angles downwards, {motion}. Shown with a gamma of {GAMMA:g}."
-    yield Card("Sinogram", Images([pictures.sinogram(light, 1.0)], "sinogram"), note=note)
-    shown = Images(pictures.frames(light, 1.0, np.degrees(motion.poses)), "frames")
+    yield Card("Sinogram", Images([pictures.sinogram(light, full)], "sinogram"), note=note)
+    shown = Images(pictures.frames(light, full, np.degrees(motion.poses)), "frames")
     yield Card("Frames", shown, note=_frames_note(proof))
 
 
-def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
+def _drawn(
+    proof: Proof, dose: np.ndarray, target: np.ndarray, asked: np.ndarray, verdict: np.ndarray
+) -> tuple[dict[str, Any], float]:
     """Data for the page's script, and the deviation [mm] at the ends of its color scale."""
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
-    expected = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
+    expected = surface.iso_surface(target, 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
     outer = surface.NOTHING
     if proof.outer is not None and proof.outer_share >= 1.0:
         slabs, radius = proof.fine() if proof.independent else (), proof.operator.grid.inscribed_radius
         outer = surface.stray(slabs, proof.solid_from, radius, proof.outer.place, 2.0 * proof.outer.width)
-    sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
+    sheet = pictures.sheet(dose, asked, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
     slices = pictures.viewer(sheet, heights, int(np.argmax(proof.slices.in_voxels[sheet["slices"]])))
@@ -176,9 +178,9 @@ def _stray_note(proof: Proof) -> str:
     return "Orange: resin beyond the judged cylinder that also prints. " if proof.outer_share >= 1.0 else ""
 
 
-def _asked(proof: Proof) -> np.ndarray:
+def _asked(proof: Proof, target: np.ndarray) -> np.ndarray:
     """The target as shown [x, y, z]: gray bodies that need more dose are darker."""
-    target, limits = proof.target.numpy(), proof.limits
+    limits = proof.limits
     if limits is None:
         return target
     return np.where(limits.gray, np.maximum(target, 0.2 + 0.6 * np.clip(limits.dose, 0.0, 1.0)), target)

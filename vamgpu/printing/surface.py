@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.cores import threads
+
 LARGEST = 128
 """Fields with more voxels along an edge are first averaged in blocks."""
 
@@ -35,7 +37,7 @@ class Surface:
             "shade": shade,
             "faces": np.diff(self.faces.ravel().astype("<i4"), prepend=np.zeros(1, "<i4")),
         }
-        return {name: base64.b64encode(zlib.compress(a.tobytes(), 9)).decode() for name, a in arrays.items()}
+        return {name: base64.b64encode(zlib.compress(a.tobytes())).decode() for name, a in arrays.items()}
 
 
 NOTHING = Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint32))
@@ -105,9 +107,10 @@ def block_mean(field: np.ndarray, block: int) -> np.ndarray:
     """Means of cubes of ``block`` voxels; cubes are padded with zeros at the far edges."""
     if block == 1:
         return field
-    padded = np.pad(field, [(0, -n % block) for n in field.shape])
-    nx, ny, nz = (n // block for n in padded.shape)
-    return padded.reshape(nx, block, ny, block, nz, block).mean(axis=(1, 3, 5))
+    mean = np.pad(field, [(0, -n % block) for n in field.shape])
+    for axis in range(3):  # along the outer axes whole rows are added
+        mean = mean.reshape(*mean.shape[:axis], -1, block, *mean.shape[axis + 1 :]).mean(axis=axis + 1)
+    return mean
 
 
 def deviation(printed: Surface, target: Surface) -> np.ndarray:
@@ -116,7 +119,7 @@ def deviation(printed: Surface, target: Surface) -> np.ndarray:
         return np.zeros(len(printed.points))
     from scipy.spatial import KDTree
 
-    _, nearest = KDTree(target.points).query(printed.points)
+    _, nearest = KDTree(target.points).query(printed.points, workers=threads())
     return np.einsum("ij,ij->i", printed.points - target.points[nearest], target.normals[nearest])
 
 

@@ -1,4 +1,4 @@
-"""Points of a grid that lie inside a mesh."""
+"""Which voxels of a grid have their centers inside a mesh."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.backend.cores import ahead
+from vamgpu.metrics.runs import Runs, Shape
 from vamgpu.targets.solid import Solid
 
 _NUDGE = np.array([3.1e-7, 1.7e-7])
@@ -14,25 +15,30 @@ _BATCH = 1 << 18
 """Number of pairs of a triangle and a column processed at a time."""
 
 
-def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[int, int, int]) -> npt.NDArray[np.bool_]:
-    """Whether each point of a grid lies inside a closed mesh, by its winding number; overlapping bodies count once."""
-    # origin [0, 0, 0] [mm]; pitch [mm]; returns [x, y, z]
+def mesh_runs(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: Shape) -> Runs:
+    """The points of a grid inside a closed mesh, by its winding number; overlapping bodies count once."""
+    # origin [0, 0, 0] [mm]; pitch [mm]
     corners = (solid.vertices[solid.faces] - np.asarray(origin, np.float64)) / pitch
     corners[..., :2] -= _NUDGE
-    turns = np.zeros((shape[0], shape[1], shape[2] + 1), np.int16)
     low = np.maximum(np.ceil(corners[..., :2].min(axis=1)), 0).astype(np.int64)
     high = np.minimum(np.floor(corners[..., :2].max(axis=1)), np.array(shape[:2]) - 1).astype(np.int64)
     wide = np.maximum(high - low + 1, 0)
     number = wide.prod(axis=1)
     order = np.flatnonzero(number)
     ends = np.searchsorted(number[order].cumsum(), np.arange(_BATCH, number.sum() + _BATCH, _BATCH), side="right")
-    for x, y, above, sign in ahead(
-        lambda some: _crossed(corners, some, low, wide, number, shape[2]), np.split(order, np.unique(ends))
-    ):
-        np.add.at(turns, (x, y, above), sign)
+    pieces = np.split(order, np.unique(ends))
+    crossed = ahead(lambda some: _crossed(corners, some, low, wide, number, shape[2]), pieces)
+    x, y, above, sign = (np.concatenate(each) for each in zip(*crossed, strict=True))
+    column = x * (shape[1] + 1) + y
+    place = column * (shape[2] + 1) + above
+    order = np.argsort(place, kind="stable")
+    place, column, turns = place[order], column[order], sign[order].cumsum()
     # A triangle that faces up closes the solid: points below it are inside.
-    winding = np.cumsum(turns[:, :, :0:-1], axis=2, dtype=np.int16)[:, :, ::-1]
-    return winding > 0
+    inside = turns[np.searchsorted(column, column, "right") - 1] > turns
+    last = np.append(place[1:] != place[:-1], True)[: len(place)]
+    place, inside = place[last], inside[last]
+    before = np.append(False, inside[:-1])[: len(place)]
+    return Runs(shape, place[inside & ~before], place[before & ~inside])
 
 
 def _crossed(
