@@ -33,9 +33,9 @@ def read_film(path: str | Path) -> tuple[np.ndarray, str]:
         raise StorageError(f"cannot read {str(path)!r} as a video: expected one ending in {', '.join(FORMATS)}")
     try:
         with open_file(path) as file, av.open(file, "r", format=kind) as film:
-            if not film.streams.video:
-                raise ValueError("it has no images")
-            stream = film.streams.video[0]
+            stream = next(iter(film.streams.video), None)
+            if stream is None or stream.codec_context is None:
+                raise ValueError("it has no images that FFmpeg decodes")
             size = stream.codec_context.width * stream.codec_context.height
             if not 0 < size <= MOST_PIXELS:
                 raise ValueError(f"{size:,} pixels per frame, expected at most {MOST_PIXELS:,}")
