@@ -30,7 +30,7 @@ from hostile_inputs import BUDGET, frames, job, npy, png
 from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.history import ResinHistory
 from vamgpu.chemistry.materials.resin import Resin
-from vamgpu.curethrough.resin import WorkingCurve, read_columns, read_gray
+from vamgpu.curethrough.resin import WorkingCurve, read_gray
 from vamgpu.curethrough.stack import layer_height, open_stack
 from vamgpu.errors import VamError
 from vamgpu.hosts.records.record import MAGIC, read_run
@@ -47,6 +47,7 @@ from vamgpu.jobs.web import read_web
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.films import write_film
 from vamgpu.storage.numpy_files import map_npy, read_npz
+from vamgpu.storage.tables import read_columns
 from vamgpu.targets.mesh import load_mesh
 
 SECONDS, MEMORY = 10, 1_000_000_000
