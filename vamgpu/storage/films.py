@@ -87,7 +87,7 @@ def _gray(frame: Any) -> np.ndarray:
     """Levels of a frame, 0 to 255, whatever range its brightness is written in."""
     name = frame.format.name
     if not name.startswith(("gray", "yuv", "nv")) or name not in ("gray",) and frame.format.components[0].bits != 8:
-        return np.asarray(frame.to_ndarray(format="rgb24"))[..., 1]
+        return np.asarray(frame.to_ndarray(format="rgb24")).max(axis=2)  # one channel may be lit alone
     plane = frame.planes[0]
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
     if name.startswith("yuvj") or frame.color_range == FULL_RANGE or (name == "gray" and frame.color_range == 0):
