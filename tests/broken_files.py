@@ -12,6 +12,7 @@ import pickle
 import re
 import resource
 import signal
+import struct
 import sys
 import tempfile
 import time
@@ -127,6 +128,16 @@ def picture(kind: str, **options: str) -> bytes:
     return made.getvalue()
 
 
+def goo() -> bytes:
+    """Two layers of 5 × 4 pixels."""
+    head = bytearray(195_477)
+    head[4:12] = b"\7\0\0\0DLP\0"
+    struct.pack_into(">IHH", head, 195_310, 2, 5, 4)
+    packed = bytes([0x08, 0x41, 99, 0x83, 0xC0 | 10])
+    layer = b"\x55" + packed + bytes([~sum(packed) & 0xFF])
+    return bytes(head) + 2 * (bytes(64) + b"\r\n" + struct.pack(">I", len(layer)) + layer + b"\r\n")
+
+
 def sinogram() -> bytes:
     """A pickle of VAMToolbox, without its classes."""
     return pickle.dumps(np.arange(60.0, dtype=np.float32).reshape(3, 4, 5))
@@ -194,6 +205,7 @@ def sound_files(place: Path) -> None:
     config = b"layerHeight = 0.05\nnumFast = 3\nexpTime = 8\n"
     sound("zip of slices", slices, zipped(pictures), "a.zip")
     sound("SL1", slices, zipped({"config.ini": config, **pictures}), "a.sl1")
+    sound("goo", slices, goo(), "a.goo")
     for ending, data in (("png", picture("PNG")), ("tif", picture("TIFF", compression="tiff_lzw"))):
         sound(f"{ending} slice", lambda file: slices(file.parent), data, f"s1.{ending}")
         sound(f"{ending} pattern", lambda file: read_pictures(file.parent, Layout()), data, f"1.{ending}")
