@@ -151,7 +151,7 @@ def _tvam_code(film: Film, folder: Path) -> Path:
     if most <= 0.0:
         raise BadInput("every frame is dark; expected some light")
     levels = np.stack([np.rint(each * (255.0 / most)).astype(np.uint8) for each in light])
-    place = folder / f"{film.name}.npz"
+    place = folder / f"{film.name}-tvam.npz"
     with replacing(place, overwrite=film.overwrite) as draft, draft.open("wb") as file:
         np.savez_compressed(file, patterns=levels)
     return place
