@@ -37,6 +37,5 @@ def test_the_page_s_commands_and_programs_run_one_after_the_other(
             )
             assert words[0] == "vam" and main([*words[1:], *small]) == 0, capsys.readouterr().err
     assert known["job"].file.target.shape == "boat" and known["projector"].gray.intensity[128] < 0.3
-    assert {"boat.html", "theirs.vam", "stack.vam", "film.vam", "projector.mp4", "boat.npz", "boat_9rpm.mp4", "boat-tvam.npz"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
+    made = {"boat.html", "theirs.vam", "stack.vam", "film.vam", "projector.mp4", "boat.npz", "boat_9rpm.mp4"}
+    assert made | {"boat-tvam.npz"} <= {path.name for path in tmp_path.iterdir()}
