@@ -1,5 +1,6 @@
 // What one pixel's light means to a voxel: three boxes convolved with a Gaussian, in closed form (see footprint.py).
-#ifdef __NV_CL_C_VERSION           // right to two units in the last place there, and not everywhere
+#ifdef DIVIDE
+#elif defined(__NV_CL_C_VERSION)    // right to two units in the last place there, and not everywhere
 #define DIVIDE native_divide
 #else
 #define DIVIDE(a, b) ((a) / (b))
@@ -13,7 +14,7 @@
 
 // Third integral of a Gaussian about 0; with sigma 0, of a point.
 static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
-    const Real above = fmax(x, 0.0f);
+    const Real above = fmax(x, (Real)(0.0f));
     if (sigma == 0.0f) return 0.5f * above * above;
     const Real t = fabs(x) * inverse_sigma;
     Real series = fma(t, (Real)(7.122526186e-05f), (Real)(2.423642034e-04f));
@@ -39,7 +40,7 @@ typedef struct {
 static inline Foot foot_of(Real a, Real b, Real c, Real strength, float fill, float sigma) {
     const Real narrow = fmin(a, b), side = fmax(a, b), next = fmin(side, c);
     const Real merged = c > 0.0f ? sqrt(fma(narrow, narrow, next * next)) : narrow;
-    const float least = THINNEST + BLURRED * sigma;
+    const Real least = (Real)(THINNEST + BLURRED * sigma);
     const Real thin = fmax(fmin(fmax(side, c), merged), least);
     const Real wide = sqrt(fmax(c * c + (a * a + b * b) - thin * thin, least * least));
     Foot foot;

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from vamgpu.kernels.curethrough_warp import added
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 DEPLETED = 1.0e-6
@@ -115,6 +117,11 @@ def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
 
 
 @wp.func
+def is_depleted(y: wp.vec3, scale: float):
+    return y[0] + y[1] <= DEPLETED * scale
+
+
+@wp.func
 def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, y: wp.vec3):
     """The terms of a resin under light, where the state is y."""
     terms = Terms()
@@ -160,11 +167,27 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
 
 
 @wp.func
-def record(path: wp.array3d[float], item: int, row: int, y: wp.vec3, dose: float):
-    path[item, row, 0] = y[0]
-    path[item, row, 1] = y[1]
-    path[item, row, 2] = y[2]
-    path[item, row, 3] = dose
+def lit_for(
+    state: State, rates: wp.array2d[float], resin: int, visible: float, made: float, length: float, tolerance: float
+):  # fmt: skip
+    """The state after an interval of light, and what is left of it where the resin depletes or steps run out."""
+    left = float(length)
+    n = int(0)
+    while left > 0.0 and n < MOST:
+        state = tried(state, terms_of(rates, resin, visible, made, state.y), left, tolerance)
+        left -= state.taken
+        if is_depleted(state.y, rates[resin, 4]):
+            break
+        n += 1
+    return state, left
+
+
+@wp.func
+def record(rows: wp.array2d[float], row: int, y: wp.vec3, dose: float):
+    rows[row, 0] = y[0]
+    rows[row, 1] = y[1]
+    rows[row, 2] = y[2]
+    rows[row, 3] = dose
 
 
 @wp.kernel
@@ -179,16 +202,14 @@ def inhibit(
     source = item % n_source
     scale = rates[resin, 4]
     y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
-    dose = float(before[item, 3])
-    dose_rest = float(0.0)
-    clock = float(0.0)
-    clock_rest = float(0.0)
+    dose = wp.vec2(before[item, 3], 0.0)  # and what rounding lost of it
+    clock = wp.vec2(0.0, 0.0)
     event = float(NEVER)
-    if y[0] + y[1] <= DEPLETED * scale:
+    if is_depleted(y, scale):
         y = wp.vec3(0.0, 0.0, y[2])
         event = float(0.0)
     state = State(y, wp.vec3(0.0, 0.0, 0.0), LONG, 0.0)
-    record(path, item, 0, y, dose)
+    record(path[item], 0, y, dose[0])
     row = int(1)
     due = int(every)
     k = int(0)
@@ -196,40 +217,24 @@ def inhibit(
         now = (first + k) % n_interval
         length = lengths[now]
         visible = light[source, now, 0]
-        made = rates[resin, 2] * light[source, now, 1]
-        left = float(length)
-        n = int(0)
-        while left > 0.0 and event == NEVER and n < MOST:
-            terms = terms_of(rates, resin, visible, made, state.y)
-            state = tried(state, terms, left, tolerance)
-            left = left - state.taken
-            if state.y[0] + state.y[1] <= DEPLETED * scale:
-                state.y = wp.vec3(0.0, 0.0, state.y[2])
-                event = clock + (length - left)
-            n += 1
-        if left > 0.0 and event == NEVER:
+        state, left = lit_for(state, rates, resin, visible, rates[resin, 2] * light[source, now, 1], length, tolerance)
+        if is_depleted(state.y, scale):
+            state.y = wp.vec3(0.0, 0.0, state.y[2])
+            event = clock[0] + (length - left)
+        elif left > 0.0:
             event = float(UNSETTLED)
         spent = float(length)
         if event != NEVER:
-            spent = wp.max(event - clock, 0.0)
-        lit = visible * spent - dose_rest
-        total = dose + lit
-        dose_rest = (total - dose) - lit
-        dose = total
-        passed = length - clock_rest
-        later = clock + passed
-        clock_rest = (later - clock) - passed
-        clock = later
+            spent = wp.max(event - clock[0], 0.0)
+        dose = added(dose[0], dose[1], visible * spent)
+        clock = added(clock[0], clock[1], length)
         k += 1
         if k == due and row < n_row:
-            record(path, item, row, state.y, dose)
+            record(path[item], row, state.y, dose[0])
             row += 1
             due += every
     while row < n_row:
-        record(path, item, row, state.y, dose)
+        record(path[item], row, state.y, dose[0])
         row += 1
-    after[item, 0] = state.y[0]
-    after[item, 1] = state.y[1]
-    after[item, 2] = state.y[2]
-    after[item, 3] = dose
+    record(after, item, state.y, dose[0])
     times[item] = event

@@ -72,6 +72,25 @@ def level_of(
     return level
 
 
+@wp.func
+def count_flaws(flaws: wp.array3d[int], y: int, x: int, dose: float, lowest: float, reached: float, opened: float):
+    """Count what a part that begins finds: 1 if the void below did not reach it, and a void that did not open."""
+    if lowest > opened:
+        flaws[1, y, x] = flaws[1, y, x] + 1
+    if dose < reached:
+        flaws[0, y, x] = flaws[0, y, x] + 1
+        return 1
+    return 0
+
+
+@wp.func
+def target_of(inner: wp.array2d[float], back: wp.array[float], solid: int, done: int, run: int):
+    """The dose of a slice by the solid slices before and after it, or by the void ones after it."""
+    if solid == 1:
+        return inner[wp.min(done, inner.shape[0] - 1), wp.min(run, inner.shape[1] - 1)]
+    return back[wp.min(run, back.shape[0] - 1)]
+
+
 @wp.kernel
 def correct_slices(
     words: wp.array3d[wp.uint32], block: int, light: wp.array[float], edges: wp.array[float],
@@ -102,18 +121,9 @@ def correct_slices(
             else:
                 run = run_of(words, block, platform, y, x, n, solid)
             was = solid
-            target = float(0.0)
-            if solid == 1:
-                if done == 0:
-                    if dose < reached:
-                        flaws[0, y, x] = flaws[0, y, x] + 1
-                        lost += 1
-                    if lowest > opened:
-                        flaws[1, y, x] = flaws[1, y, x] + 1
-                target = inner[wp.min(done, n_below - 1), wp.min(run, n_above - 1)]
-            else:
-                target = back[wp.min(run, n_void - 1)]
-            wanted = target - dose + decay * dose
+            if solid == 1 and done == 0:
+                lost += count_flaws(flaws, y, x, dose, lowest, reached, opened)
+            wanted = target_of(inner, back, solid, done, run) - dose + decay * dose
             level = level_of(light, edges, first, bins, wanted, shift, wp.where(solid == 0, run, 0))
             levels[n, y, x] = wp.uint8(level)
             before = dose

@@ -30,6 +30,9 @@ static inline int part_index(int n_i, int n_j, int n_z) {
     return inside ? (ITEM_SLAB * major + ITEM_MAJOR) * minor * THREADS + (int)get_global_id(0) : -1;
 }
 
+#define SUMS(sum) Vector sum[VECTORS]; EACH_VECTOR sum[v] = ZERO
+#define OWN_PART const int part = part_index(n_i, n_j, n_z); if (part < 0 || part >= n_part) return
+
 // Whether this item does more than fill up a work-group.
 #define MINE (part_index(n_i, n_j, n_z) >= 0)
 

@@ -27,6 +27,12 @@ def turned(x: wp.vec4):
 
 
 @wp.func
+def threads_of(bands: wp.array2d[int], g: int):
+    """How many threads' work the samples of a band are."""
+    return bands[g, 1] // bands[g, 3] * ((bands[g, 3] + OUTPUTS - 1) // OUTPUTS) * bands[g, 2]
+
+
+@wp.func
 def direct_sums(
     source: Flat, bands: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat, slab: int, lane: int,
     lanes: int, number: int,
@@ -34,18 +40,17 @@ def direct_sums(
     """OUTPUTS samples of a transform: number `number` of all."""
     own = number
     g = int(0)
-    blocks = (bands[0, 3] + OUTPUTS - 1) // OUTPUTS
-    count = bands[0, 1] // bands[0, 3] * blocks * bands[0, 2]
+    count = threads_of(bands, 0)
     while own >= count:
         own -= count
         g += 1
         if g == bands.shape[0]:
             return
-        blocks = (bands[g, 3] + OUTPUTS - 1) // OUTPUTS
-        count = bands[g, 1] // bands[g, 3] * blocks * bands[g, 2]
+        count = threads_of(bands, g)
     n = bands[g, 1]
     rings = bands[g, 2]
     radix = bands[g, 3]
+    blocks = (radix + OUTPUTS - 1) // OUTPUTS
     done = bands[g, 4]
     turns = n // (done * radix)
     ring = own % rings
@@ -188,6 +193,15 @@ def write_columns(light: Flat, slab: int, right: int, left: int, real: wp.vec4, 
     write(light, slab, right, real + difference)
 
 
+@wp.func
+def rings_at(spectrum: Flat, slab: int, at: int, lanes: int):
+    """The rings of a tile."""
+    rings = Rows()
+    for row in range(ROWS):
+        rings[row] = read(spectrum, slab, at + row * lanes)
+    return rings
+
+
 @wp.kernel
 def gather_rings(
     spectrum: Flat, entries: wp.array[float], greatest: float, tiles: wp.array2d[int], lit: wp.array2d[int],
@@ -213,12 +227,9 @@ def gather_rings(
         own = tile_at(tiles, tile, k, n_k)
         if pairs_of(lit, own, k, n_k) > first:
             entry = frequency + tiles[own, 0] + 2 * ROWS * first
-            rings = Rows()
-            other_rings = Rows()
             at = (k * n_cell + tile * ROWS) * lanes + lane
-            for row in range(ROWS):
-                rings[row] = read(spectrum, slab, at + row * lanes)
-                other_rings[row] = read(spectrum, other, at + row * lanes)
+            rings = rings_at(spectrum, slab, at, lanes)
+            other_rings = rings_at(spectrum, other, at, lanes)
             for pair in range(ROWS):
                 a = eight(entries, entry + 2 * ROWS * pair)
                 b = eight(entries, entry + 2 * ROWS * pair + ROWS)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, write
+from vamgpu.kernels.wide_warp import Flat, four_slabs
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -22,7 +22,7 @@ TURNS = 16  # at a time, at most
 class Tile:
     """Where a thread works, and where its tile keeps what its members share."""
 
-    slabs: wp.vec4i  # surplus slabs repeat the last one there is
+    slabs: wp.vec4i
     major: int
     minor: int
     lane: int
@@ -68,12 +68,7 @@ def tile_of(slabs: int, lanes: int, majors: int, minors: int, n_major: int, n_mi
     rows = all_majors // size[1]
     block = 4 * (box // (rows * columns) * size[0] + member // lanes)
     at = Tile()
-    at.slabs = wp.vec4i(
-        wp.min(block, slabs - 1),
-        wp.min(block + 1, slabs - 1),
-        wp.min(block + 2, slabs - 1),
-        wp.min(block + 3, slabs - 1),
-    )
+    at.slabs = four_slabs(block, slabs)
     at.major = box // columns % rows * size[1] + tile // size[2]
     at.minor = box % columns * size[2] + tile % size[2]
     at.lane = member % lanes
@@ -165,20 +160,18 @@ def fetch(slab: wp.uint64, index: int) -> wp.vec4:  # type: ignore[empty-body]
 
 
 @wp.func
-def write_four(field: Flat, slabs: wp.vec4i, index: int, a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
-    write(field, slabs[0], index, a)
-    write(field, slabs[1], index, b)
-    write(field, slabs[2], index, c)
-    write(field, slabs[3], index, d)
-
-
-@wp.func
 def samples_before(windows: int, turn: int):
     """The number of samples of the turns before one."""
     count = int(0)
     for before in range(turn):
         count += number(windows + 2 * before + 1, False, 0)
     return count
+
+
+@wp.func
+def no_sums():
+    """The sums of four slabs before any sample is added."""
+    return wp.mat44(0.0), wp.mat44(0.0), wp.mat44(0.0), wp.mat44(0.0)
 
 
 @wp.func

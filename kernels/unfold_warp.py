@@ -24,6 +24,12 @@ def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
 
 
 @wp.func
+def no_sums():
+    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return zero, zero, zero, zero, zero, zero, zero, zero
+
+
+@wp.func
 def slid(
     source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
     s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
@@ -89,15 +95,7 @@ def shift_window(
     for tile in range(begin, tiles, launched):  # where phases leave remainders, threads come round again
         phase = tile % phases
         m = tile // phases * TOGETHER
-        zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        s0 = zero
-        s1 = zero
-        s2 = zero
-        s3 = zero
-        s4 = zero
-        s5 = zero
-        s6 = zero
-        s7 = zero
+        s0, s1, s2, s3, s4, s5, s6, s7 = no_sums()
         row = phase * n_target_minor + n
         for b in range(rows[row], rows[row + 1]):
             first = m * step + bands[b, 1]

@@ -479,3 +479,12 @@ def columns_of(vessel: Vessel, across: np.ndarray, along: np.ndarray) -> np.ndar
     """Offset of the ray through each point, without its weight if the vessel has ``columns``."""
     columns: Any = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
     return columns(across, along)
+
+
+@dataclass(frozen=True)
+class PlaneTime:
+    """Time of a bit plane, in shares of the step from frame to frame; 0 is when the container is at its angle."""
+
+    bit: int  # of the levels, 0 the lowest
+    begin: float  # of its light
+    width: float  # how long it is lit

@@ -81,6 +81,8 @@ def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> 
     """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` saying what was expected."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
+        if isinstance(text, int | float):
+            example = f'write it like "{text:g} {unit_of(kind)}"'
         raise ValueError(f"expected {kind} with its unit in quotes: {example}")
     match = QUANTITY.fullmatch(text)
     if match is None:

@@ -18,7 +18,7 @@ from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.dose import DoseRecorder
-from vamgpu.hosts.emulators.lens import EmulatedLens
+from vamgpu.hosts.emulators.lens import EmulatedLens, LensInput
 from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort, plug
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage, EmulatedStepper
@@ -95,7 +95,7 @@ class EmulatedMirrorRig(_TriggeredRig):
         self.controller.on_trigger = self._trigger
         self.controller.on_light = self.recorder.lamp
         if self.lens is not None:
-            cable = Cable(self.lens, LENS_BAUD)
+            cable = Cable(LensInput(self.lens), LENS_BAUD)
             self.clock.attach(cable)
             self.controller.on_lens = cable.send
 

@@ -75,16 +75,13 @@ class Watched:
         for told in self.decisions:
             found = ", ".join(f"{name} {value:.3g} ± {error:.2g}" for name, (value, error) in
                               told["parameters"].items())  # fmt: skip
+            begins = "not shown" if told["effective"] is None else f"from turn {told['effective']} on"
             rows.append(
-                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {_begins(told['effective'])}, "
+                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {begins}, "
                 f"{told['turns']} to go, {told['seconds']:.2f} s  "
                 + (f"inhibitor {told['inhibitor']:.2f}, {found}" if found else told["reason"])
             )
         return "\n".join(rows if self.iou is None else [*rows, f"proved overlap {self.iou:.4f}"])
-
-
-def _begins(turn: int | None) -> str:
-    return "not shown" if turn is None else f"from turn {turn} on"
 
 
 def live(

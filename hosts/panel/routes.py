@@ -137,7 +137,7 @@ class _Answers:
         self._disk = self._disk or CapacityLimiter(1)
         async with self._disk:  # a disk that hangs holds one thread
             if time.monotonic() - self._past[0] >= FRESH:
-                found = await to_thread.run_sync(past, self._runs)
+                found = await to_thread.run_sync(past, self._runs, self._run)
                 self._past = (time.monotonic(), found)
         return JSONResponse(self._past[1])
 

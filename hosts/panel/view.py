@@ -26,7 +26,7 @@ WANTED = {
 def described(now: Snapshot) -> dict[str, Any]:
     """A snapshot as plain values, without images; None for numbers that are not finite, which JSON lacks."""
     plain = {name: value for name, value in vars(now).items() if name not in ARRAYS}
-    plain["parameters"] = [vars(each) for each in now.parameters]
+    plain |= {name: [vars(each) for each in plain[name]] for name in ("parameters", "checks")}
     return {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in plain.items()}
 
 

@@ -9,7 +9,7 @@ from vamgpu.errors import DeviceError, OriginLost
 from vamgpu.hosts.drivers.cleanup import run_all
 from vamgpu.hosts.drivers.controller_protocol import ControllerRow, Status
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.player.machines import MirrorMachines
+from vamgpu.hosts.player.machines import MirrorMachines, recover
 from vamgpu.hosts.player.mirrors import MirrorPlayer
 from vamgpu.hosts.player.motor import Approach, Origin, SpeedMonitor, own_number
 from vamgpu.hosts.player.player import Renew, StatusPoll
@@ -190,8 +190,8 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         return status.shown if status.play == self._play else 0
 
     def recover(self) -> None:
-        """Reconnect to the controller, and drop its remaining rows."""
-        self.machines.controller.revive()
+        """Reconnect to controller and lens, and drop remaining rows."""
+        recover(self.machines)
         self.machines.controller.stop()
 
     def halt(self) -> None:

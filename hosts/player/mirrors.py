@@ -207,6 +207,16 @@ class MirrorPlayer(ABC, Generic[M]):
             repeats.added()
         return True
 
+    def repeat(self, slots: range) -> None:
+        """Show frames of a vial once more, in an added turn."""
+        for slot in slots:
+            for engine, repeats in enumerate(self._missed):
+                number = int(self._orders[engine][slot])
+                version, frame = (0, number) if self.versions is None else self.versions.split_number(number)
+                if frame != NONE:
+                    repeats.policy.drop(frame)
+                    repeats.miss(frame, version)
+
     def restore(self, lost: Sequence[Sequence[int]]) -> None:
         """Poses of each projector that were black under an earlier host."""
         for repeats, poses in zip(self._missed, lost, strict=True):

@@ -127,7 +127,7 @@ def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, power:
         on=np.full(count, on, np.int64), frame=number % len(angles), pose=number, plane=np.zeros(count, np.int64),
         position=(FULL * np.arange(turns)[:, None] + np.array([float(angle) for angle in angles])).ravel(),
         focus=np.full(count, nan), power=np.tile(np.array(power), (count, 1)),
-        cadence=Cadence(period), advance=way, unit="deg", delay=0, frames=len(angles),
+        cadence=Cadence(period), advance=way, unit="deg", frames=len(angles),
     )  # fmt: skip
 
 
@@ -225,5 +225,5 @@ def _table(
         position=pose_number * float(way), focus=np.array(focus)[plane] if focus else np.full(light.size, nan),
         power=np.tile(np.array(shown.power), (light.size, 1)),
         cadence=cadence, advance=way, unit="mm" if repeat is None else "deg",
-        delay=0, frames=(poses if repeat is None else repeat) * planes,
+        frames=(poses if repeat is None else repeat) * planes,
     )  # fmt: skip

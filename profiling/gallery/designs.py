@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.color_contrast import Contrast
 from profiling.gallery.dualcolor import slice_colors, verdict
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
 from vamgpu.methods.dual import DualColor, LeastSquares, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.reports import style
 from vamgpu.targets.designs import BLOCKS, PIXELS, dot_array, gray_wedges, usaf, usaf_bars
 from vamgpu.targets.target import Target

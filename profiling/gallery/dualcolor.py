@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.color_contrast import Contrast
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
 from vamgpu.geometry import Beam, Turntable
 from vamgpu.methods.dual import METHODS, Colors, DualPlan, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.reports import style

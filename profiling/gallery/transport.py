@@ -12,9 +12,8 @@ from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
-from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import PAPER
-from vamgpu.chemistry.transport import Box, Transport
+from vamgpu.chemistry.transport import Box, Reaction, Transport
 from vamgpu.geometry import centers
 from vamgpu.reports import style
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from profiling.deposit import deposit
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable, centers
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, VIAL
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.deposit import deposit
 from vamgpu.optics.vial import Vial
 from vamgpu.reports import style
 

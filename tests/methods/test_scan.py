@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import METHODS, optimize
 from vamgpu.methods.dual import Colors, LeastSquares, superpose
 from vamgpu.methods.joint import KineticModel, TwoColorResin
-from vamgpu.methods.joint.poses import PoseRuns
+from vamgpu.methods.joint.models import PoseRuns
 from vamgpu.methods.quadrature import balance, directions, is_complete
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.rebin import rebin

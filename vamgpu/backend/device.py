@@ -370,13 +370,13 @@ class Device(ABC):
         """
         return self.upload(values, table=True)
 
-    def room(self, shape: tuple[int, ...]) -> np.ndarray:
-        """An array of float32 for `settle`; in a file if fields may be in files."""
-        return np.empty(shape, np.float32)
+    def hold(self, table: DeviceArray) -> DeviceArray:
+        """A table as one of this device: its own, or its first member's."""
+        return table
 
-    def settle(self, values: np.ndarray) -> DeviceArray:
-        """A table of an array of `room` with no other owner: the array itself if device and host share memory."""
-        return self.table(values)
+    def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
+        """An uninitialized table of float32, which may be as large as fields; in a file where those may be in files."""
+        return self.empty(shape, self.kept("float32"), table=True)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
         """A table to write that is the NumPy array itself; None if device and host share no memory.
@@ -415,7 +415,7 @@ class Device(ABC):
 
         Raises `KernelError` for what does not fit the declaration.
         """
-        if set(bindings) != set(kernel.arguments):
+        if bindings.keys() != kernel.arguments.keys():
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"
             )

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ import numpy as np
 from vamgpu.backend.cache import writable
 
 SLUGS = {"Portable Computing Language": "pocl", "NVIDIA CUDA": "nvidia", "AMD Accelerated Parallel Processing": "amd"}
+_BUILDS = Lock()
 PROBE = "__kernel void twice(__global float *a) { a[get_global_id(0)] = 2.0f * get_global_id(0); }"
 
 
@@ -87,6 +91,16 @@ def context_of(name: str) -> Any:
     return cl.Context([all_devices()[name]])
 
 
+@contextmanager
+def quiet_build() -> Iterator[None]:
+    """Build a program without its compiler's warnings; one at a time, because threads share the filters of warnings."""
+    import pyopencl as cl
+
+    with _BUILDS, warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        yield
+
+
 def complaint(name: str) -> str | None:
     """Why the device of that name cannot build and run a trivial kernel, or None if it can."""
     import pyopencl as cl
@@ -95,8 +109,7 @@ def complaint(name: str) -> str | None:
         context = context_of(name)
         queue = cl.CommandQueue(context)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", cl.CompilerWarning)
+        with quiet_build():
             program = cl.Program(context, PROBE).build()
         program.twice(queue, (16,), None, buffer)
         got = np.empty(16, np.float32)

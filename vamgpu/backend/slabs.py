@@ -136,6 +136,11 @@ class SlabDevice(Device):
         cuts = zip(self.members, self.cuts(shape[2]), strict=True)
         return [member.items(kernel, (*shape[:2], end - begin)) if begin < end else 0 for member, (begin, end) in cuts]
 
+    def hold(self, table: DeviceArray) -> DeviceArray:
+        copies = Copies(table.shape, table.dtype)
+        copies.keep(table)
+        return DeviceArray(self, copies, table.shape, table.dtype, 0)
+
     # ---- memory ----------------------------------------------------------------------------------------------
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> Pieces | Copies:
         if not lanes:

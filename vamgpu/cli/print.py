@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Settings, Switch, Whole, console
+from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
 from vamgpu.errors import BadInput, VamError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
-    host: str = "127.0.0.1", port: int = 0, live: Switch = False,
+    host: str = "127.0.0.1", port: int = 0, live: Switch = False, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
     that a camera watches, in resin that differs from the plan.
@@ -57,7 +58,7 @@ def print_(
         turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
             exposure needs, with the light dimmed to give the proved dose
         stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
-        out: folder of the run; the job's name with .run by default, with .dry-run for a dry run
+        out: folder of the run; by default the job's name with .run, or .dry-run for a dry run, then with -2.run, -3.run
         resume: folder of an interrupted run to continue
         unattended: number of times that a held print resumes by itself; by default it asks the operator
         device: device that makes the frames; by default the best one, or NumPy for a dry run
@@ -68,6 +69,7 @@ def print_(
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
+        anyway: print a job although its proof does not print; by default a terminal is asked
     """
     if jobs == ("demo", "live") or live:
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
@@ -78,7 +80,9 @@ def print_(
     screen, config = console(), read_rig(rig, settings or ())
     _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
     place = resume or _place(out, jobs[0], dry_run)
-    folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
+    folders = tuple(
+        _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
+    )
     exposure = None
     if resume is not None:
         turns, exposure = _begun(resume, turns)
@@ -97,6 +101,8 @@ def print_(
         rehearsed=dry_run, resume=resume is not None, unattended=unattended, page=panel, asks=sys.stdin.isatty(),
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
+    if not (planned.rehearsed or order.resume or anyway):
+        _consented(planned, order.asks)
     if not panel:
         return _printed(screen, planned, order, board)
     from vamgpu.hosts.panel import Panel
@@ -126,6 +132,24 @@ def _check_options(
         raise BadInput("--stay keeps the page after the print, and there is none; add --panel, or use vam panel")
 
 
+def _consented(planned: PrintPlan, asks: bool) -> None:
+    """Ask before a real print whose proof does not print. Raises `BadInput` unless someone agrees."""
+    if planned.dose is None or planned.dose.proved.right:
+        return
+    job, faults = planned.jobs[0].path, planned.dose.proved.faults
+    if not (asks and _agreed(f"the proof of {job} does not print: {faults}\nprint it anyway? [y/N] ")):
+        raise BadInput(f"the proof of {job!r} does not print: {faults}; expected a job that prints: correct it as `vam "
+                       f"prove {job}` says, or print it with --anyway")  # fmt: skip
+
+
+def _agreed(question: str) -> bool:
+    """Ask a question at the terminal."""
+    try:
+        return input(question).strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
+
+
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
     """Turns and exposure of the run to resume, so that the rest gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
@@ -147,7 +171,7 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
         raise BadInput("a print with --live takes one job, --rig, --turns and --out; leave out the rest")
     place = _place(out, "demo" if demo else jobs[0], False)
     if not demo:
-        return _reported(screen, live(jobs[0], rig, turns=turns, folder=place))
+        return _reported(screen, live(solved_folder(Path(jobs[0]), "print"), rig, turns=turns, folder=place))
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.live_demo import AGED, demo_job
     from vamgpu.live import Truth
@@ -184,7 +208,7 @@ def panel(
     *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
-    host: str = "127.0.0.1", port: int = 8521,
+    host: str = "127.0.0.1", port: int = 8521, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
 
@@ -202,6 +226,7 @@ def panel(
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
+        anyway: as for ``vam print``
     """
     if attach is not None:
         if jobs or rig is not None:
@@ -212,6 +237,7 @@ def panel(
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
         settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port,
+        anyway=anyway,
     )  # fmt: skip
 
 
@@ -234,14 +260,16 @@ def _wait(screen: Console) -> None:
 
 
 def _place(out: Path | None, job: str, dry_run: bool) -> Path:
-    """The folder of a run, which must not exist. Raises `BadInput`, `StorageError`."""
-    from vamgpu.errors import BadInput, StorageError
+    """The folder of a run, which must not exist; by default the first free one. Raises `BadInput`, `StorageError`."""
+    from vamgpu.errors import StorageError
 
     first = Path("vamgpu-demo" if job == "demo" else job)
     if out is None and first.name in ("", ".."):
         raise BadInput(f"the job {job!r} has no name for its run; give the folder of the job, or --out")
     name = first.stem if first.suffix in JOBS else first.name
-    place = out or first.parent / (name + (".dry-run" if dry_run else ".run"))
+    ending = ".dry-run" if dry_run else ".run"
+    names = (name + number + ending for number in chain([""], (f"-{number}" for number in count(2))))
+    place = out or next(first.parent / each for each in names if not (first.parent / each).exists())
     if job == "demo" and place.suffix == ".job":
         raise BadInput(f"{str(place)!r} is the place of the demo's job; end the name of its run in .run")
     if place.exists():
@@ -390,10 +418,7 @@ def _asked(screen: Console) -> Callable[[str], bool]:
 
     def go_on(why: str) -> bool:
         screen.print(f"held    [yellow]{escape(why)}[/]")
-        try:
-            return input("continue? [y/N] ").strip().lower() in ("y", "yes")
-        except EOFError:
-            return False
+        return _agreed("continue? [y/N] ")
 
     return go_on
 
@@ -403,9 +428,9 @@ def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], t
     from dataclasses import replace
 
     from vamgpu.errors import StorageError
+    from vamgpu.hosts.records.proof import prove_given
     from vamgpu.hosts.rigs.rehearsal import as_frames
     from vamgpu.jobs.run import prove
-    from vamgpu.printing.given_dose import prove_given
 
     dose = planned.dose
     if dose is not None and turns is not None:

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import console
+from vamgpu.cli.options import console, solved_folder
 from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
 
@@ -53,7 +53,7 @@ def prove(
     from vamgpu.storage.atomic import page_path
     from vamgpu.storage.memory import size
 
-    job = _written(job)
+    job = solved_folder(job, "prove")
     device = device if memory is None else within(device, memory)
     is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
     # the page of a run is beside that of its job
@@ -88,17 +88,6 @@ def prove(
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
     return _checked(not check or proven.proof.all_correct, check)
-
-
-def _written(job: Path) -> Path:
-    """The folder of a job or a run. Raises `BadInput` for a job file."""
-    from vamgpu.storage.atomic import named
-
-    if job.suffix.lower() == ".toml":
-        folder = job.with_suffix(".vam")
-        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
-                       f"writes: vam prove {folder}")  # fmt: skip
-    return named(job)
 
 
 def _check_options(

@@ -181,7 +181,8 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
             raise StorageError(
                 f"{str(path)!r} would overwrite the originals in {str(origin)!r}; choose a path beside them"
             )
-    if place.suffix.lower() in (".sl1", ".sl1s") and not _is_sl1(source):
+    held = source.others if isinstance(source, ZipStack) else ()
+    if place.suffix.lower() in (".sl1", ".sl1s") and not any(info.filename == "config.ini" for info in held):
         raise StorageError(f"{str(path)!r} would lack what an SL1 says of its printer; write a .zip or a folder")
     if place.suffix.lower() == ".goo" and not isinstance(source, GooStack):
         raise StorageError(f"{str(path)!r} would lack what a .goo file says of its printer; write a .zip or a folder")
@@ -192,10 +193,6 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
     folder = place.suffix.lower() not in (*ARCHIVES, ".goo")
     if folder != place.is_dir() or (folder and not (place / RECORD).is_file()):
         raise StorageError(f"{str(path)!r} exists and holds no corrected slices; choose another path")
-
-
-def _is_sl1(source: object) -> bool:
-    return isinstance(source, ZipStack) and any(info.filename == "config.ini" for info in source.others)
 
 
 def _take_over(archive: zipfile.ZipFile, source: ZipStack, slices: int) -> None:

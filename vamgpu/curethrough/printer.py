@@ -11,13 +11,52 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vamgpu.curethrough import constraints
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets, sampled
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Dose, Length, Speed, Thickness
+
+
+# Curves that bound the dose inside a feature (Pritchard et al. 2019, eqs. S36 to S42), in Ω and slice heights. It
+# reaches from ζ_U, its front, to ζ_L > ζ_U, its back side, which is exposed later. ζ may be an array.
+def constant_light(zeta: Any, zeta_0: float, dose_0: float, phi: float, eta: float) -> np.ndarray:
+    """Ω(ζ) under constant light Φ from the known Ω at ζ_0 (S36)."""
+    fade = 10.0 ** ((np.asarray(zeta, dtype=np.float64) - zeta_0) * eta)
+    return dose_0 * fade + phi * (1.0 - fade)
+
+
+def build_up(zeta: Any, lower: float, phi_max: float, eta: float) -> np.ndarray:
+    """Curve ii: the most dose that full light builds up from Ω_c at the back side ζ_L = ``lower`` (S37)."""
+    return constant_light(zeta, lower, 1.0, phi_max, eta)
+
+
+def die_down(zeta: Any, upper: float, phi_min: float, eta: float) -> np.ndarray:
+    """Curve iii: the most dose that dies down to Ω_c at the front ζ_U = ``upper`` under least light (S38)."""
+    return constant_light(zeta, upper, 1.0, phi_min, eta)
+
+
+def highest_place(upper: float, lower: float, phi_min: float, phi_max: float, eta: float) -> float:
+    """ζ*, where curves ii and iii meet (S39)."""
+    delta = lower - upper
+    low = (1.0 - phi_min) - (1.0 - phi_max) * 10.0 ** (-delta * eta)
+    return upper + log10((phi_max - phi_min) / low) / eta
+
+
+def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.ndarray:
+    """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
+    fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
+    room = (1.0 - phi_min) - (1.0 - phi_max) * fade
+    return (1.0 - phi_min) * (phi_max - phi_min) / room + phi_min
+
+
+def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
+    """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
+    if dose_0 >= 1.0:
+        return 0.0
+    return log10((phi - dose_0) / (phi - 1.0)) / eta if phi > 1.0 else float("inf")
+
 
 LEVELS = 256
 MOST_ETA = 30
@@ -249,12 +288,12 @@ class Printer(Machine):
         Returns:
             Height [mm]; infinite where full light never does.
         """
-        return self.slice_height * constraints.build_up_slices(dose, self.phi_max, self.eta)
+        return self.slice_height * build_up_slices(dose, self.phi_max, self.eta)
 
     @property
     def tail(self) -> int:
         """Slices to show after the last, so that its back side gets its dose; raises `BadInput` where none suffice."""
-        slices = constraints.build_up_slices(0.0, self.phi_max, self.eta)
+        slices = build_up_slices(0.0, self.phi_max, self.eta)
         if not np.isfinite(slices):
             raise BadInput(
                 f"full light gives {self.phi_max:.3g} critical doses at the most; expected more than 1: "
@@ -288,12 +327,12 @@ class Printer(Machine):
         # slice by slice: S37, S38 and the build-up in the void
         self._check_correctable()
         eta, low, high = self.eta, self.phi_min, self.phi_max
-        back = constraints.build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
+        back = build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
         back = np.append(np.where(back > 0.0, back, NEVER), NEVER)
         reach = log10((high - low) / (1.0 - low)) / eta
         done, left = np.arange(self.sight), np.arange(ceil(reach) + 2)
         profiled = sampled(profile, done * self.slice_height, left * self.slice_height)
-        bound = constraints.die_down(left, 0.0, low, eta)
+        bound = die_down(left, 0.0, low, eta)
         bound[-1] = np.inf  # farther from the front than even full light asks for
         inner = np.minimum(np.maximum(profiled, 1.0), np.minimum(bound, 2.0 * high))
         return Targets(inner, back)

@@ -103,10 +103,20 @@ def validated(
         return model.model_validate(data, context={"folder": folder, "files": files}), data
     except ValidationError as error:
         lines = key_lines(text)
-        every = error.errors()
+        raised = error.errors()
+        every = [entry for entry in raised if not _misspelled(entry, raised)]
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
         found += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
         raise JobError("\n".join(found)) from error
+
+
+def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
+    """Whether a missing key is there under a similar name, whose own error suggests it."""
+    *table, name = entry["loc"] or [""]
+    return entry["type"] == "missing" and any(
+        other["type"] == "extra_forbidden" and list(other["loc"][:-1]) == table
+        and nearest_of(other["loc"][-1], [str(name)]) for other in others
+    )  # fmt: skip
 
 
 def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
@@ -140,7 +150,7 @@ def _complaint(
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     parts = (*entry["loc"], *(int(part) if str(part).isdigit() else part for part in between))
     key = tuple(map(str, parts))
-    named = _as_written(tuple(str(part) for part in parts if not isinstance(part, int)), file, data)
+    named = tuple(str(part) for part in parts if not isinstance(part, int))
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
@@ -176,15 +186,6 @@ def _models(
         data = data.get(part, {}) if isinstance(data, dict) else {}
         model = model if field is None else model_in(field.annotation, field.metadata, data) or model
         yield model, data
-
-
-def _as_written(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> tuple[str, ...]:
-    """A key with the old name of its last part, if the file has that name."""
-    if not key:
-        return key
-    *_, (model, table) = _models(key[:-1], file, data)
-    old = {new: old for old, new in getattr(model, "renamed", {}).items() if isinstance(table, dict) and old in table}
-    return (*key[:-1], old.get(key[-1], key[-1]))
 
 
 def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:

@@ -237,7 +237,8 @@ def _one(
     lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
-        evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit), cancel=due,
+        evaluations=file.solve.evaluations, tolerances=file.tolerances, cancel=due,
+        progress=lambda step: progress("light", step.iteration / limit),
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
@@ -398,11 +399,6 @@ def _method(name: str) -> Any:
         return chosen(name)
     except BadInput as error:
         raise JobError(f"solve.method: {error}") from None
-
-
-def _share(progress: StageProgress, limit: int) -> Callable[[Step], None]:
-    """An optimizer's steps as a share of its iterations."""
-    return lambda step: progress("light", step.iteration / limit)
 
 
 def _spent(progress: StageProgress, evaluations: float) -> Callable[[Step], None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,13 +69,9 @@ def _pixels(figure: Figure) -> np.ndarray:
 def _curves(axis: Any, before: Sequence[Decision], count: int) -> None:
     found = [each for each in before if each.parameters]
     for name, color in CURVES.items():
-        pairs = np.array([_pair(each.parameters, name, each.inhibitor) for each in found]).reshape(-1, 2)
+        pairs = np.array([each.parameters.get(name, (each.inhibitor, 0.0)) for each in found]).reshape(-1, 2)
         turns = [each.turn for each in found]
         axis.errorbar(turns, pairs[:, 0], pairs[:, 1], marker="o", markersize=4, capsize=2.5, color=color, label=name)
     axis.axhline(1.0, color=style.FAINT, lw=1.0)
     axis.set(xlim=(0.5, count + 0.5), ylim=(0.3, 1.5), xlabel="turn", title="over planned")
     axis.legend(loc="upper left", ncols=len(CURVES))
-
-
-def _pair(parameters: Mapping[str, tuple[float, float]], name: str, inhibitor: float) -> tuple[float, float]:
-    return parameters.get(name, (inhibitor, 0.0))

@@ -69,6 +69,8 @@ class Decision:
         doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
             as its print makes them, with at most the dose of the plan, and no overlap is expected.
         misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
+        checks: Values and limits, dimensionless, of what was checked: ``images``, their misfit, and ``conversion``, the
+            share that the light shown does not explain.
         stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes another time.
         dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
             (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.
@@ -86,6 +88,7 @@ class Decision:
     reason: str = ""
     doubt: str = ""
     misfit: float = 0.0
+    checks: dict[str, tuple[float, float]] = field(default_factory=dict)
     stages: dict[str, float] = field(default_factory=dict)
     dose: DeviceArray | None = None
     conversion: DeviceArray | None = None
@@ -98,6 +101,7 @@ class Decision:
             "inhibitor": self.inhibitor, "parameters": {name: list(v) for name, v in self.parameters.items()},
             "iou": self.iou, "reason": self.reason,
             "light": digest(np.asarray(self.light, np.float32)), "doubt": self.doubt, "misfit": self.misfit,
+            "checks": {name: list(pair) for name, pair in self.checks.items()},
         }  # fmt: skip
 
 
@@ -237,13 +241,15 @@ class LiveLoop:
                 laps.over("see")
                 doubt = self.trust.of_images(seen)
                 decision = self._by_plan(at, doubt) if doubt else self._replanned(at, told, seen, laps)
-                decision = replace(decision, misfit=seen.misfit)
+                images = seen.misfit, self.trust.limit(seen)
+                decision = replace(decision, misfit=seen.misfit, checks={"images": images} | decision.checks)
         except VamError as error:
             decision = self._kept(at, f"refused: {error}")
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
+        found = np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else state.values
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, _values(decision, state.values), at.clear, at.images,
+                          at.committed, found, at.clear, at.images,
                           decision.doubt)  # fmt: skip
         return after, decision
 
@@ -352,8 +358,9 @@ class LiveLoop:
         acted = added(at.shown, at.pending, factor=-1.0)
         found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
         laps.over("estimate")
+        checks = {"conversion": (found.unexplained, self.trust.conversion)}
         if doubt := self.trust.of_estimate(found):
-            return self._by_plan(at, doubt)
+            return replace(self._by_plan(at, doubt), checks=checks)
         calibrated = self.estimator.nearly(found.values, acted, found.lit)
         more = calibrated.T(added(at.pending, *map(self._field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
@@ -364,7 +371,7 @@ class LiveLoop:
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
-        return decision
+        return replace(decision, checks=checks)
 
     def _cured(self, seen: Reconstruction) -> int:
         """Voxels in the judged cylinder that have."""
@@ -436,7 +443,3 @@ class LiveLoop:
             row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
         i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
         return float(GAINS[i]), float(INHIBITORS[k])
-
-
-def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:
-    return np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else last

@@ -22,12 +22,12 @@ from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.part import fractions_of, one_limit
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
 
@@ -156,7 +156,7 @@ class Replanner:
         object.__setattr__(self, "threshold", share * middle)
 
     def replan(
-        self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
+        self, operator: Operator, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0, wanted: Any = None,
     ) -> Replanned:  # fmt: skip
         """The best light for the rest of a print within the given evaluations.
@@ -239,7 +239,7 @@ class Replanner:
         task.state.combine(1.0, task.given, share, dose, whole)
         return _Printed(self._forecast(task, turns, whole), task.border.off(whole))
 
-    def prepare(self, operator: Projector) -> None:
+    def prepare(self, operator: Operator) -> None:
         """Find the part's border now, not in the first plan.
 
         Args:
@@ -247,7 +247,7 @@ class Replanner:
         """
         self._part(operator)
 
-    def _part(self, operator: Projector) -> tuple[DeviceArray, Border]:
+    def _part(self, operator: Operator) -> tuple[DeviceArray, Border]:
         """The part on an operator's device, and its border: found once, however often the operator is clouded."""
         place = operator.device, operator.domain
         if place not in self._known:

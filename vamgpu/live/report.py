@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,10 @@ SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", 
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
 """The attribute of `Truth` for each estimate."""
+HEADER = "after turn", "", "light", "shown from turn", "turns left", "misfit", "why"
+"""Of the decisions."""
+CHECKS = {"images": ("misfit of the images", "o"), "conversion": ("conversion that the light does not explain", "s")}
+"""Name and marker of what `Decision.checks` compare."""
 
 
 def page(
@@ -44,21 +49,19 @@ def page(
         Figure(expected, "overlap expected", "with the part, from the last estimate"),
     ]
     cards = [
-        Card("Decisions",
-             Table(_rows(told), ("after turn", "", "light", "shown from turn", "turns left", "why")), wide=True),
+        Card("Decisions", Table(_rows(told), HEADER), wide=True),
         Card("Time per decision", Table(_times(told, setup), ("", "median [s]", "most [s]", "decisions")),
              note="Sensing is the share of the turn whose images are used."),
     ]  # fmt: skip
     if found:
-        cards.insert(
-            0,
-            Card(
-                "Estimates",
-                Chart(_curves(found, _true(truth, setup))),
-                wide=True,
-                note="Bars are standard deviations; a dashed line is the true value at the start of an emulated print.",
-            ),
-        )
+        true = _true(truth, setup)
+        note = "Bars are standard deviations; a dashed line is the true value at the start of an emulated print."
+        cards.insert(0, Card("Estimates", Chart(_curves(found, true, setup)), wide=True, note=note))
+        header = ("", "value", "σ", "true at the start") if true else ("", "value", "σ")
+        cards.append(Card("Last estimates", Table(_estimates(found[-1], true, setup), header)))
+    if any(each.get("checks") for each in told):
+        note = "Relative to the limits. Beyond a limit, the line is red; images do not decide in the red turns."
+        cards.insert(0, Card("Images against the light shown", Chart(_checked(told)), wide=True, note=note))
     if conversion is not None:
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
@@ -76,7 +79,7 @@ def _rows(told: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [
         [str(each["turn"]), each["action"], str(each["version"]),
          "never" if each.get("effective", 0) is None else str(each.get("effective", "")), str(each["turns"]),
-         each["reason"]]
+         "{:.3g} (at most {:.3g})".format(*each["checks"]["images"]) if each.get("checks") else "", each["reason"]]
         for each in told
     ]  # fmt: skip
 
@@ -93,17 +96,60 @@ def _true(truth: Truth | None, setup: LiveSetup) -> dict[str, float]:
     return known | {"absorption": 1.0 + truth.absorption, "across": truth.across * setup.pixel, "height": 0.0}
 
 
-def _curves(found: Sequence[Mapping[str, Any]], true: Mapping[str, float]) -> str:
+def _found(each: Mapping[str, Any], setup: LiveSetup) -> dict[str, tuple[float, float]]:
+    """Value and deviation of each estimate after a turn."""
+    deviation = each["parameters"]["initial_dose"][1] / setup.resin.induction
+    return each["parameters"] | {"inhibitor": (each["inhibitor"], deviation)}
+
+
+def _named(name: str) -> str:
+    return name.replace("_", " ") + (" [mm]" if name in ("across", "height") else "")
+
+
+def _estimates(last: Mapping[str, Any], true: Mapping[str, float], setup: LiveSetup) -> Iterator[list[str]]:
+    """Rows of the estimates, with the digits that their deviations leave."""
+    for name, (value, error) in _found(last, setup).items():
+        digits = max(0, 1 - floor(log10(error))) if error > 0 else 4
+        row = [_named(name), f"{round(value, digits) + 0.0:.{digits}f}", f"{error:.{digits}f}"]
+        yield row + ([f"{true[name]:.{digits}f}" if name in true else ""] if true else [])
+
+
+def _checked(told: Sequence[Mapping[str, Any]]) -> str:
+    """Each check over its limit, turn by turn."""
+    doubted = next((each["turn"] for each in told if each.get("doubt")), None)
+
+    def draw(axis: Any) -> None:
+        for (name, (title, marker)), color in zip(CHECKS.items(), (chart.PART, chart.EXTRA), strict=True):
+            rows = [(each["turn"], *each["checks"][name]) for each in told if name in each.get("checks", {})]
+            turns, values, limits = np.transpose(np.asarray(rows, float).reshape(-1, 3))
+            axis.plot(turns, values / limits, color=color, marker=marker, markersize=4, linewidth=1.4, label=title)
+            for k in np.flatnonzero(values > limits):
+                piece = slice(max(k - 1, 0), k + 1)
+                axis.plot(turns[piece], values[piece] / limits[piece], color=chart.WARN, linewidth=2.2)
+                axis.plot(turns[k], values[k] / limits[k], color=chart.WARN, marker=marker)
+        axis.axhline(1.0, linestyle="--", linewidth=1.2, color=chart.INK, label="limit")
+        if doubted is not None:
+            axis.axvspan(doubted - 0.5, told[-1]["turn"] + 0.5, color=chart.WARN, alpha=0.12, linewidth=0)
+        axis.set_xlim(0.5, told[-1]["turn"] + 0.5)
+        axis.set_ylim(bottom=0.0)
+        axis.set_xlabel("turn")
+        axis.xaxis.get_major_locator().set_params(integer=True)
+        chart.above(axis, 3)
+
+    return chart.svg(draw, chart.WIDE, 2.8)
+
+
+def _curves(found: Sequence[Mapping[str, Any]], true: Mapping[str, float], setup: LiveSetup) -> str:
     turns = [each["turn"] for each in found]
 
     def draw(*axes: Any) -> None:
         for axis, name in zip(axes, SHOWN, strict=False):
-            pairs = [each["parameters"].get(name, (each.get(name, np.nan), 0.0)) for each in found]
+            pairs = [_found(each, setup).get(name, (np.nan, 0.0)) for each in found]
             values, errors = np.transpose(np.asarray(pairs, float))
             axis.errorbar(turns, values, errors, marker="o", markersize=4, linewidth=1.4, capsize=2.5, color=chart.PART)
             if name in true:
                 axis.axhline(true[name], linestyle="--", linewidth=1.0, color=chart.REST)
-            axis.set_title(name.replace("_", " ") + (" [mm]" if name in ("across", "height") else ""), fontsize=10.5)
+            axis.set_title(_named(name), fontsize=10.5)
             axis.set_xlabel("turn")
             axis.xaxis.get_major_locator().set_params(integer=True)
         for axis in axes[len(SHOWN) :]:

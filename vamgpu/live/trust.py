@@ -36,12 +36,16 @@ class Trust:
     images: float = 0.05
     conversion: float = 0.35
 
+    def limit(self, seen: Reconstruction) -> float:
+        """Greatest misfit of a reconstruction."""
+        return max(self.misfit, self.images * seen.contrast)
+
     def of_images(self, seen: Reconstruction) -> str:
         """Why not to trust a reconstruction; empty without a reason."""
-        if seen.misfit <= max(self.misfit, self.images * seen.contrast):
+        if seen.misfit <= self.limit(seen):
             return ""
-        return (f"images differ from any field by {seen.misfit:.3g} times their noise (expected at most "
-                f"{self.misfit:g}): check open field, noise, orientation and place of the camera")  # fmt: skip
+        return (f"images differ from any field by {seen.misfit:.3g} times their noise (at most {self.limit(seen):.3g} "
+                "expected): check open field, noise, orientation and place of the camera")  # fmt: skip
 
     def of_estimate(self, found: Estimate) -> str:
         """Why not to trust an estimate; empty without a reason."""

@@ -16,10 +16,10 @@ from vamgpu.methods.certificate import Bound
 from vamgpu.methods.pdhg import PDHG, TOLD
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.progress import Progress
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.run import optimize
 from vamgpu.methods.tolerances import Tolerances, check_tolerances
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.ring_projection import RingProjection
 
 REACHED = 6.0
@@ -27,7 +27,7 @@ REACHED = 6.0
 
 
 def bound(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     evaluations: float = 1500.0,
     *,

@@ -12,8 +12,8 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.covering import NEVER, cover_scale, divide_prices, level_cover, light_short_pixels
 from vamgpu.kernels.reduce import HIGH
-from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import folded, parts_for, total
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _window(plan: Plan | float) -> float:
 
 
 def certified(
-    operator: Projector, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
+    operator: Operator, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
     rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
 ) -> Bound:  # fmt: skip
     """The bound from the multipliers of a run, made feasible; takes `SWEEPS` + 1 evaluations.

@@ -15,10 +15,10 @@ from vamgpu.methods.method import Method
 from vamgpu.methods.osmo import OSMO
 from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import optimize
 from vamgpu.methods.surface import SurfaceRamp
+from vamgpu.operators.protocol import Operator
 
 OUTSIDE, INSIDE = 0.78, 0.95
 """Thresholds that methods are compared at, in units of the part's dose."""
@@ -57,7 +57,7 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
 
 
 def compared(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     name: str,
     evaluations: float,

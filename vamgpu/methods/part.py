@@ -13,10 +13,9 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, NoLight, OpticsWarning, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Grid
 from vamgpu.kernels.update import fill_background, linear
-from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import Composed, capped, combine
 from vamgpu.operators.dwell import Dwell
-from vamgpu.operators.protocol import ATTRIBUTES
+from vamgpu.operators.protocol import ATTRIBUTES, Operator
 from vamgpu.operators.reductions import EVERYWHERE, dot, extent, total
 from vamgpu.operators.scaling import Scaled
 from vamgpu.operators.space import require
@@ -38,7 +37,7 @@ DIM = 1e-2
 that take a hundred times as much of it."""
 
 
-def fractions_of(operator: Projector, target: Any) -> DeviceArray:
+def fractions_of(operator: Operator, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
@@ -129,7 +128,7 @@ def reach_of(grid: Grid | WebGrid) -> float:
     return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
 
 
-def on_device(operator: Projector, target: Any) -> DeviceArray:
+def on_device(operator: Operator, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
     _check_projector(operator)
     wanted = operator.grid.pitch
@@ -191,7 +190,7 @@ def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> N
         )
 
 
-def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
+def _check_beam(operator: Operator, radius: float | None, height: float | None) -> None:
     """Reject a part [mm] higher than the light; warn of a wider part, which some angles light only in part."""
     (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, _vessel(operator)
     if height is not None and height > rows * pitch * (1.0 + 1e-6):

@@ -8,8 +8,8 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.filter import filter_rows
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.quadrature import balance
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import WebGrid
@@ -27,7 +27,7 @@ class Taps:
     balance: DeviceArray | None = None
 
 
-def ramp(operator: Projector) -> Taps:
+def ramp(operator: Operator) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
     Angles count by the directions that they stand for, and by the time that they are lit.
@@ -44,7 +44,7 @@ def _ramp_taps(columns: int) -> np.ndarray:
     return taps
 
 
-def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
+def capped_ramp(operator: Operator, cap: float, span: float = 1.0) -> Taps:
     """The ramp |ω| up to ``cap`` cycles a column, level beyond; its taps fade out over a ``span`` of the columns."""
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
@@ -55,12 +55,12 @@ def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
     return Taps(operator.device.table(taps * _scale(operator)), 1, _balance(operator))
 
 
-def identity(operator: Projector) -> Taps:
+def identity(operator: Operator) -> Taps:
     """No filter."""
     return Taps(operator.device.table(np.ones(1)), 1)
 
 
-def _scale(operator: Projector) -> float:
+def _scale(operator: Operator) -> float:
     grid, motion = operator.grid, operator.motion
     if isinstance(grid, WebGrid):
         return _web_scale(operator, grid)
@@ -70,7 +70,7 @@ def _scale(operator: Projector) -> float:
     return np.pi / motion.angles / area / operator.beam.pitch
 
 
-def _balance(operator: Projector) -> DeviceArray | None:
+def _balance(operator: Operator) -> DeviceArray | None:
     found = None if isinstance(operator.motion, WebMotion) else balance(operator.motion)
     return None if found is None else operator.device.table(found)
 
@@ -83,7 +83,7 @@ def bar(grid: WebGrid) -> np.ndarray:
     return np.broadcast_to(inside.astype(np.float32)[:, :, None], grid.shape)  # which takes no memory
 
 
-def _web_scale(operator: Projector, grid: WebGrid) -> float:
+def _web_scale(operator: Operator, grid: WebGrid) -> float:
     # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
     device, columns = operator.device, operator.beam.pixels[0]
     target, projected, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)

@@ -9,12 +9,12 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.methods.method import Method
 from vamgpu.methods.plan import Plan, copied
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.tolerances import Tolerances
+from vamgpu.operators.protocol import Operator
 
 
 def memory_of(
-    operator: Projector, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
+    operator: Operator, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
 ) -> dict[str, Any]:  # fmt: skip
     """A copy of what a plan remembers; the plan stays as it is. Raises `BadInput` for a plan of another task."""
     if resume is None:
@@ -37,7 +37,7 @@ def memory_of(
     return copied(resume.state)
 
 
-def _difference(plan: Plan, operator: Projector, target: Any, tolerances: Tolerances | None) -> str:
+def _difference(plan: Plan, operator: Operator, target: Any, tolerances: Tolerances | None) -> str:
     """What of a plan's task is not that of another, and what is, in words; empty if all is alike."""
     for name in ("grid", "beam", "motion", "vessel"):
         before, now = (getattr(each, name, None) for each in (plan.operator, operator))

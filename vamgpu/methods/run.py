@@ -30,7 +30,6 @@ from vamgpu.methods.method import Method
 from vamgpu.methods.part import fractions_of, limited, radius_of
 from vamgpu.methods.plan import Plan, Step, copied
 from vamgpu.methods.progress import Progress, reporting
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.resume import memory_of
 from vamgpu.methods.start import begin
 from vamgpu.methods.state import OptimizerState
@@ -39,6 +38,7 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.defocus import direct
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection, covers
 from vamgpu.operators.scenarios import Scenarios
@@ -58,7 +58,7 @@ COARSE_CORNERS = ("memory did not do for all corners on voxels as fine as light:
 
 
 def optimize(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     method: str | Method | Loss = "default",
     iterations: int | None = None,
@@ -239,7 +239,7 @@ def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
 
 
 def _limit_light(
-    state: OptimizerState, operator: Projector, limit: ExposureLimit, resume: Plan | None, finer: float
+    state: OptimizerState, operator: Operator, limit: ExposureLimit, resume: Plan | None, finer: float
 ) -> None:
     """Limit the brightness of a run's light to the exposure. Raises `BadInput`."""
     brightness = limit.brightness(operator)
@@ -268,7 +268,7 @@ def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
 class _Run:
     """One run in progress."""
 
-    operator: Projector
+    operator: Operator
     method: Method
     state: OptimizerState
     target: Any
@@ -446,7 +446,7 @@ def _count(iterations: int) -> int:
     return 0 if iterations == 0 else counts("iterations", (iterations,), 1)[0]
 
 
-def _where(operator: Projector) -> str:
+def _where(operator: Operator) -> str:
     """The voxels and the motion of an operator, in words; empty if it has none of the usual kind."""
     grid, motion = (getattr(operator, name, None) for name in ("grid", "motion"))
     return f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""

@@ -22,9 +22,9 @@ from vamgpu.losses.loss import Loss
 from vamgpu.methods.best_light import Best
 from vamgpu.methods.method import Criterion
 from vamgpu.methods.part import reach_of, uploaded
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.space import require
@@ -50,12 +50,12 @@ class PartialProblem:
 class OptimizerState:
     """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
 
-    operator: Projector
+    operator: Operator
     target: DeviceArray
     memory: dict[str, Any]
 
     def __init__(
-        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
+        self, operator: Operator, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
         limits: Limits | None = None,
     ) -> None:  # fmt: skip
         self.operator, self.target, self.memory = operator, target, memory

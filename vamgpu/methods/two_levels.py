@@ -25,10 +25,10 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.admm import clip_dose, clip_light, find_levels
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.gram import RIM, GramInverse
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import extent, folded, parts_for
 from vamgpu.operators.scenarios import Scenarios
 
@@ -52,7 +52,7 @@ class TwoLevels:
 
     possible: bool
 
-    def __init__(self, operator: Projector, target: DeviceArray, light: DeviceArray) -> None:
+    def __init__(self, operator: Operator, target: DeviceArray, light: DeviceArray) -> None:
         self._light, self._state = light, OptimizerState(operator, target, {})
         self._inverse: GramInverse | None = None
         if not GramInverse.unsupported_reason(operator):

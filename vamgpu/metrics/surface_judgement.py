@@ -151,25 +151,32 @@ def judge_surface(
     if printed is None:
         return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
 
+    distances, most = _distances(near, points, printed, inside, around)
+    return SurfaceJudgement(
+        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
+    )  # fmt: skip
+
+
+def _distances(
+    near: Nearest, points: Array, printed: TriangleSearch, inside: npt.NDArray[np.bool_], around: PrintedField
+) -> tuple[Array, Array]:
+    """Signed distances at points of the print and of the part; and these with those that may be greatest."""
+
     def of_part(at: Array) -> Array:
         return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
 
     def of_print(at: Array) -> Array:
         return near(at, most=_PIECES).distance
 
-    cloud = drawn_on(printed.corners, number, printed.areas)[0]
+    cloud = drawn_on(printed.corners, len(points), printed.areas)[0]
     dense_part, dense_print = _dense(near.search, around.pitch), _dense(printed, around.pitch)
     ways = (
         (of_print, near.search, cloud, dense_print, ~_masked(inside, around, dense_print)),
         (of_part, printed, points, dense_part, around.printed(dense_part)),
     )
     distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
-    most = np.concatenate(
-        [distances, *(measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways)]
-    )
-    return SurfaceJudgement(
-        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
-    )  # fmt: skip
+    farthest = [measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways]
+    return distances, np.concatenate([distances, *farthest])
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:

@@ -171,7 +171,7 @@ def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
     done, parents = [], []
     left, parent = corners, np.arange(len(corners))
     while len(left):
-        edges = _edges(left)
+        edges = np.stack([_length(left[:, k] - left[:, (k + 1) % 3]) for k in range(3)], axis=1)  # from each corner
         short = edges.max(axis=1) <= limit
         if short.all() and not done:
             return left, parent
@@ -184,11 +184,6 @@ def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
         left = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
         parent = np.concatenate([parent, parent])
     return np.concatenate(done), np.concatenate(parents)
-
-
-def _edges(corners: Array) -> Array:
-    """Lengths (m, 3) of the edges that start at each corner."""
-    return np.stack([_length(corners[:, k] - corners[:, (k + 1) % 3]) for k in range(3)], axis=1)
 
 
 def _length(vectors: Array) -> Array:

@@ -21,7 +21,8 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.ring_projection import RingProjection, uneven_reason, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
-from vamgpu.operators.spectral import SpectralProjection, straight_passes
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.transforms import straight_passes
 
 RIM = 0.1
 """Weight of the voxels outside the judged cylinder."""

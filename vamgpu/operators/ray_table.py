@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, hypot, inf, sqrt
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from vamgpu.backend.cores import pointwise
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Beam, Chords, Grid, Vessel
+from vamgpu.geometry import Beam, Chords, Grid, Vessel, centers
 from vamgpu.kernels.footprint import half_support, sides
 
 FINE = 65_536
@@ -86,16 +87,15 @@ def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None, 
     corner = hypot(*(0.5 * (n - 1) for n in grid.shape[:2]))
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
-    position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
-    across, along = np.meshgrid(position, position, indexing="ij")
     whole, shares = unwrap(vessel)
-    u, weight = _continued(whole, radius * grid.pitch, across, along)
+    sampled = _sampled if _never_changes(whole) else _sampled.__wrapped__
+    u, weight = sampled(whole, radius * grid.pitch, samples, grid.pitch)
     column = u / beam.pitch + 0.5 * (columns - 1)
     strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
     gradient = np.gradient(column)
     column, strength = _over_voxels(column, strength)
     for share in shares:
-        strength = strength * share(u, across, along)
+        strength = strength * share(u, *_square(samples, grid.pitch))
     fill, sigma = sqrt(beam.fill), beam.sigma
     reaches = _reaches(column, columns, radius, fill, sigma, arc) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
@@ -161,8 +161,24 @@ def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
     return vessel, shares
 
 
-def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The light at each point, continued in a straight line beyond ``radius`` [mm]: voxels at the rim interpolate."""
+def _never_changes(vessel: Any) -> bool:
+    """Whether what a vessel does to light is known by its value."""
+    try:
+        hash(vessel)
+    except TypeError:
+        return False
+    return getattr(getattr(vessel, "__dataclass_params__", None), "frozen", False)
+
+
+def _square(samples: int, pitch: float) -> list[np.ndarray]:
+    """Across and along the light: points of a square about the axis."""
+    return list(np.meshgrid(*2 * (centers(samples, pitch),), indexing="ij"))
+
+
+@lru_cache(maxsize=1)  # for other beams in the same vessel: tracing takes most of the time of a table
+def _sampled(vessel: Vessel, radius: float, samples: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """The light at points of a square, continued straight beyond ``radius`` [mm]: voxels at the rim interpolate."""
+    across, along = _square(samples, pitch)
     u, weight = (np.array(value) for value in vessel.illuminate(across, along))
     distance = np.hypot(across, along)
     beyond = (distance > radius) & (distance < 2.0 * radius)

@@ -27,8 +27,9 @@ from vamgpu.operators.ray_table import column_in_resin
 from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.spectral import SpectralProjection, passes
+from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
+from vamgpu.operators.transforms import passes
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6

@@ -91,11 +91,12 @@ Space = VolumeSpace | SinogramSpace | PolarSpace | WebSpace | WebSinogramSpace
 
 def require(space: Space, value: Any, name: str) -> None:
     """Raise `ShapeMismatch` unless ``value`` has the shape of ``space``."""
-    shape = tuple(getattr(value, "shape", ()))
-    if shape != space.shape:
-        axes = ", ".join(space.axes)
+    shape = getattr(value, "shape", None)
+    if shape is None or tuple(shape) != space.shape:
+        got = f"is a {type(value).__name__}" if shape is None else f"has shape {tuple(shape)}"
         raise ShapeMismatch(
-            f"{name} has shape {shape}; expected {space.shape} = [{axes}]: build it on the same geometry"
+            f"{name} {got}; expected an array of shape {space.shape} = [{', '.join(space.axes)}]: build it on the same "
+            "geometry"
         )
 
 

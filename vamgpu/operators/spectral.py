@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from math import prod
 from threading import local
 from typing import Any, final
-
-import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel, positive
-from vamgpu.kernels.spectrum import (
-    AT_ONCE,
-    FACTOR,
-    ONE_SUM,
-    factors,
-    fourier,
-    gather_rings,
-    in_groups,
-    is_even,
-    light_rings,
-    most_lit_first,
-)
+from vamgpu.geometry import Beam, Turntable, Vessel, positive
+from vamgpu.kernels.spectrum import gather_rings, light_rings, most_lit_first
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.polar import PolarGrid, PoseTile, ring_table
+from vamgpu.operators.polar import PolarGrid, PoseTile, tiles_of_vessel
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.ring_table import ring_table
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
+from vamgpu.operators.transforms import Passes, Place, ring_radices, straight_passes
 from vamgpu.schema.quantities import finite
-
-MOST = 4
-"""_Passes that there may be."""
 
 
 @final
@@ -106,11 +91,12 @@ class SpectralProjection(LinearOperator):
         self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         arc = float(motion.arcs[0])
-        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines, arc, tiles)
+        given = tiles or tiles_of_vessel(grid, beam, vessel or OpenAir(), square, splines, arc)
+        table = ring_table(grid, beam, given, self.device, faint, splines)
         self._light_shape = (grid.angles, beam.pixels[0], grid.slices)
         upload = self.device.table
         self._entries = {
-            "entries": self.device.settle(table.entries),
+            "entries": self.device.hold(table.entries),
             "greatest": table.greatest,
             "tiles": upload(table.tiles, "int32"),
             "lit": upload(table.lit, "int32"),
@@ -138,25 +124,21 @@ class SpectralProjection(LinearOperator):
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r}{how})"
 
     @cached_property
-    def _of_light(self) -> _Passes:
+    def _of_light(self) -> Passes:
         return straight_passes(self.device, *self._light_shape[:2])
 
     @cached_property
-    def _to_rings(self) -> _Passes:
+    def _to_rings(self) -> Passes:
         own = self._radices and [radices[::-1] for radices in self._radices]
-        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._bands], own)
+        return Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._bands], own)
 
     @cached_property
-    def _from_rings(self) -> _Passes:
-        return _Passes(self.device, self._bands, self._radices)
+    def _from_rings(self) -> Passes:
+        return Passes(self.device, self._bands, self._radices)
 
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
-        """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
-        angles, bands = self.grid.angles, self.grid.bands
-        if not on_gpu(self.device) or not any(factors(angles)):
-            return None
-        return [(angles, band.samples) if bands[-1].samples > 1 else (angles,) for band in bands]
+        return ring_radices(self.device, self.grid.angles, [band.samples for band in self.grid.bands])
 
     @property
     def _bands(self) -> list[tuple[int, int, Place, Place]]:
@@ -209,87 +191,3 @@ class SpectralProjection(LinearOperator):
         if name not in held:
             held[name] = self.device.empty(shape)
         return held[name]
-
-
-Place = tuple[int, int, int, int]
-"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
-
-
-class _Passes:
-    """Fourier transforms of rings, a pass after the other."""
-
-    # bands: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
-
-    def __init__(
-        self, device: Device, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
-    ) -> None:
-        self._device = device
-        radices = radices or passes([n for n, *_ in bands], _fits(device))
-        waves = [FULL_TURN * np.arange(n) / n for n, *_ in bands]
-        self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
-        self._tables = [self._pass(bands, radices, number) for number in range(len(radices[0]))]
-
-    @property
-    def count(self) -> int:
-        """The number of passes."""
-        return len(self._tables)
-
-    def _pass(
-        self, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
-    ) -> dict[str, Any]:
-        """The arguments of one pass; the first reads where the source lies, all others where the sink does."""
-        found, item, wave = [], 0, 0
-        for (n, rings, source, sink), own in zip(bands, radices, strict=True):
-            read = sink if number else source
-            found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
-            item, wave = item + n * rings, wave + n
-        radix = radices[0][number]
-        alike = radix > FACTOR and all(own[number] == radix for own in radices) and all(map(is_even, found))
-        fixed = factors(radix) if alike and on_gpu(self._device) else (0, 0, 0, 0)
-        bands_of_pass = self._device.table(in_groups(found, whole=any(fixed)), "int32")
-        return {"bands": bands_of_pass, **dict(zip(("first", "second", "third", "last"), fixed, strict=True))}
-
-    def run(
-        self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
-    ) -> DeviceArray:
-        """Transform by way of work(0) and work(1), which may be the source; return where the result is."""
-        for number, own in enumerate(self._tables):
-            sink = last if last is not None and number == self.count - 1 else work(number % 2)
-            self._device.launch(fourier, source=source, **own, waves=self._waves, sign=sign, sink=sink)
-            source = sink
-        return source
-
-
-def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> _Passes:
-    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
-    return _Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
-
-
-def on_gpu(device: Device) -> bool:
-    """Whether it is one in OpenCL, which computes some transforms in its own way."""
-    return device.name.startswith("opencl") and getattr(device, "is_gpu", False)
-
-
-def _fits(device: Device) -> Callable[[int], bool]:
-    """Which radices a device has short work with."""
-    if not device.name.startswith("opencl"):
-        return ONE_SUM.__ge__
-    return (lambda radix: any(factors(radix))) if on_gpu(device) else AT_ONCE.__ge__
-
-
-def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
-    """Radices of each transform, as many for all: as few passes as make them all fit, else those of the least work."""
-    for count in range(1, MOST + 1):
-        short = [_radices(n, count, fits) for n in lengths]
-        if all(short):
-            return short
-    choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
-    return min(choices, key=lambda found: sum(map(sum, found)))
-
-
-def _radices(n: int, passes: int, fits: Callable[[int], bool] = bool) -> tuple[int, ...]:
-    """Factors of n that fit, one a pass, none of them 1, whose sum is least; nothing where there are none."""
-    if passes == 1:
-        return (n,) if n > 1 and fits(n) else ()
-    rest = ((d, *_radices(n // d, passes - 1, fits)) for d in range(2, n) if n % d == 0 and fits(d))
-    return min((found for found in rest if len(found) == passes), key=sum, default=())

@@ -125,17 +125,13 @@ class FormulaField:
 def fish_eye(radius: float, index: float = 2.0, *, cylinder: bool = False) -> FormulaField:
     """Maxwell's fish-eye n = index/(1 + r²/radius²), without a border: every ray is a circle."""
     scale = 1.0 / positive("fish-eye radius [mm]", radius) ** 2
-    return FormulaField(_round(cylinder), (index**2,), (1.0, 2.0 * scale, scale**2))
+    return FormulaField((1.0, 1.0, 0.0 if cylinder else 1.0), (index**2,), (1.0, 2.0 * scale, scale**2))
 
 
 def parabolic(index: float, slope: float, half_width: float | None = None) -> FormulaField:
     """n² = index²·(1 − slope²·x²), slope in 1/mm; a ray through x = 0 at the angle θ repeats after 2π·cosθ/slope."""
     region = Region() if half_width is None else Region(low=(-half_width, -FAR, -FAR), high=(half_width, FAR, FAR))
     return FormulaField((1.0, 0.0, 0.0), (index**2, -((index * slope) ** 2)), region=region)
-
-
-def _round(cylinder: bool) -> tuple[float, float, float]:
-    return (1.0, 1.0, 0.0 if cylinder else 1.0)
 
 
 @dataclass(frozen=True, eq=False)

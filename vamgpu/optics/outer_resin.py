@@ -16,6 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import FEW, ahead
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, centers, positive
@@ -39,6 +40,8 @@ WIDTH = 2.0
 """Width of a cell beside the part [voxels]."""
 MOST_ANGLES = 1440
 """Even angles over a turn, at most, that measured ones lie between."""
+TOGETHER = 64
+"""Rows whose crossings a thread finds at once."""
 RAYS, STEPS = 6, 8
 """Rays traced a column, or, where that is more, as many as `STEPS` a width of a ring; and places on each across one."""
 
@@ -262,13 +265,13 @@ class _Tile:
         ray = int(self.paths.indices.max(initial=-1))
         return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
 
-    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
-        from scipy.fft import irfft, rfft
-
-        pose = (self.paths @ self.columns[:, first_column : first_column + found.shape[2]]).toarray()
-        pose = pose.reshape(found.shape)
-        waves = np.prod(np.sinc(self.arcs[..., None] / FULL_TURN * np.arange(pose.shape[1] // 2 + 1)), axis=0)
-        found += irfft(rfft(pose, axis=1) * waves[..., None], pose.shape[1], axis=1)
+    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
+        angles, cells, width = out.shape
+        light = (self.paths @ self.columns[:, first : first + width]).toarray()
+        pose = np.zeros((angles, cells // ROWS, ROWS, width))
+        pose[..., : light.shape[1]] = light.reshape(ROWS, angles, cells // ROWS, -1).transpose(1, 2, 0, 3)
+        pose[..., 0] *= factor
+        out.device.put(pose.reshape(out.shape), out)
 
 
 def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:
@@ -321,15 +324,25 @@ def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
     area = 0.5 * (edges[1:] ** 2 - edges[:-1] ** 2) * FULL_TURN / count
     rows = 2 * ceil(edges[-1] / cells.pitch * STEPS)
     step = 2.0 * edges[-1] / rows
-    places, numbers, lengths = [], [], []
-    for along in centers(rows, step):
-        across, cosine, share = rays.cross(float(along))
+
+    def crossed(along: float) -> tuple[np.ndarray, np.ndarray]:
+        """Cell in which each ray crosses a row, −1 outside of all, and its path there over the area."""
+        across, cosine, share = rays.cross(along)
         radius = np.hypot(across, along)
-        ray = np.flatnonzero((radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0))
-        ring = np.minimum(((radius[ray] - cells.inner) / cells.pitch).astype(int), cells.rings - 1)
-        turn = np.arctan2(across[ray], -along) / FULL_TURN
-        places.append(first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring])
-        numbers.append(ray)
-        lengths.append(share[ray] * step / cosine[ray] / area[ring])
-    place, number, length = (np.concatenate(each) for each in (places, numbers, lengths))
+        ring = np.clip((radius - cells.inner) / cells.pitch, 0, cells.rings - 1).astype(int)
+        turn = np.arctan2(across, -along) / FULL_TURN
+        place = first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring]
+        inside = (radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0)
+        return np.where(inside, place, -1), share * step / cosine / area[ring]
+
+    def summed(some: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells, rays and paths in some rows; rows that follow each other in a cell are one."""
+        place, length = (np.stack(each, axis=1).ravel() for each in zip(*map(crossed, some.tolist()), strict=True))
+        ray = np.repeat(np.arange(rays.u.size), some.size)
+        begins = np.flatnonzero(np.diff(place, prepend=-2).astype(bool) | (np.diff(ray, prepend=-1) > 0))
+        kept = place[begins] >= 0
+        return place[begins][kept], ray[begins][kept], np.add.reduceat(length, begins)[kept]
+
+    parts = ahead(summed, np.array_split(centers(rows, step), ceil(rows / TOGETHER)), FEW)
+    place, number, length = (np.concatenate(each) for each in zip(*parts, strict=True))
     return csr_array((length, (place, number)), (int(first[-1]), rays.u.size)), first[::ROWS]

@@ -11,7 +11,7 @@ from vamgpu.backend.cores import pointwise
 from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
-NODES = 64  # of the scan that brackets the first root
+NODES, FEW_NODES = 64, 8  # of the scan that brackets the first root, and of one for points that one ray reaches
 CHUNK = 2048  # points at once, so that the scan stays in the cache
 STEP_DONE = 1e-8  # Newton doubles the digits: a step of this size leaves an error near rounding
 MOST_STEPS = 100
@@ -22,12 +22,18 @@ def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Float
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
     # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
     # = aperture·sin ψ, in which d is smooth up to the last ray.
-    u, spacing = pointwise(partial(_piece, faces, aperture, ratio), np.abs(x), y)
+    u, spacing = np.empty_like(x), np.empty_like(x)
+    single = x**2 + y**2 < (ratio * aperture) ** 2
+    for some, nodes in ((single, FEW_NODES), (~single, NODES)):
+        found = pointwise(partial(_piece, faces, aperture, ratio, nodes), np.abs(x[some]), y[some])
+        u[some], spacing[some] = found
     return np.copysign(u, x), spacing
 
 
-def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    psi = np.linspace(0.0, 0.5 * np.pi, NODES + 1)
+def _piece(
+    faces: Sequence[Face], aperture: float, ratio: float, nodes: int, x: Floats, y: Floats
+) -> tuple[Floats, Floats]:  # fmt: skip
+    psi = np.linspace(0.0, 0.5 * np.pi, nodes + 1)
     columns = aperture * np.sin(psi)
     cos_d, sin_d, _ = turn(faces, columns)
     node, before, after = np.empty(x.size, np.int64), np.empty_like(x), np.empty_like(x)

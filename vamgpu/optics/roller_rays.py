@@ -118,7 +118,9 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     end = np.full(x.size, int(End.MISSED), dtype=np.int8)
     share[rays["ray"]] = first
     pieces: list[dict[str, Any]] = []
-    for _ in range(MOST_FACES + _strides(layers)):
+    # more strides than a ray has that goes the length of the window four times
+    strides = 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
+    for _ in range(MOST_FACES + strides):
         if not rays["ray"].size:
             break
         face = _advance(layers, rays, pieces) if marcher is None else _march(layers, marcher, rays, pieces)
@@ -139,11 +141,6 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
 
 
 _GOES_ON = -1
-
-
-def _strides(layers: Layers) -> int:
-    """More strides than a ray has that goes the length of the window four times."""
-    return 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
 
 
 def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]]) -> np.ndarray:

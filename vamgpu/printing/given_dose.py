@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Self
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Self
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.metrics.line import Line
-from vamgpu.printing.proof import Proof
-from vamgpu.printing.simulate import ShownLight, simulate
-from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
 
 WITHIN = 0.01
 """Share by which a dose may deviate if the proof does not print."""
@@ -31,6 +31,7 @@ class ProvedDose:
     least: float
     most: float
     right: bool  # whether it prints at the proved dose
+    faults: str = ""  # what is wrong if it does not
 
     @classmethod
     def of(cls, proof: Proof) -> Self:
@@ -40,7 +41,8 @@ class ProvedDose:
                            "the frames with both")  # fmt: skip
         verdict, times = proof.verdict, proof.exposure
         least, most = verdict.latitude if verdict.prints else (1.0 - WITHIN, 1.0 + WITHIN)
-        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints)
+        faults = "; ".join(fault.said for fault in verdict.faults)
+        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints, faults)
 
 
 @dataclass(frozen=True)
@@ -124,15 +126,3 @@ class GivenDose:
 def counted(turns: int) -> str:
     """A number of turns in words."""
     return f"{turns} turn{'s' * (turns != 1)}"
-
-
-def prove_given(known: Proof, frames: ShownLight, dose: GivenDose | None) -> Proof:
-    """Prove the frames that a print showed, at the dose that it gave."""
-    whole = Target.from_array(known.target.numpy(), known.operator.grid.pitch, known.name)
-    target = replace(whole, solid=known.solid, limits=known.limits)
-    threshold = None if dose is None else known.scores.threshold / dose.share
-    proof = simulate(known.operator, frames, target, threshold=threshold)
-    if dose is None:
-        return proof
-    got = proof.scores.total_in / known.scores.total_in
-    return replace(proof, given=replace(dose, share=dose.share * got))

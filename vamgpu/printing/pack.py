@@ -11,7 +11,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.deprecated import named_arguments
 from vamgpu.errors import BadInput, PackWarning, ToleranceWarning
 from vamgpu.geometry import Turntable, positive
@@ -264,7 +263,8 @@ def repack(
     """
     settings = frames.settings if shift is None else replace(frames.settings, shift=shift)
     flat = frames.flat_field if flat_field is None else flattened(flat_field, frames.shape[1:])
-    light = frames.irradiance() if frames.plan is None else _on(frames.device, frames.plan.sinogram)
+    light = frames.irradiance() if frames.plan is None else frames.plan.sinogram
+    light = light if light.device is frames.device else frames.device.upload(light.numpy())
     if moves is not None:
         light = light.device.upload(_moved(light.numpy(), np.asarray(moves, np.float64), settings))
     dimmest = 1.0 if flat_field is None or flat is None else float(flat.min())
@@ -274,11 +274,6 @@ def repack(
     )  # fmt: skip
     packed = None if frames.plan is None else (made.images, frames.plan)
     return replace(made, settings=settings, motion=frames.motion, packed=packed)
-
-
-def _on(device: Device, light: DeviceArray) -> DeviceArray:
-    """Light on a device."""
-    return light if light.device is device else device.upload(light.numpy())
 
 
 def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndarray:

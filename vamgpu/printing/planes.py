@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Turntable
+from vamgpu.geometry import PlaneTime, Turntable
 from vamgpu.metrics import score
 from vamgpu.metrics.line import Line
 from vamgpu.operators.projection import Projection
@@ -20,15 +20,6 @@ from vamgpu.printing.independent_exposure import IndependentExposure
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
-
-
-@dataclass(frozen=True)
-class PlaneTime:
-    """Time of a bit plane, in shares of the step from frame to frame; 0 is when the container is at its angle."""
-
-    bit: int  # of the levels, 0 the lowest
-    begin: float  # of its light
-    width: float  # how long it is lit
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,8 @@ def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
         raise BadInput(f"got planes {[(plane.bit, plane.width) for plane in planes]}; expected each of the bits 0 to "
                        "7, lit for longer than 0")  # fmt: skip
     light = A.device.upload(_light(frames, A, planes))
-    judge = IndependentExposure(A, motion=_arcs(A.motion, planes), finer=_finer(proof))
+    finer = None if proof.width is None else round(proof.operator.grid.pitch / proof.width)
+    judge = IndependentExposure(A, motion=_arcs(A.motion, planes), finer=finer)
     dose = A.device.empty(A.grid.shape)
     for _ in judge.onto(light, dose):
         pass
@@ -77,10 +69,6 @@ def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
     scores = score(held.dose, held.target, threshold=proof.scores.threshold)
     off = np.abs(dose.numpy() - proof.dose.numpy())[A.grid.cylinder()].max() / (proof.scores.peak or 1.0)
     return PlaneDose(scores.window, float(off))
-
-
-def _finer(proof: Proof) -> int | None:
-    return None if proof.width is None else round(proof.operator.grid.pitch / proof.width)
 
 
 def _arcs(motion: Turntable, planes: Sequence[PlaneTime]) -> Any:

@@ -135,13 +135,8 @@ def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarr
     sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
-    slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
+    slices = pictures.viewer(sheet, heights, int(np.argmax(proof.slices.in_voxels[sheet["slices"]])))
     return surface.viewer(wanted, printed, pitch, outer) | slices, pitch
-
-
-def _fullest(proof: Proof, slices: list[int]) -> int:
-    """Which of the chosen slices to show first: the one with most of the part."""
-    return int(np.argmax(proof.slices.in_voxels[slices]))
 
 
 def _tiles(proof: Proof) -> list[Figure]:

@@ -13,7 +13,7 @@ from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.given_dose import counted
 from vamgpu.printing.judgement import DEEP, Judgement
 from vamgpu.printing.proof import Proof
-from vamgpu.printing.tolerances import FirstWrong, ToleranceRow, ToleranceTable
+from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable
 from vamgpu.printing.verdict import Verdict
 from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
@@ -114,7 +114,7 @@ def table(found: ToleranceTable) -> list[dict[str, Any]]:
         groups.append(
             {
                 "name": WORDS.get(name, name),
-                "first": _first(found.limits(name)),
+                "first": " and ".join(dict.fromkeys(limit.text for limit in found.limits(name))),
                 "rows": [] if all(row.note for row in some) else [_cells(row) for row in some],
                 "note": f"not exposed: {notes}" if notes else "",
             }
@@ -132,11 +132,6 @@ def _cells(row: ToleranceRow) -> dict[str, str]:
         "wrong": f"{row.wrong:,}",
         "bad": "bad" if row.wrong else "",
     }
-
-
-def _first(limits: tuple[FirstWrong, ...]) -> str:
-    """The limits below and above, once if they are the same."""
-    return " and ".join(dict.fromkeys(limit.text for limit in limits))
 
 
 def _table_note(found: ToleranceTable) -> str:

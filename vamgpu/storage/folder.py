@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import prod
@@ -18,8 +18,47 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, read_parts, write
 from vamgpu.storage.atomic import as_path, check_folder, explained, replacing, settle
 from vamgpu.storage.manifest import ArrayRecord, Manifest
-from vamgpu.storage.ngff import Image, describe
 from vamgpu.storage.reading import is_file, read_text
+
+VERSION = "0.5"
+SPACE = ("x", "y", "z", "row", "column")
+"""Names of axes along which an array reaches through space; others count."""
+FIRST = ("dose", "target", "frames")
+"""Arrays for a viewer that shows one image, the best first."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """An array of a folder that is a picture."""
+
+    name: str
+    axes: tuple[str, ...]  # names of its axes
+    shape: tuple[int, ...]  # one length for each of them
+    spacing: float  # distance of neighbors in space [mm]
+
+    def multiscale(self) -> dict[str, Any]:
+        """The image at its one resolution, centered on the axis of rotation, or on that of the light."""
+        space = [axis in SPACE for axis in self.axes]
+        scale = [self.spacing if inside else 1.0 for inside in space]
+        lengths = zip(space, self.shape, strict=True)
+        corner = [-0.5 * (n - 1) * self.spacing if inside else 0.0 for inside, n in lengths]
+        axes = [{"name": axis, "type": "space", "unit": "millimeter"} if inside else {"name": axis, "type": axis}
+                for axis, inside in zip(self.axes, space, strict=True)]  # fmt: skip
+        placed = [{"type": "scale", "scale": scale}, {"type": "translation", "translation": corner}]
+        return {"name": self.name, "axes": axes,
+                "datasets": [{"path": self.name, "coordinateTransformations": placed}]}  # fmt: skip
+
+
+def describe(folder: Path, images: Iterable[Image]) -> None:
+    """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are."""
+    import zarr
+
+    rank = {name: place for place, name in enumerate(FIRST)}
+    ordered = sorted(images, key=lambda image: rank.get(image.name, len(rank)))
+    if ordered:
+        said = {"version": VERSION, "multiscales": [image.multiscale() for image in ordered]}
+        zarr.open_group(folder, mode="a", zarr_format=3).attrs["ome"] = said
+
 
 MANIFEST = "manifest.json"
 HEADER = "zarr.json"

@@ -7,7 +7,7 @@ the CRC-32C of that index. Chunks are entries of an array's first axis.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -40,7 +40,7 @@ def write_files(
         written: Future[None] | None = None
         entries = part(0, min(each, count))
         for number in range(-(-count // each)):
-            packed = [pool.submit(codec.encode, entry) for entry in _rows(entries)]
+            packed = [pool.submit(codec.encode, entry) for entry in entries.reshape(len(entries), -1).view(np.uint8)]
             seen(entries)
             first = (number + 1) * each
             following = part(first, min(first + each, count)) if first < count else entries[:0]
@@ -50,11 +50,6 @@ def write_files(
             written, entries = pool.submit(_save, place(number), chunks, each), following
         if written is not None:
             written.result()
-
-
-def _rows(entries: np.ndarray) -> Iterator[np.ndarray]:
-    """Each entry as bytes."""
-    yield from entries.reshape(len(entries), -1).view(np.uint8)
 
 
 def _save(path: Path, chunks: list[bytes], each: int) -> None:

@@ -61,17 +61,13 @@ def voxelize(
     if not callable(shape):
         raise BadInput(f"got a {type(shape).__name__} as shape; expected a function φ(x, y, z), negative in the solid")
     samples = counts("samples", (samples,), 1)[0]
-    (x, y, z), edges = grid.axes(), _edges(grid)
+    (x, y, z), edges = grid.axes(), grid.edges if isinstance(grid, WebGrid) else (grid.pitch, grid.pitch, grid.pitch)
     fraction = np.empty(grid.shape, np.float32)
     rows = max(1, _POINTS // (grid.shape[1] * grid.shape[2]))
     for first in range(0, len(x), rows):
         part = slice(first, first + rows)
         fraction[part] = _filled(shape, x[part] + start, y, z, edges, samples)
     return fraction
-
-
-def _edges(grid: Grid | WebGrid) -> tuple[float, float, float]:
-    return grid.edges if isinstance(grid, WebGrid) else (grid.pitch, grid.pitch, grid.pitch)
 
 
 def _filled(

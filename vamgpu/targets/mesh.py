@@ -105,23 +105,15 @@ def _read(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
     data = _bytes(file, kind)
     try:
         if kind == "3mf":
-            return read_3mf(data, file.name), ()
-        if kind == "stl":
+            mesh, notes = read_3mf(data, file.name), ()
+        elif kind == "stl":
             corners, notes = read_stl(data, file.name)
-            return trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)), notes
-        if kind == "ply":
+            mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+        elif kind == "ply":
             vertices, faces, notes = read_ply(data, file.name)
-            return trimesh.Trimesh(vertices, faces), notes
-        content = BytesIO(_encoded(data))
-        # bytes in place of a path: the readers then open no other file that this one names
-        scene = trimesh.load_scene(content, file_type=kind)
-        instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
-        triangles = sum(len(getattr(scene.geometry.get(name), "faces", ())) for name in instances)
-        afford(triangles * TRIANGLE, f"{file.name!r} with {triangles:,} triangles", MeshError)
-        mesh = scene.to_mesh()
-        if scene.units is not None:
-            mesh.units = scene.units
-        return mesh, ()
+            mesh = trimesh.Trimesh(vertices, faces)
+        else:
+            mesh, notes = _scene(data, kind, file.name), ()
     except MeshError:
         raise
     except Exception as error:  # the readers raise whatever they stumble over
@@ -129,6 +121,24 @@ def _read(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
             f"cannot read {file.name!r} as {kind.upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"
         ) from error
+    if not len(mesh.faces):
+        raise EmptyMesh(f"{file.name!r} has no triangles: it is empty, or no {kind.upper()} file; expected a triangle "
+                        "mesh: export the part again")  # fmt: skip
+    return mesh, notes
+
+
+def _scene(data: bytes, kind: str, name: str) -> trimesh.Trimesh:
+    import trimesh
+
+    # bytes in place of a path: the readers then open no other file that this one names
+    scene = trimesh.load_scene(BytesIO(_encoded(data)), file_type=kind)
+    instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
+    triangles = sum(len(getattr(scene.geometry.get(each), "faces", ())) for each in instances)
+    afford(triangles * TRIANGLE, f"{name!r} with {triangles:,} triangles", MeshError)
+    mesh = scene.to_mesh()
+    if scene.units is not None:
+        mesh.units = scene.units
+    return mesh
 
 
 def _bytes(file: Path, kind: str) -> bytes:

@@ -40,13 +40,11 @@ def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.
         moved = squeezed - (0.0, 0.0, middle)
         if moved[:, 2].min() >= 0.5 * count * pitch or moved[:, 2].max() <= -0.5 * count * pitch:
             continue
-        part = voxelize(_same_faces(solid, moved), Grid((across, across, count), pitch), device).fraction.numpy()
+        part = voxelize(
+            Solid(moved, solid.faces, solid.name), Grid((across, across, count), pitch), device
+        ).fraction.numpy()
         found[:, first : first + count] = shares @ part.reshape(-1, count).astype(np.float32, copy=False)
     return np.minimum(found, np.float32(1.0)).reshape(rings.shape)
-
-
-def _same_faces(solid: Solid, vertices: npt.NDArray[np.float64]) -> Solid:
-    return Solid(vertices, solid.faces, solid.name)
 
 
 def averaged_on_rings(fraction: npt.NDArray[np.floating], grid: Grid, rings: PolarGrid) -> npt.NDArray[np.float32]:

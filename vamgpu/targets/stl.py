@@ -7,7 +7,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import EmptyMesh, MeshError
+from vamgpu.errors import MeshError
 from vamgpu.targets.solid import unmatched_edges
 
 Corners = npt.NDArray[np.float64]
@@ -19,10 +19,8 @@ VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
 def read_stl(data: bytes, name: str) -> tuple[Corners, tuple[str, ...]]:
-    """Corners [triangle, corner, axis] and what was left out of the file. Raises `MeshError`, `EmptyMesh`."""
+    """Corners [triangle, corner, axis] and what was left out of the file. Raises `MeshError`."""
     corners, notes = _binary(data, name) if b"\0" in data[:512] else _text(data, name)
-    if not len(corners):
-        raise EmptyMesh(f"{name} has no triangles; expected some: export the part again as a triangle mesh")
     if odd := int((~np.isfinite(corners)).any(axis=(1, 2)).sum()):  # they would leave holes
         raise MeshError(f"{name}: {odd} of {len(corners)} triangles have corners that are NaN or infinite; expected "
                         "finite numbers: export the part again")  # fmt: skip

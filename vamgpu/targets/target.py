@@ -365,8 +365,8 @@ def _check_memory(grid: Grid, device: Device) -> None:
         return
     if "cuda" not in device.name and not getattr(device, "is_gpu", False) and size > room:
         raise OutOfMemory(
-            f"a target of {grid.shape} voxels of {grid.pitch:g} mm takes {size:.1f} GB; this machine has {room:.1f} "
-            "GB: use a larger pitch or a smaller part"
+            f"a target of {grid.shape} voxels of {grid.pitch:g} mm, {grid.shape[2] * grid.pitch:.4g} mm high, takes "
+            f"{size:.1f} GB; this machine has {room:.1f} GB: use a larger pitch or a smaller part"
         )
 
 

@@ -78,7 +78,7 @@ class WebFolder:
         with replacing(place, overwrite=empty) as draft:  # a run killed in here leaves no folder at all
             draft.mkdir()
             for name, shape, length in (("frames", frame, lengths[0]), ("target", section, lengths[1])):
-                _array(draft, name, shape, length)
+                create(draft, name, (0, *shape), np.dtype(np.uint8), (length, *shape), AXES[name])
             replace(folder, path=draft)._save()
         return folder
 
@@ -179,10 +179,6 @@ class WebFolder:
 def _segment(entry: Mapping[str, Any]) -> SegmentRecord:
     pairs = {name: tuple(entry[name]) for name in ("frames", "columns", "loss", "sha256")}
     return SegmentRecord(saturated=int(entry["saturated"]), **pairs)  # type: ignore[arg-type]
-
-
-def _array(place: Path, name: str, section: tuple[int, int], length: int) -> None:
-    create(place, name, (0, *section), np.dtype(np.uint8), (length, *section), AXES[name])
 
 
 def _open(place: Path, name: str, mode: Any) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from vamgpu.chemistry.materials.clear_media import Clear, Glass, Liquid
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.extinction import Extinction
-from vamgpu.chemistry.materials.inhibitor import Inhibitor
-from vamgpu.chemistry.materials.resin import Component, Resin
+from vamgpu.chemistry.materials.resin import Component, Inhibitor, Resin
 
 __all__ = ["Clear", "Component", "Dispersion", "Extinction", "Glass", "Inhibitor", "Liquid", "Resin"]

@@ -6,11 +6,12 @@ from typing import Annotated, Any, ClassVar
 
 from vamgpu.chemistry.diffusivity import wilke_chang
 from vamgpu.chemistry.materials.dispersion import Dispersion
-from vamgpu.chemistry.materials.inhibitor import Inhibitor
-from vamgpu.chemistry.materials.library import Absorbing
+from vamgpu.chemistry.materials.library import Absorbing, Material
 from vamgpu.chemistry.materials.source import (
     Concentration,
     CriticalDose,
+    Density,
+    Duration,
     MolarMass,
     Share,
     Source,
@@ -20,6 +21,22 @@ from vamgpu.chemistry.materials.source import (
 )
 from vamgpu.errors import MaterialError, OutsideData
 from vamgpu.schema.section import Listed
+
+
+class Inhibitor(Material):
+    """A dissolved inhibitor. Numbers have a ``.value`` and its ``.source``; unknown ones are None.
+
+    Args:
+        name: Name.
+        molar_mass: Molar mass [g/mol].
+        density: Density of the liquid at its boiling point [mJ·s²/mm⁵].
+        lifetime: Natural lifetime [s].
+    """
+
+    folder: ClassVar[str] = "inhibitors"
+    molar_mass: MolarMass | None = None
+    density: Density | None = None
+    lifetime: Duration | None = None
 
 
 class Component(Sourced):

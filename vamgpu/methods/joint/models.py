@@ -5,19 +5,54 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
-from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
+from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step, put_poses, take_poses
 from vamgpu.kernels.update import fill_background
 from vamgpu.methods.dual.colors import Pair, subtracted, subtracted_gradient
-from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.space import require
+
+
+class PoseRuns:
+    """The operators of the runs that the poses of a turn are cut into. Raises `BadInput` for fewer poses than runs."""
+
+    def __init__(self, operator: Projection, count: int) -> None:
+        if not isinstance(operator, Projection):
+            raise BadInput(f"got {operator!r}; expected a Projection, which can be cut into runs of angles")
+        angles = operator.motion.angles
+        if isinstance(count, bool) or int(count) != count or not 1 <= count <= angles:
+            raise BadInput(f"{count!r} runs of {angles} angles; expected a whole number of 1 to {angles}")
+        runs = np.array_split(np.arange(angles), int(count))
+        self.whole = operator
+        self.first: tuple[int, ...] = tuple(int(run[0]) for run in runs)
+        self.parts: tuple[Projection, ...] = tuple(
+            operator.turned(operator.motion.part(int(run[0]), int(run[-1]) + 1)) for run in runs
+        )
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def expose(self, run: int, light: DeviceArray, out: DeviceArray) -> None:
+        """out = dose [x, y, z] of one run of poses of a turn's light [angle, r, z]."""
+        device, part = self.whole.device, self.parts[run]
+        rows = device.empty(part.range.shape)
+        device.launch(take_poses, light=light, first=self.first[run], part=rows)
+        part.T(rows, out=out)
+
+    def project(self, run: int, volume: DeviceArray, light: DeviceArray) -> None:
+        """Write the projection of a volume [x, y, z] into the poses of a run."""
+        device, part = self.whole.device, self.parts[run]
+        rows = device.empty(part.range.shape)
+        part(volume, out=rows)
+        device.launch(put_poses, part=rows, first=self.first[run], light=light)
 
 
 class SpeciesFields(NamedTuple):

@@ -11,11 +11,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
-from vamgpu.errors import BadInput, Cancelled
+from vamgpu.errors import BadInput, Cancelled, EmptyMesh
 from vamgpu.geometry import counts
 from vamgpu.losses.band import Band
 from vamgpu.methods.dual.colors import Pair
-from vamgpu.methods.joint.contrast import EffectiveContrast
 from vamgpu.methods.joint.descent import ColorDescent
 from vamgpu.methods.joint.models import LinearModel, Model
 from vamgpu.methods.joint.resin import TwoColorResin
@@ -25,6 +24,42 @@ from vamgpu.methods.plan import Step, copied
 from vamgpu.methods.run import optimize
 from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
+
+
+@dataclass(frozen=True)
+class EffectiveContrast:
+    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it."""
+
+    in_least: float
+    in_most: float
+    out_most: float
+    in_low: float  # fifth percentile in the part
+    out_high: float  # ninety-fifth percentile out of it
+    uncured: float  # share of the part below 1
+    overcured: float  # share of the rest at 1 or above
+
+    @property
+    def window(self) -> float:
+        """(Least dose in the part − greatest out of it) / the greatest in the part."""
+        return (self.in_least - self.out_most) / max(self.in_most, 1e-30)
+
+    @property
+    def bulk(self) -> float:
+        """The same of the fifth and the ninety-fifth percentile."""
+        return (self.in_low - self.out_high) / max(self.in_most, 1e-30)
+
+    @classmethod
+    def of(cls, dose: Any, target: Any, counted: np.ndarray | None = None) -> EffectiveContrast:
+        """Compare a dose with a target's fractions [x, y, z] where ``counted``. Raises `EmptyMesh`."""
+        got, fraction = (np.asarray(value, np.float64) for value in (dose, target))
+        chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(counted, got.shape)
+        part, rest = got[chosen & (fraction >= 0.5)], got[chosen & (fraction < 0.5)]
+        if not part.size or not rest.size:
+            raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
+        numbers = (part.min(), part.max(), rest.max(), np.percentile(part, 5), np.percentile(rest, 95),
+                   np.mean(part < 1.0), np.mean(rest >= 1.0))  # fmt: skip
+        return cls(*map(float, numbers))
+
 
 LINEAR = 4
 """Iterations of the linear model for each one with only visible light; they cost little."""
