@@ -1,6 +1,6 @@
 #include "partial.h"
 
-// Where limits are looked for, and what a voxel counts.
+// Dose at which limits are searched, and weight of a voxel.
 #define DOSE (2.0f * LOAD(held + at) + LOAD(scaled_dual + at))
 #define NEAR (disc_distance(i, j, n_i, n_j) <= reach * reach)
 #define COUNTED (NEAR ? (Vector)(1.0f) : select((Vector)(rim), ZERO, INSIDE))

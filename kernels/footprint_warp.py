@@ -1,6 +1,6 @@
-"""Warp siblings of `footprint`: tiles of 2 × 2 voxels, or of four columns of a pose (see `tile_warp`).
+"""Warp version of `footprint`: tiles of 2 × 2 voxels, or of four columns of an angle (see `tile_warp`).
 
-Footprints cost more than the lanes they serve: the members of a tile work out those of the next poses, or planes,
+Footprints take longer than the lanes that use them: the members of a tile compute those of the next angles, or planes,
 together.
 """
 
@@ -82,7 +82,7 @@ def footprint(
     b = wp.abs(by_across * c - by_along * s)
     moved = wp.abs(by_across * along - by_along * across) * arc
     thin = wp.min(a, b)
-    if moved > 0.0:  # the widest of three boxes stays, the other two are merged
+    if moved > 0.0:  # the widest of three boxes is kept, the other two are merged
         side = wp.max(a, b)
         other = wp.min(side, moved)
         thin = wp.min(wp.max(side, moved), wp.sqrt(thin * thin + other * other))
@@ -157,7 +157,7 @@ def most_cells(span: Span):
 
 @wp.func
 def find_window(at: Tile, turn: int, skip: int, widest: int, n_r: int):
-    """The columns of a pose that light the four voxels of a tile, from so many skipped on."""
+    """The columns of an angle that light the four voxels of a tile, after ``skip`` of them."""
     first = int(1000000)
     final = int(-1)
     for i in range(4):
@@ -187,7 +187,7 @@ def back_footprint(
         turns = wp.min(at_once, n_angle - first_pose)
         for skip in range(0, widest, at.samples):
             meet(at.members)
-            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the samples to come
+            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the following samples
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)

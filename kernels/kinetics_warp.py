@@ -1,4 +1,4 @@
-"""Warp sibling of `kinetics`: one thread an item."""
+"""Warp version of `kinetics`: one thread per item."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Matrix:
 @wp.struct
 class State:
     y: wp.vec3
-    rest: wp.vec3  # what rounding lost of the last step
+    rest: wp.vec3  # rounding error of the last step
     trial: float
     taken: float
 
@@ -123,7 +123,7 @@ def is_depleted(y: wp.vec3, scale: float):
 
 @wp.func
 def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, y: wp.vec3):
-    """The terms of a resin under light, where the state is y."""
+    """The terms of a resin under light, in the state y."""
     terms = Terms()
     terms.scale = rates[resin, 4]
     terms.a = rates[resin, 0] * visible
@@ -144,13 +144,13 @@ def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, 
 
 @wp.func
 def tried(state: State, terms: Terms, left: float, tolerance: float):
-    """The state after a step, or as it was where the step was too long: the next is as long as the error lets it be."""
+    """The state after a step, or the same if the step was too long; the error determines the next step."""
     y = state.y
     change = change_of(y, terms)
     h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))
     step = stepped(y, change, terms, h)
-    wanted = wp.vec3(step[0], step[1], step[2]) - state.rest
-    end = y + wanted
+    increment = wp.vec3(step[0], step[1], step[2]) - state.rest
+    end = y + increment
     error = step[3] / (tolerance * terms.scale)
     low = -tolerance * terms.scale
     grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
@@ -160,7 +160,7 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
     longer = h * grown
     if h < state.trial:
         longer = wp.max(longer, state.trial)
-    rest = (end - y) - wanted
+    rest = (end - y) - increment
     if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
         rest = wp.vec3(0.0, 0.0, 0.0)
     return State(settled(y, end, terms), rest, longer, h)

@@ -1,4 +1,4 @@
-"""Warp sibling of `levels`; a thread owns a strip of pixels, on a GPU of one."""
+"""Warp version of `levels`; a thread owns a strip of pixels, which on a GPU is one pixel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ START_Y = 0.5698402909980532
 
 @wp.func
 def run_ahead(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, solid: int):
-    """Slices before a block that are like its first, which is void or solid."""
+    """Number of slices before a block that equal its first slice, which is void or solid."""
     if block > 0:
         n_word = words.shape[0]
         run = int(0)
@@ -40,7 +40,7 @@ def run_ahead(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x
 
 @wp.func
 def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, n: int, solid: int):
-    """Slices before slice n of a block that are like it."""
+    """Number of slices before slice n of a block that equal it."""
     word = words[block % words.shape[0], y, x]
     k = n - 1
     while k >= 0 and bit_of(word, k) == solid:
@@ -52,22 +52,22 @@ def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: i
 
 @wp.func
 def level_of(
-    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, wanted: float,
+    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, required: float,
     shift: float, run: int,
 ):  # fmt: skip
-    """The level whose light is nearest to that wanted, shifted; in a void that others precede, one that suffices."""
+    """The level of light nearest to the required light, shifted; in a void before other slices, a sufficient one."""
     low = light[0]
     full = light[255]
     level = int(0)
-    if wanted >= full:
+    if required >= full:
         level = int(255)
-    elif wanted > low:
-        aim = wanted + shift
+    elif required > low:
+        aim = required + shift
         place = int((wp.clamp(aim, low, full) - low) * bins)
         level = int(first[wp.clamp(place, 0, first.shape[0] - 1)])
         while level < 255 and aim > edges[level]:
             level += 1
-        if run > 0 and level < 255 and light[level] < wanted:
+        if run > 0 and level < 255 and light[level] < required:
             level += 1
     return level
 

@@ -14,8 +14,8 @@ FIELD_KERNEL dark_loss(__global float *dose, __global const float *restrict weig
 }
 #else
 
-// What a loss is, PARAMETERS and their NAMES: it takes a vector of doses, target fractions and weights (1 where there are
-// none), returns the losses, and leaves the derivatives in place of the doses.
+// A loss declares PARAMETERS and their NAMES. It takes a vector of doses, target fractions and weights (1 if there are
+// none), returns the losses, and overwrites the doses with the derivatives.
 #ifdef COMPILE_band_loss
 #define PARAMETERS                                                                                                     \
     __global const float *restrict response, float start, float density, float low, float high, float slack_low,       \

@@ -1,4 +1,4 @@
-"""Warp siblings of `proof`; a thread owns four lanes, in each of four slabs where a look-up serves them all."""
+"""Warp version of `proof`; a thread owns four lanes, in each of four slabs if one look-up serves all of them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def spread_columns(
 
 @wp.func
 def place_beyond(first: float, second: float, edge: float) -> float:
-    """Mean of t²/2 while a place moves evenly from first to second; t: how far it is beyond an edge, or 0."""
+    """Mean of t²/2 while a position moves uniformly from first to second; t: distance beyond an edge, or 0."""
     low = wp.min(first, second) - edge
     high = wp.max(first, second) - edge
     if low >= 0.0:
@@ -58,7 +58,7 @@ def beyond(first: wp.vec4, second: wp.vec4, bin: int) -> float:
     return place_beyond(first[1], second[1], edge) - place_beyond(first[0], second[0], edge)
 
 
-@wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
+@wp.kernel(launch_bounds=(256, 3))  # fewer registers allow more threads, which hide the loads
 def expose_voxels(
     profile: Flat, poses: wp.array2d[float], pose: wp.array4d[float], scale: float, single: float,
     radius: float, dose: Flat,

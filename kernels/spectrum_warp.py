@@ -1,4 +1,4 @@
-"""Warp siblings of `spectrum`; a thread owns four lanes of z, two complex numbers."""
+"""Warp version of `spectrum`; a thread owns four lanes of z, two complex numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 ROWS = 8
 Rows: Any = wp.types.matrix(shape=(8, 4), dtype=wp.float32)
 Entry: Any = wp.types.vector(length=8, dtype=wp.float32)
-OUTPUTS = 5  # samples of a transform that a thread computes at once, and how often it does
+OUTPUTS = 5  # samples of a transform that a thread computes at once, and the number of repetitions
 MAJORS = 4
 Outputs: Any = wp.types.matrix(shape=(5, 4), dtype=wp.float32)
 Waves: Any = wp.types.vector(length=5, dtype=wp.float32)
@@ -111,7 +111,7 @@ def fourier(
     return out;
 """)
 def eight(entries: wp.array[float], start: int) -> Entry:  # type: ignore[empty-body]
-    """Eight entries that follow each other."""
+    """Eight successive entries."""
     ...
 
 
@@ -126,7 +126,7 @@ def first_entry(entries: wp.array[float], k: int, n_k: int):
 
 @wp.func
 def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
-    """The tile whose entries another one takes at a frequency."""
+    """The tile whose entries another tile uses at a frequency."""
     if 2 * k > n_k:
         return tiles[tile, 1]
     return tile
@@ -134,7 +134,7 @@ def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 @wp.func
 def pairs_of(lit: wp.array2d[int], tile: int, k: int, n_k: int):
-    """The number of pairs of columns that light the tile whose entries are taken, at a frequency."""
+    """The number of pairs of columns that light the tile whose entries are used, at a frequency."""
     return lit[wp.where(2 * k > n_k, n_k - k, k), tile]
 
 
@@ -188,7 +188,7 @@ def light_rings(
 
 @wp.func
 def write_columns(light: Flat, slab: int, right: int, left: int, real: wp.vec4, difference: wp.vec4):
-    """Right after left: where both are one column, that is its value."""
+    """Right after left; the column's value if both are one column."""
     write(light, slab, left, real - difference)
     write(light, slab, right, real + difference)
 

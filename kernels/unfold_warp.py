@@ -1,6 +1,6 @@
-"""Warp siblings of `unfold`; a thread owns four lanes of z at eight neighboring samples, fields come flat per slab.
+"""Warp version of `unfold`; a thread owns four lanes of z at eight neighboring samples; fields are flat per slab.
 
-Warp keeps no local arrays in registers, so the eight sums and the samples they slide over have names.
+Warp keeps no local arrays in registers; the eight sums and the samples that slide over them therefore have names.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def slid(
     source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
     s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
 ):  # fmt: skip
-    """The sums and a band's part: four weights at a time, and every sample read once for all of them."""
+    """The sums and a band's contribution: four weights at a time; every sample is read once for all of them."""
     here = int(at)
     for c in range(chunk, chunk + (count + 3) // 4):
         w0 = weights[c, 0]
@@ -92,7 +92,7 @@ def shift_window(
     longest = (n_target_major + phases - 1) // phases
     tiles = (longest + TOGETHER - 1) // TOGETHER * phases
     column = n_source_minor * lanes
-    for tile in range(begin, tiles, launched):  # where phases leave remainders, threads come round again
+    for tile in range(begin, tiles, launched):  # for remaining phases, threads repeat
         phase = tile % phases
         m = tile // phases * TOGETHER
         s0, s1, s2, s3, s4, s5, s6, s7 = no_sums()

@@ -1,6 +1,6 @@
-"""Fields as Warp kernels see them, and reading four lanes of one at once.
+"""Fields in the form for Warp kernels, and reading four lanes of one at once.
 
-Warp aligns its vec4 to four bytes, so a plain read becomes four loads of one float each; fields are aligned to sixteen.
+Warp aligns its vec4 to four bytes: a plain read is four loads of one float. Fields are aligned to sixteen bytes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def write_four(field: Flat, slabs: wp.vec4i, index: int, a: wp.vec4, b: wp.vec4,
 
 @wp.func
 def slice_of(field: Vectors, major: int, minor: int, z: int):
-    """Slice z of a sample: neighbors in z lie in one slab, or in the next."""
+    """Slice z of a sample: neighbors in z are in one slab, or in the next."""
     lanes = 4 * field.shape[3]
     vector = field[z // lanes, major, minor, (z % lanes) // 4]
     return vector[z % 4]

@@ -20,7 +20,7 @@ class Renamed:
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.old = f"{owner.__name__}.{name}"
-        owner.__annotations__.pop(name, None)  # `dataclass` would look at what it names, and be warned
+        owner.__annotations__.pop(name, None)  # `dataclass` would read the attribute and cause a warning
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
         message = f"{self.old} is called {self.new} now; the old name goes with the next release"
@@ -29,7 +29,7 @@ class Renamed:
 
 
 def named_arguments(*names: str) -> Callable[[F], F]:
-    """Decorate a function to take by place, behind its first argument, what it takes by name alone now."""
+    """Decorate a function to still accept arguments by position that must now be given by name."""
 
     def decorated(function: F) -> F:
         @wraps(function)
@@ -37,7 +37,7 @@ def named_arguments(*names: str) -> Callable[[F], F]:
             if args and isinstance(args[0], int):
                 what = ", ".join(f"{name}=" for name in names[: len(args)])
                 warnings.warn(
-                    f"{function.__qualname__} takes {what} by name; their places go with the next release",
+                    f"{function.__qualname__} takes {what} by name; arguments by position end with the next release",
                     DeprecationWarning, stacklevel=2,
                 )  # fmt: skip
                 given, args = {**dict(zip(names, args, strict=False)), **given}, ()

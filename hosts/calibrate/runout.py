@@ -54,7 +54,7 @@ def runout(
 
 
 def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int) -> CameraMap:
-    """Positions of mirrors in the camera's images; lines that the pin hides are left out."""
+    """Positions of mirrors in the camera's images, without the lines that the pin hides."""
     screen = machines.screen(projector)
     rows, columns = screen.shape
     screen.show(patterns.block(screen.shape, (0, 0), (0, 0)))

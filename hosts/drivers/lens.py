@@ -16,7 +16,7 @@ WINDOW = (20.0, 45.0)  # temperatures [degC] in which the lens keeps its focal p
 
 
 class LensDriver(Closing):
-    """A lens driver: one handshake, then settings without answers, so that no schedule waits."""
+    """A lens driver: one handshake, then settings without answers; no schedule waits for it."""
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire

@@ -1,6 +1,6 @@
 """An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
 
-It has separate lengths and check sums, so that a mistake in the driver's coding cannot hide in both.
+Its lengths and check sums are defined separately; a mistake in the driver's coding therefore cannot be in both.
 """
 
 from __future__ import annotations

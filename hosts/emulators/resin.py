@@ -12,7 +12,7 @@ from vamgpu.live import VirtualPrinter
 
 
 class CuringCamera:
-    """Images through a vial of curing resin; the light of each turn acts at its end."""
+    """Images through a vial of curing resin; the light of each turn takes effect at its end."""
 
     printer: VirtualPrinter
 
@@ -26,7 +26,7 @@ class CuringCamera:
         self._random = np.random.default_rng(printer.seed)
 
     def expose(self, exposure_us: float) -> None:
-        """The camera's images have the same brightness at any exposure."""
+        """The camera's images have the same brightness for every exposure."""
 
     def grab(self) -> np.ndarray:
         """The image at the vial's present angle, [row, column]."""
@@ -40,7 +40,7 @@ class CuringCamera:
         )
 
     def cure(self) -> None:
-        """Let the light since the last turn act."""
+        """Let the light since the last turn take effect."""
         seen = self._seen()
         self.printer.turn(self.printer.dose(self._light(seen - self._before)))
         self._before, self._images = seen, None

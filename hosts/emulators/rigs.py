@@ -141,7 +141,7 @@ class EmulatedStageRig(_TriggeredRig):
         self.recorder.lamp((1 << len(self.alps)) - 1 if high else 0, self.clock.now())
 
     def turn(self, speed: float) -> None:
-        """Something other than the host drives the stage [poses/s]."""
+        """Something other than the host drives the stage [angles/s]."""
         self.stage.track.run(self.clock.now(), speed * self.microsteps)
 
     def machines(self, microsteps_per_unit: float) -> StageMachines:

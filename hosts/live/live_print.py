@@ -151,7 +151,7 @@ def _may_watch(planned: PrintPlan, camera: RedCamera, truth: Truth | None) -> No
 
 
 def _even_vial(planned: PrintPlan, path: Path, solid: float) -> tuple[Frames, Any, float]:
-    """Frames, operator, and the resin's dose in the method's own unit, of a round vial in even light, or `BadInput`."""
+    """Frames and operator of a round vial with uniform light, and its dose in the method's unit; or `BadInput`."""
     frames, proof = planned.jobs[0].frames, prove(path).proof
     A = proof.operator
     round_vial = isinstance(A, Projection) and isinstance(A.vessel, Vial)

@@ -94,7 +94,7 @@ class Following:
                 if self._turn == self._state.turn + 1:
                     if told["image"].shape != stack.shape[1:]:
                         raise BadInput(f"the camera's images are {told['image'].shape}; expected {stack.shape[1:]}, "
-                                       "the pixels of the beam: crop and bin them so")  # fmt: skip
+                                       "the pixels of the beam: crop and bin them to these")  # fmt: skip
                     stack[int(rest * len(stack))] = told["image"]
                     if rest >= SEEN:
                         self._decide(stack, 1e-9 * (told["at"] - first))

@@ -1,4 +1,4 @@
-"""Who may see the page and press its buttons."""
+"""Access control: who may see the page and press its buttons."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""Headers of every answer that does not set its own. Nothing of the page is inline."""
-# After a link from another site, a redirect carries no strict cookie; a page that continues by itself does.
+"""Headers of every answer that does not set its own. The page has no inline scripts or styles."""
+# After a link from another site, a redirect does not carry strict cookies; a page that reloads itself does.
 ENTER = b'<!doctype html><meta http-equiv="refresh" content="0;url=/"><title>vamgpu</title><a href="/">The page</a>'
-REFUSED = "open this page with the address printed at its start, with the token"
+REFUSED = "open this page with the address printed at its start, which contains the token"
 LOCKED = "too many wrong tokens came from this address; wait a minute, then open the printed address"
 
 
@@ -39,7 +39,7 @@ def _name(host: str) -> str:
 
 
 def _number(name: str) -> bool:
-    """Whether a name is an address, so that no other site's name can point to it."""
+    """Whether a name is a numeric address, which no other site's name can point to."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -48,7 +48,7 @@ def _number(name: str) -> bool:
 
 
 class TokenAuth:
-    """Admits requests to this machine's own names with the token, or with a browser's cookie made for it."""
+    """Admits requests that use this machine's own names, with the token or with a browser's cookie made from it."""
 
     app: Any
     token: str
@@ -97,7 +97,7 @@ class TokenAuth:
         return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")
 
     def _addressed(self, headers: dict[bytes, str]) -> bool:
-        """Whether a request names this machine, and does not come from a page of another."""
+        """Whether a request names this machine, and does not come from a page of another site."""
         host, origin = headers.get(b"host", ""), headers.get(b"origin")
         name = _name(host)
         return (name in self._names or _number(name)) and (origin is None or origin.partition("//")[2] == host)
@@ -111,7 +111,7 @@ class TokenAuth:
         return any([secrets.compare_digest(given.encode(), each.encode()) for each in self._browsers])
 
     def _recent(self, scope: Any) -> deque[float]:
-        """When the client's address last gave wrong tokens."""
+        """The last time that the client's address gave wrong tokens."""
         address = (scope.get("client") or ("?", 0))[0]
         if address not in self._wrong and len(self._wrong) >= REMEMBERED:
             del self._wrong[next(iter(self._wrong))]

@@ -12,7 +12,7 @@ from vamgpu.storage.reading import open_file, parse_json, read_text
 
 NEWEST = 50  # most prints listed
 LAST = 4096  # bytes at a file's end that are searched for its last line
-LARGEST = 1 << 20  # most bytes read of a file
+LARGEST = 1 << 20  # greatest number of bytes read of a file
 REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
@@ -32,7 +32,7 @@ def past(place: Path, own: str | None = None) -> list[dict[str, Any]]:
 
 
 def report(place: Path, run: str, name: str) -> Path | None:
-    """A report of a listed print; None if there is none, or for a path that leads elsewhere."""
+    """A report of a listed print; None if there is none, or if the path leads outside."""
     listed = next((each for each in place.glob("*/state.json") if each.parent.name == run), None)
     if listed is None or not REPORT.fullmatch(name):
         return None

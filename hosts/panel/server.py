@@ -16,7 +16,7 @@ from vamgpu.hosts.panel.auth import TokenAuth
 from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.timing import whole
 
-STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a print before
+STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a print before it is up
 PORTS = 65535
 
 
@@ -26,7 +26,7 @@ class Panel:
     Args:
         board: The board of the print to show and stop.
         host: The address to serve at.
-        port: Port of the server; 0 finds a free one.
+        port: Port of the server; 0 selects a free one.
         token: Token for browsers and programs, 16 characters or more; None generates one. Other accounts of this
             machine need it too.
         page: False serves only programs.
@@ -99,7 +99,7 @@ class Panel:
     def _serve(self, server: Any) -> None:
         try:
             server.run(sockets=[self._socket])
-        except BaseException as error:  # a server that cannot start exits, which stays in its thread
+        except BaseException as error:  # a server that cannot start raises SystemExit, which ends only its thread
             self._failed = error
             logging.getLogger(__name__).error("the panel's web server ended: %s", error)
 
@@ -116,7 +116,7 @@ class Panel:
 
     def __exit__(self, *_: object) -> None:
         if self._server is not None and self._thread is not None:
-            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports cut connections
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports closed connections
             self._server.should_exit = True
             self._server.force_exit = True  # browsers keep their connections open
             self._thread.join(timeout=5.0)

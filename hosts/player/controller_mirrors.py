@@ -107,7 +107,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         lost = {} if self._lost is None else {"lost": self._lost}
         return {"origin": self._origin.at, "preroll": PREROLL} | own | lost
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Let the controller play its rows."""
         self._polled = self.clock.now()
@@ -149,7 +149,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
             speed = float(self.schedule.speed) * self.machines.microsteps
             overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
             if overdue > PATIENCE:
-                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, though the motion is there"
+                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, although the axis turns"
         return None
 
     def feed(self) -> None:

@@ -99,8 +99,8 @@ def shows(schedule: Schedule) -> None:
     gap = schedule.gap
     if gap - int(schedule.on[0]) < REST:
         raise BadInput(
-            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of {gap / 1000:.6g} us; mirrors "
-            f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
+            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of {gap / 1000:.6g} us; mirrors need {REST // 1000} "
+            "us more for the next trigger: plan with MirrorTiming(dark=…)"
         )
 
 

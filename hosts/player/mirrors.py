@@ -113,7 +113,7 @@ class MirrorPlayer(ABC, Generic[M]):
         """Boundaries for versions: a sequence of the mirrors is filled while the one before it is shown."""
         return None if self.versions is None else Boundaries(self.versions.count, self._first, guard + self._depth)
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def _since(self, shown: int) -> tuple[FrameRecord, ...]:
         """The frames shown since the last poll; their lateness is an upper bound."""
         first, table, found = self._first, self.schedule, []

@@ -487,7 +487,7 @@ class Print:
         try:
             self._event("light", to=what, why=why)
         except VamError as error:  # a full disk must not keep the light on
-            log.error("the event could not be kept: %s", error)
+            log.error("the event could not be recorded: %s", error)
 
     def _event(self, kind: str, **facts: object) -> None:
         self._signed = self.player.clock.now()

@@ -119,7 +119,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         """Position of pose 0 on the stage."""
         return {"origin": self._zero}
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Nothing to start: frames already follow the stage."""
         self._polled = self.clock.now()

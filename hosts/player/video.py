@@ -261,7 +261,7 @@ class SpinningPlayer:
         """Position of pose 0 on the stage [deg], in whole turns."""
         return {"origin": self._turning.origin}
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Read the controller's events from now on; frames follow the stage."""
         if self.machines.controller is not None:

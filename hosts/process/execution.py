@@ -69,7 +69,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
             raise WrongDevice(
-                "the plan and the machines differ: one is for a video cable; expected both for the same rig"
+                "the plan and the machines differ: only one of them is for a video cable; expected the same rig"
             )
         machines.check(planned.schedule, planned.display)
         return None
@@ -81,7 +81,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
     for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
         fits((dmd.height, dmd.width), timing)
     if len(planned.focus) > 1 and machines.lens is None:
-        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig of the plan")
+        raise WrongDevice("the plan changes its focus, but no lens was opened; open the rig of the plan")
     if not isinstance(machines, StageMachines):
         answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
     return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds,
@@ -292,10 +292,10 @@ def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
 def _may_begin(planned: PrintPlan, machines: Machines, resume: bool) -> None:
     """Raise `WrongDevice` for a stop without a camera, `BadInput` for a stop that is too late, `InterlockOpen`."""
     if planned.stop is not None and machines.camera is None:
-        raise WrongDevice("the plan stops by a camera, and none was opened; use opened(rig, camera=True)")
+        raise WrongDevice("the plan stops by a camera, but none was opened; use opened(rig, camera=True)")
     if planned.stop is not None and resume:
         raise BadInput(
-            "lit resin already scatters, so a print with a stop cannot be resumed: start again with fresh resin"
+            "lit resin already scatters; a print with a stop therefore cannot be resumed: start again with fresh resin"
         )
     if machines.controller is not None and not machines.controller.status().interlock_closed:
         raise InterlockOpen("the interlock is open: close the enclosure, then print again")

@@ -90,8 +90,8 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
     """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so the pause is "
-            "not known; start again with fresh resin"
+            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
+            "therefore not known; start again with fresh resin"
         )
     may_resume(pause, limits)
 
@@ -114,8 +114,8 @@ def interrupted(
     shown = segment["first"] + counted
     if now.play not in (segment["play"], segment["before"]) or shown < recorded:
         raise BadInput(
-            f"another program used the controller after {str(path)!r}, so the dose of the resin is not known; start "
-            "again with fresh resin"
+            f"another program used the controller after {str(path)!r}; the dose of the resin is therefore not known; "
+            "start again with fresh resin"
         )
     dark = run.shown[run.shown["dark"] > 0]
     if shown >= len(schedule):
@@ -174,8 +174,8 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     """
     if driver_of(planned.rig.setup.clock) == "stage":
         raise BadInput(
-            "the stage triggered the mirrors to the end of their frames, and it is not known which were lit: it "
-            "cannot be resumed; start again with fresh resin"
+            "the stage triggered the mirrors to the end of their frames, and it is not known which of them were lit: "
+            "it cannot be resumed; start again with fresh resin"
         )
     if planned.display is not None:
         raise BadInput(

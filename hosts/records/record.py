@@ -1,6 +1,6 @@
 """The folder of a run: its request, its events, and every shown frame, written as they happen.
 
-Each frame is one record with a check sum, written before the next frame is shown, so that a killed host loses none.
+Each frame is one record with a check sum, written before the next frame is shown; a killed host therefore loses none.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class RunFolder:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise BadInput(
-                f"the folder of a run cannot store the request: {error}; expected a path, values for "
-                "JSON, and the text of the rig's file"
+                f"the folder of a run cannot store the request: {error}; expected a path, values for JSON, and the "
+                "text of the rig's file"
             ) from error
         try:
             place.mkdir(parents=True)

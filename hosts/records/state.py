@@ -131,7 +131,7 @@ class ImageCheck:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A print as it is now."""
+    """A print in its present state."""
 
     state: PrintState = PrintState.STANDBY
     message: str = ""

@@ -172,7 +172,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
     if clock == "controller":
         return Guarantee("step", "guaranteed", "each frame is triggered by the controller's own steps"), 0.0
     if clock == "stage":
-        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its pose"), 0.0
+        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its angle"), 0.0
     if clock == "vblank" and setup.motion.reports:
         why = "the angle that the stage reports selects the frame of every refresh"
         return Guarantee("step", "watched", why), 0.0
@@ -195,7 +195,7 @@ def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
 
 
 def _rounded_up(drift: float) -> float:
-    """Round a drift up to two digits, so that the number in the message is enough to accept it."""
+    """Round a drift up to two digits, which makes the number in the message large enough to accept it."""
     if drift <= 0:
         return 0.0
     digit = 10.0 ** (floor(log10(drift)) - 1)

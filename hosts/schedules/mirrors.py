@@ -17,15 +17,15 @@ from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, every,
 from vamgpu.printing.focus import slots
 
 FULL = 360
-NANODEGREES = 10**9  # angles are multiples of this, so that files keep them exactly
+NANODEGREES = 10**9  # angles are multiples of this, which files keep exactly
 
 
 def rising(motion: Turntable) -> tuple[Fraction, ...]:
     """Angles [deg] of a turn, rising from 0 to below 360. Raises `BadInput` for others, and for unequal times."""
     if motion.dwell is not None:
         raise BadInput(
-            f"a schedule got {motion} angles; expected frames that are lit as long, because mirrors use one time for "
-            "all: solve for a Turntable without dwell"
+            f"a schedule got {motion} angles; expected frames that are lit equally long, because mirrors use one time "
+            "for all: solve for a Turntable without dwell"
         )
     degrees = [Fraction(round(angle * NANODEGREES), NANODEGREES) for angle in np.degrees(motion.poses).tolist()]
     late = next((k for k in range(1, len(degrees)) if degrees[k] <= degrees[k - 1]), None)

@@ -1,6 +1,6 @@
 """The table of a print: time, position, focus, power and duration of each frame. No I/O.
 
-Times are whole nanoseconds since the start, computed only from the slot's number, so errors never add up.
+Times are whole nanoseconds since the start, computed only from the slot's number; errors therefore never add up.
 """
 
 from __future__ import annotations

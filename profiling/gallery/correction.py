@@ -1,4 +1,4 @@
-"""Slices corrected for cure-through: one column, a map of what can be done, and its limits."""
+"""Slices corrected for cure-through: one column, a map of the possible speed, and its limits."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def correction(
         Fact("slices added after the last", corrector.slices - len(part), "", 3),
     )
     caption = (
-        "Full light in the void behind a feature brings its back side to the critical dose. Inside, the dose rises as "
+        "Full light in the void behind a feature gives its back side the critical dose. Inside, the dose rises as "
         "far as allowed and falls to the critical dose at the front; everything else is dark. Only the first feature "
         "lies on the platform and keeps its light. The map shows the highest speed at which every feature of a pixel "
         "gets its dose with the slices shown. Below: slices from the side, the height over which full light reaches "

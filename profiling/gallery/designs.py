@@ -63,7 +63,7 @@ def designs(device: Device, quick: bool = False, pixels: int = 300, angles: int 
 
 
 def made(n: int) -> tuple[Target, ...]:
-    """The designs at a resolution; dots as dense as four pixels a period, at most the paper's 80."""
+    """The designs at a resolution; dots at most as dense as four pixels per period, and at most the paper's 80."""
     return (dot_array(min(80, int(n * 2**0.5 / 4)), n), usaf(pixels=n), gray_wedges(8, n), BLOCKS["W1"].level(n))
 
 

@@ -140,7 +140,7 @@ def runs(place: Path) -> None:
 
 
 def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
-    """Draw the wanted pages, or all."""
+    """Draw the requested pages, or all."""
     from playwright.sync_api import sync_playwright
 
     drawn = []
@@ -179,7 +179,7 @@ def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
 
 
 def proofs() -> Iterator[tuple[str, Proof]]:
-    """A gear in a vial: light that prints, light that does not, and the first with lit columns beside the part."""
+    """A gear in a vial: patterns that print, patterns that do not, and the first with extra lit columns beside."""
     vial = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     beam = vamgpu.Beam((54, 32), 0.4)
     width = vamgpu.resin_pixel(beam, vial)[0]
@@ -195,7 +195,7 @@ def proofs() -> Iterator[tuple[str, Proof]]:
 
 
 def shoot_proofs(out: Path) -> list[Path]:
-    """Draw the head of the page of each proof, and the surface in three dimensions below it."""
+    """Draw the head of each proof's report, with the surface in three dimensions below it."""
     from playwright.sync_api import sync_playwright
 
     drawn = []

@@ -100,7 +100,7 @@ def test_solid_refuses_broken_arrays() -> None:
         Solid(good.vertices, np.zeros((0, 3), int))
     with pytest.raises(MeshError, match="NaN"):
         Solid(np.where(good.vertices > 0.0, np.nan, good.vertices), good.faces)
-    with pytest.raises(MeshError, match="faces point at"):
+    with pytest.raises(MeshError, match="faces refer to"):
         Solid(good.vertices[:-1], good.faces)
     with pytest.raises(MeshError, match="expected"):
         Solid(good.vertices, good.faces[:, :2])

@@ -1,4 +1,4 @@
-"""OpenCL devices, CPUs and GPUs alike."""
+"""OpenCL devices, both CPUs and GPUs."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
 SMALL_TABLE = 1 << 24
-"""Bytes up to which a table stays in memory, whatever that may hold."""
+"""Size up to which a table stays in memory, regardless of the memory limit [bytes]."""
 VECTOR = 64
 """Bytes of the widest vectors that kernels load."""
 FULL_SLAB = 32
-"""Slices of a slab on GPUs, where there are as many; kernels for matrix units are written for it."""
+"""Slices of a slab on GPUs, if there are enough; kernels for matrix units are written for it."""
 MOST_TOGETHER = 64
-"""Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
-takes groups of thousands, which overflow it."""
+"""Number of items of a table kernel that PoCL runs together: it keeps the arrays of all of them on one stack. By
+default it takes groups of thousands, which overflow the stack."""
 
 
 def _release(queue: cl.CommandQueue, values: Any) -> None:
-    """Let host memory go once no kernel that was launched works on it any more."""
+    """Free host memory when no launched kernel uses it any more."""
     queue.finish()
 
 
 def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
-    """Memory that is a nameless file, whose pages the system brings and takes. Raises `OutOfMemory`."""
-    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
+    """Memory that is an unlinked file, paged by the operating system. Raises `OutOfMemory`."""
+    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be in memory
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             whole = -(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
-            if hasattr(os, "posix_fallocate"):  # else a disk that gets full later kills the process
+            if hasattr(os, "posix_fallocate"):  # otherwise a disk that becomes full later kills the process
                 os.posix_fallocate(file.fileno(), 0, whole)
             file.truncate(whole)
             mapped = mmap.mmap(file.fileno(), 0)
@@ -54,7 +54,7 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
 
 
 def _divisor(count: int) -> int:
-    """The largest divisor of a count that is no more than `MOST_TOGETHER`."""
+    """The largest divisor of a count that is at most `MOST_TOGETHER`."""
     return next(size for size in range(min(count, MOST_TOGETHER), 0, -1) if count % size == 0)
 
 
@@ -67,7 +67,7 @@ class OpenclDevice(Device):
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
         self.memory = memory
-        """Bytes that arrays take of memory before further ones are kept in files; None for any number."""
+        """Memory limit of arrays, in bytes, above which further ones are kept in files; None without a limit."""
         self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
@@ -88,7 +88,7 @@ class OpenclDevice(Device):
     def lanes_for(self, nz: int) -> int:
         if self.is_gpu:
             return min(FULL_SLAB, -(-nz // 4) * 4)
-        # the widest slab that pads z least
+        # the widest slab with the least padding of z
         return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
 
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.MemoryObjectHolder:
@@ -110,7 +110,7 @@ class OpenclDevice(Device):
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
 
     def _in_file(self, nbytes: int) -> cl.Buffer:
-        """Memory that is a nameless file; it goes with the buffer."""
+        """Memory that is an unlinked file; it is freed with the buffer."""
         pages, mapped = _mapped(nbytes)
         weakref.finalize(pages, _release, self.queue, mapped).atexit = False
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
@@ -134,9 +134,9 @@ class OpenclDevice(Device):
         return self._over(values, cl.mem_flags.READ_ONLY)
 
     def _over(self, values: np.ndarray, access: int) -> DeviceArray:
-        """A table in a processor's memory that is the NumPy array, or a copy the driver makes."""
+        """A table in a processor's memory that is the NumPy array, or a copy made by the driver."""
         handle: Any = cl.SVM(values) if self._shares_memory else None
-        if handle is None:  # some drivers copy what does not begin a page
+        if handle is None:  # some drivers copy memory that does not begin at a page
             handle = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=values)
         return DeviceArray(self, handle, values.shape, values.dtype, 0)
 
@@ -192,7 +192,7 @@ class OpenclDevice(Device):
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
     ) -> cl.Kernel:
-        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones tell their arguments everywhere."""
+        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones always report their arguments."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         constants = self._constants(kernel, lanes) | {name.upper(): value for name, value in fixed if value}
@@ -214,7 +214,7 @@ class OpenclDevice(Device):
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16
-        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables alone has no lanes
+        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables only has no lanes
         tiling = self._tiling(kernel, lanes)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
@@ -224,7 +224,7 @@ class OpenclDevice(Device):
         return (shape if lanes else {}) | tile | constants
 
     def _kind(self, kernel: Kernel, lanes: int) -> str:
-        """Which tiling and constants of a kernel are this device's."""
+        """The tiling and constants of a kernel for this device."""
         if self._has_matrix_units and kernel.nvidia and lanes == FULL_SLAB:
             return "nvidia"
         return "gpu" if self.is_gpu else "cpu"
@@ -240,13 +240,13 @@ class OpenclDevice(Device):
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
         if self._kind(kernel, lanes) == "nvidia":
-            major = shape[0] // tiling.major + 1  # frequencies share entries by twos, the first and middle ones do not
+            major = shape[0] // tiling.major + 1  # frequencies share entries in pairs, except the first and middle ones
         return (minor * threads, major, -(-shape[2] // (lanes * tiling.slabs)))
 
     def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:
-        """The work-group as declared, cut to whole samples and to the slabs there are."""
+        """The declared work-group, cut to whole samples and to the number of slabs."""
         threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel, lanes).group, 1)[:3]
-        whole = self._kind(kernel, lanes) == "nvidia"  # whose items share out what they bring
+        whole = self._kind(kernel, lanes) == "nvidia"  # its items divide the loading of data
         return (max(minor // threads, 1) * threads, major, slabs if whole else min(slabs, counts[2]))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
@@ -336,7 +336,7 @@ class OpenclDevice(Device):
         return mapped
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """Vectors must lie at multiples of their size, as where a driver puts buffers; memory of others need not."""
+        """Whether memory is aligned for vectors, as in a driver's buffers; memory of other libraries may not be."""
         handle, theirs = array.handle, None
         if isinstance(handle, cl.SVM):
             theirs = handle.mem

@@ -45,7 +45,7 @@ def solved_folder(job: Path, command: str) -> Path:
 
 @contextmanager
 def continued(kept: Callable[[], bool], change: str = "") -> Iterator[None]:
-    """On Ctrl-C, advise to run the same command, with ``change``, if it can continue from what is ``kept``."""
+    """On Ctrl-C, advise to run the same command, with ``change``, if it can continue from ``kept``."""
     try:
         yield
     except (Cancelled, KeyboardInterrupt) as error:

@@ -32,7 +32,7 @@ DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "sol
 CANCELLED = 130
 """Exit status of a print that the user stopped, as of any other command."""
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
-"""Endings of jobs that are left out of the names of runs; any other dot, as in "part-0.2", belongs to the name."""
+"""Endings of jobs that are removed for the names of runs; any other dot, as in "part-0.2", belongs to the name."""
 FAILED, INCOMPLETE, HELD = 1, 3, 4
 """Exit statuses of a print that failed, of one that ended with underexposed frames, and of one that is still held."""
 
@@ -64,7 +64,7 @@ def print_(
         device: device that makes the frames; by default the best one, or NumPy for a dry run
         dry_run: print on emulated machines with a simulated clock, on any rig
         panel: serve the live page; a dry run then takes as long as a print
-        stay: keep serving the page after the print, until Ctrl-C
+        stay: serve the page after the print as well, until Ctrl-C
         host: address that serves the page; other machines need a token
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
@@ -117,19 +117,19 @@ def _check_options(
     jobs: tuple[str, ...], rig: str, config: Any, out: Path | None, resume: Path | None, unattended: int, *,
     dry_run: bool, panel: bool, stay: bool,
 ) -> None:  # fmt: skip
-    """Reject options that do not go together. Raises `BadInput`."""
+    """Reject options that exclude each other. Raises `BadInput`."""
     if not jobs:
         raise BadInput("there is no job; expected the folder of a job for each projector, or the word demo")
     if resume is not None and out is not None:
         raise BadInput("--out is the folder of a new run, --resume that of a run to continue; give one of them")
     if resume is not None and (dry_run or config.setup.emulated):
-        raise BadInput("a dry run has no machines that keep a print; expected --resume with the rig that began it")
+        raise BadInput("a dry run cannot be resumed; expected --resume with the rig that began the print")
     if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
-        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
+        raise BadInput(f"the demo is a vial, but the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
     if unattended < 0:
         raise BadInput(f"--unattended is {unattended}; expected how many times a held print resumes, 0 or more")
     if stay and not panel:
-        raise BadInput("--stay keeps the page after the print, and there is none; add --panel, or use vam panel")
+        raise BadInput("--stay serves the page after the print, but there is no page; add --panel, or use vam panel")
 
 
 def _consented(planned: PrintPlan, asks: bool) -> None:
@@ -151,7 +151,7 @@ def _agreed(question: str) -> bool:
 
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
-    """Turns and exposure of the run to resume, so that the rest gets the same dose per turn."""
+    """Turns and exposure of the run to resume; the rest then gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.printing.given_dose import GivenDose
 
@@ -163,7 +163,7 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
 
 
 def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
-    """Print one vial with monitoring; show deviations, what was found, and the outcome; return the exit status."""
+    """Print one vial with monitoring; show deviations, findings and the outcome; return the exit status."""
     from vamgpu.hosts.live.live_print import live
 
     screen, demo = console(), tuple(jobs) == ("demo", "live")
@@ -177,7 +177,7 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
     from vamgpu.live import Truth
 
     if rig != "emulated":
-        raise BadInput(f"the demo's resin is emulated, and the rig is {rig!r}; expected --rig emulated")
+        raise BadInput(f"the demo's resin is emulated, but the rig is {rig!r}; expected --rig emulated")
     with shown(screen) as progress:
         job = demo_job(place.with_suffix(".job"), progress=progress)
     truth = Truth(**AGED)
@@ -185,7 +185,7 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
     ended = live(job, truth=truth, turns=turns, folder=place)
     off = ", ".join(f"{name} {value:g}" for name, value in AGED.items())
     screen.print(f"differs {escape(off)}")
-    screen.print(f"unwatched overlap {unwatched.iou:.4f}, watched [bold]{ended.iou:.4f}[/]")
+    screen.print(f"overlap without monitoring {unwatched.iou:.4f}, with monitoring [bold]{ended.iou:.4f}[/]")
     overlaps = unwatched.iou or 0.0, ended.iou or 0.0
     return _reported(screen, ended, truth=truth, overlaps=overlaps, conversion=ended.conversion)
 
@@ -219,10 +219,10 @@ def panel(
         turns: as for ``vam print``
         stop: as for ``vam print``
         out: folder of the run
-        resume: folder of an interrupted run to continue
+        resume: folder of an interrupted run, to continue it
         unattended: as for ``vam print``
         device: as for ``vam print``
-        dry_run: print on emulated machines, in the time that a print takes, on any rig
+        dry_run: print on emulated machines, on any rig, in the time that a print takes
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
@@ -243,7 +243,7 @@ def panel(
 
 @contextmanager
 def _outlived(screen: Console) -> Iterator[None]:
-    """Keep the page until Ctrl-C, however the print ended; then raise its error."""
+    """Keep the page until Ctrl-C, however the print ends; then raise its error."""
     try:
         yield
     except VamError as error:
@@ -271,7 +271,7 @@ def _place(out: Path | None, job: str, dry_run: bool) -> Path:
     names = (name + number + ending for number in chain([""], (f"-{number}" for number in count(2))))
     place = out or next(first.parent / each for each in names if not (first.parent / each).exists())
     if job == "demo" and place.suffix == ".job":
-        raise BadInput(f"{str(place)!r} is the place of the demo's job; end the name of its run in .run")
+        raise BadInput(f"{str(place)!r} is the folder of the demo's job; end the name of its run in .run")
     if place.exists():
         raise StorageError(f"{str(place)!r} exists; a run needs a new folder: choose another with --out")
     return place
@@ -324,7 +324,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     levels: Sequence[np.ndarray] = ()
     verdict, turns = "", None
     try:
-        # a dry run on a simulated clock lights nothing, and in one process it repeats exactly
+        # a dry run on a simulated clock has no light, and in one process it repeats exactly
         ended = (_rehearsed if planned.rehearsed and not order.page else _watched)(screen, planned, order, board)
         state, verdict, levels = PrintState(ended["state"]), ended.get("resin", ""), ended.get("levels", ())
         turns = ended.get("turns")
@@ -332,7 +332,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
         state = _left(error, board, place)
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
-    lateness = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"at most {late:.1f} ms late"
+    lateness = f"at the mirrors at least {-late:.1f} ms early" if late < 0 else f"at most {late:.1f} ms late"
     screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
@@ -363,7 +363,7 @@ def _onward(planned: PrintPlan, place: Path) -> str:
 
 
 def _left(error: VamError, board: Board, place: Path) -> PrintState:
-    """State of a print that an error left held; shows the error. Raises it if nothing is held."""
+    """State of a print that an error left held; shows the error. Raises the error if nothing is held."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.hosts.records.state import PrintState
 
@@ -386,7 +386,7 @@ def _status(state: PrintState) -> int:
 
 
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Do a dry run in this process, as fast as it computes; how it ended."""
+    """Do a dry run in this process, as fast as it computes; return how it ended."""
     from vamgpu.hosts.process.order import printed
     from vamgpu.hosts.rig import rehearsal
 
@@ -398,7 +398,7 @@ def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Bo
 
 
 def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Print in a process that controls the light, and watch it from this one; how it ended."""
+    """Print in a process that controls the light, and watch it from this one; return how it ended."""
     from vamgpu.hosts.process.watch import may_begin, started, watched
 
     may_begin(order.folder)

@@ -16,7 +16,7 @@ from vamgpu.reports import chart
 from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
 
 SHOWN = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "inhibitor")
-"""Estimates that have a curve."""
+"""Estimates that are drawn as a curve."""
 TRUE = {"sensitivity": "lamp", "absorption": "absorption", "across": "across", "along_z": "along_z",
         "inhibitor": "inhibitor"}  # fmt: skip
 """The attribute of `Truth` for each estimate."""
@@ -31,11 +31,11 @@ def page(
     conversion: np.ndarray | None = None,
 ) -> Page:  # fmt: skip
     """The report of a recorded print. truth, overlaps (unwatched, watched), conversion: of an emulated print."""
-    told, setup = record.decided(), record.setup()
-    found = [each for each in told if each["parameters"]]
-    swaps = sum(each["action"] == "swap" for each in told)
-    last = told[-1]
-    doubted = next((each for each in told if each.get("doubt")), None)
+    decisions, setup = record.decided(), record.setup()
+    found = [each for each in decisions if each["parameters"]]
+    swaps = sum(each["action"] == "swap" for each in decisions)
+    last = decisions[-1]
+    doubted = next((each for each in decisions if each.get("doubt")), None)
     good = bool(found) and last["iou"] > 0.99 and not doubted
     headline = [] if overlaps is None else [
         Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
@@ -43,14 +43,14 @@ def page(
     ]  # fmt: skip
     expected = "unknown" if doubted else f"{last['iou']:.4f}"
     tiles = [
-        Figure(str(len(told)), "decisions", "one after each turn with images"),
+        Figure(str(len(decisions)), "decisions", "one after each turn with images"),
         Figure(str(swaps), "swaps", "replacements of the remaining light"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
         Figure(expected, "overlap expected", "with the part, from the last estimate"),
     ]
     cards = [
-        Card("Decisions", Table(_rows(told), HEADER), wide=True),
-        Card("Time per decision", Table(_times(told, setup), ("", "median [s]", "most [s]", "decisions")),
+        Card("Decisions", Table(_rows(decisions), HEADER), wide=True),
+        Card("Time per decision", Table(_times(decisions, setup), ("", "median [s]", "most [s]", "decisions")),
              note="Sensing is the share of the turn whose images are used."),
     ]  # fmt: skip
     if found:
@@ -59,14 +59,14 @@ def page(
         cards.insert(0, Card("Estimates", Chart(_curves(found, true, setup)), wide=True, note=note))
         header = ("", "value", "σ", "true at the start") if true else ("", "value", "σ")
         cards.append(Card("Last estimates", Table(_estimates(found[-1], true, setup), header)))
-    if any(each.get("checks") for each in told):
+    if any(each.get("checks") for each in decisions):
         note = "Relative to the limits. Beyond a limit, the line is red; images do not decide in the red turns."
-        cards.insert(0, Card("Images against the light shown", Chart(_checked(told)), wide=True, note=note))
+        cards.insert(0, Card("Images against the light shown", Chart(_checked(decisions)), wide=True, note=note))
     if conversion is not None:
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
         cards.insert(1, Card("Final conversion", Images([picture], "panels", 1), note="The part is outlined."))
-    verdict = (f"The camera measured {len(told)} turns; the remaining light was replaced {swaps} times." if found
+    verdict = (f"The camera measured {len(decisions)} turns; the remaining light was replaced {swaps} times." if found
                else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
     if doubted:
         verdict = (
@@ -75,17 +75,17 @@ def page(
     return Page("live print", record.folder.resolve().parent.stem, verdict, good, tiles, cards, headline)
 
 
-def _rows(told: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def _rows(decisions: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [
         [str(each["turn"]), each["action"], str(each["version"]),
          "never" if each.get("effective", 0) is None else str(each.get("effective", "")), str(each["turns"]),
          "{:.3g} (at most {:.3g})".format(*each["checks"]["images"]) if each.get("checks") else "", each["reason"]]
-        for each in told
+        for each in decisions
     ]  # fmt: skip
 
 
-def _times(told: Sequence[Mapping[str, Any]], setup: LiveSetup) -> list[list[str]]:
-    return [[stage, f"{median:.3f}", f"{most:.3f}", str(count)] for stage, median, most, count in budget(told)]
+def _times(decisions: Sequence[Mapping[str, Any]], setup: LiveSetup) -> list[list[str]]:
+    return [[stage, f"{median:.3f}", f"{most:.3f}", str(count)] for stage, median, most, count in budget(decisions)]
 
 
 def _true(truth: Truth | None, setup: LiveSetup) -> dict[str, float]:
@@ -114,13 +114,13 @@ def _estimates(last: Mapping[str, Any], true: Mapping[str, float], setup: LiveSe
         yield row + ([f"{true[name]:.{digits}f}" if name in true else ""] if true else [])
 
 
-def _checked(told: Sequence[Mapping[str, Any]]) -> str:
+def _checked(decisions: Sequence[Mapping[str, Any]]) -> str:
     """Each check over its limit, turn by turn."""
-    doubted = next((each["turn"] for each in told if each.get("doubt")), None)
+    doubted = next((each["turn"] for each in decisions if each.get("doubt")), None)
 
     def draw(axis: Any) -> None:
         for (name, (title, marker)), color in zip(CHECKS.items(), (chart.PART, chart.EXTRA), strict=True):
-            rows = [(each["turn"], *each["checks"][name]) for each in told if name in each.get("checks", {})]
+            rows = [(each["turn"], *each["checks"][name]) for each in decisions if name in each.get("checks", {})]
             turns, values, limits = np.transpose(np.asarray(rows, float).reshape(-1, 3))
             axis.plot(turns, values / limits, color=color, marker=marker, markersize=4, linewidth=1.4, label=title)
             for k in np.flatnonzero(values > limits):
@@ -129,8 +129,8 @@ def _checked(told: Sequence[Mapping[str, Any]]) -> str:
                 axis.plot(turns[k], values[k] / limits[k], color=chart.WARN, marker=marker)
         axis.axhline(1.0, linestyle="--", linewidth=1.2, color=chart.INK, label="limit")
         if doubted is not None:
-            axis.axvspan(doubted - 0.5, told[-1]["turn"] + 0.5, color=chart.WARN, alpha=0.12, linewidth=0)
-        axis.set_xlim(0.5, told[-1]["turn"] + 0.5)
+            axis.axvspan(doubted - 0.5, decisions[-1]["turn"] + 0.5, color=chart.WARN, alpha=0.12, linewidth=0)
+        axis.set_xlim(0.5, decisions[-1]["turn"] + 0.5)
         axis.set_ylim(bottom=0.0)
         axis.set_xlabel("turn")
         axis.xaxis.get_major_locator().set_params(integer=True)

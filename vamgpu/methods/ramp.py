@@ -19,7 +19,7 @@ from vamgpu.web import WebGrid
 class Taps:
     """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
 
-    balance: what filtered light of each angle is multiplied by; None if angles are even and lit as long.
+    balance: factor of the filtered light of each angle; None if angles are even and lit equally long.
     """
 
     table: DeviceArray
@@ -30,7 +30,7 @@ class Taps:
 def ramp(operator: Operator) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
-    Angles count by the directions that they stand for, and by the time that they are lit.
+    Angles are weighted by the directions that they represent, and by the time that they are lit.
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
     """
     columns = operator.beam.pixels[0]
@@ -45,7 +45,7 @@ def _ramp_taps(columns: int) -> np.ndarray:
 
 
 def capped_ramp(operator: Operator, cap: float, span: float = 1.0) -> Taps:
-    """The ramp |ω| up to ``cap`` cycles a column, level beyond; its taps fade out over a ``span`` of the columns."""
+    """The ramp |ω| up to ``cap`` cycles per column, level beyond; its taps fade out over a ``span`` of the columns."""
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
     taps = np.real(np.fft.ifft(np.minimum(frequency, cap)))[:columns]
@@ -65,7 +65,7 @@ def _scale(operator: Operator) -> float:
     if isinstance(grid, WebGrid):
         return _web_scale(operator, grid)
     assert not isinstance(motion, WebMotion)
-    # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
+    # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; the inversion formula needs π per half turn
     area = grid.pitch**2 / operator.beam.pitch
     return np.pi / motion.angles / area / operator.beam.pitch
 
@@ -76,15 +76,15 @@ def _balance(operator: Operator) -> DeviceArray | None:
 
 
 def bar(grid: WebGrid) -> np.ndarray:
-    """A round bar across the middle of a web, half its thickness wide: 0 and 1 [l, rho, z]."""
-    along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same on any length
+    """A round bar across the middle of a web, with a diameter of half its thickness: 0 and 1 [l, rho, z]."""
+    along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same for any length
     deep = grid.axes()[1] - 0.5 * grid.size[1]
     inside = np.hypot(along[:, None], deep[None, :]) <= 0.25 * grid.size[1] * (1.0 + 1e-6)
     return np.broadcast_to(inside.astype(np.float32)[:, :, None], grid.shape)  # which takes no memory
 
 
 def _web_scale(operator: Operator, grid: WebGrid) -> float:
-    # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
+    # For light that fades over less than half a turn there is no closed formula: the factor is measured with a bar
     device, columns = operator.device, operator.beam.pixels[0]
     target, projected, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)
     operator(target, out=projected)

@@ -1,4 +1,4 @@
-"""Rings about the axis of rotation as voxels of a volume: what even angles map onto itself."""
+"""Rings about the axis of rotation as voxels of a volume: rotations by the even angles map them onto themselves."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
 PARTS = 2
-"""Parts of a cell along the radius and along the angle whose footprints are added."""
+"""Number of parts of a cell along the radius and along the angle whose footprints are added."""
 SMOOTH = 0.7
 """Share of the lit radius within which columns change evenly enough to be compared a ring apart: to 0.003 of one."""
 ALIKE = 1e-5
-"""Difference of light from its mirror image, over the greatest or in columns, up to which one half stands for both."""
+"""Greatest difference between light and its mirror image, relative or in columns, for which one half suffices."""
 
 
 @dataclass(frozen=True)
 class RingBand:
     """Neighboring rings of equally many cells."""
 
-    # begin, stop: of the rings.  cell: first of its cells of a turn.  samples: of a ring between two angles.
+    # begin, stop: range of the rings. cell: first of its cells per turn. samples: number per ring between two angles.
 
     begin: int
     stop: int
@@ -45,7 +45,7 @@ class RingBand:
 
     @property
     def tiles(self) -> list[RingBand]:
-        """Every `ROWS` of its rings."""
+        """The groups of `ROWS` rings."""
         return [replace(self, begin=ring, stop=ring + ROWS) for ring in range(self.begin, self.stop, ROWS)]
 
 
@@ -53,9 +53,9 @@ class RingBand:
 class PolarGrid:
     """Rings of voxels about the axis of rotation: cells are about as long as rings are wide.
 
-    Each ring has a whole number of cells between two angles of the turntable, so that turning it by one of them maps
-    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at
-    ``[t, band.cell + q · band.rings + j − band.begin]``.
+    Each ring has a whole number of cells between two angles of the turntable; a rotation by one angle therefore maps
+    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at ``[t,
+    band.cell + q · band.rings + j − band.begin]``.
 
     Args:
         rings: Number of rings, a multiple of eight.
@@ -98,12 +98,12 @@ class PolarGrid:
         return tuple(found)
 
     def _samples(self, first: int) -> int:
-        """Cells between two angles of the `ROWS` rings from one on."""
+        """Number of cells between two angles, for the `ROWS` rings from one on."""
         return ceil(2.0 * pi * (first + ROWS) / self.angles - 1e-9)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Angles, cells between two of them, slices."""
+        """Number of angles, of cells between two of them, and of slices."""
         last = self.bands[-1]
         return (self.angles, last.cell + last.rings * last.samples, self.slices)
 
@@ -124,7 +124,7 @@ class PolarGrid:
 
     @cached_property
     def areas(self) -> np.ndarray:
-        """Area of each cell over that of a square of the pitch, (cells,)."""
+        """Ratio of the area of each cell to that of a square of the pitch, (cells,)."""
         samples = np.concatenate([np.full(b.rings * b.samples, b.samples * self.angles) for b in self.bands])
         return 2.0 * pi * self.places[0] / self.pitch / samples
 
@@ -141,14 +141,14 @@ class PolarGrid:
 
     @classmethod
     def within(cls, grid: Grid, angles: int) -> PolarGrid:
-        """Rings as wide as the voxels of a box, out to the cylinder in it that every angle lights.
+        """Rings as wide as the voxels of a box, out to the cylinder in it that light reaches at every angle.
 
         Args:
             grid: The voxels.
             angles: Even angles of the turntable.
 
         Returns:
-            The rings, with a slice more than the box where that has an odd number.
+            The rings, with one slice more than the box if that has an odd number.
 
         Raises:
             BadInput: There are fewer than two angles.
@@ -163,7 +163,7 @@ class PolarGrid:
 
 
 class PoseTile(Protocol):
-    """The light of one pose in `ROWS` rings."""
+    """The light of one angle in `ROWS` rings."""
 
     @property
     def arcs(self) -> np.ndarray:
@@ -171,11 +171,11 @@ class PoseTile(Protocol):
         ...
 
     def is_mirrored(self, columns: int) -> bool:
-        """Whether cells on either side see columns on either side."""
+        """Whether cells on one side see only columns on that side."""
         ...
 
     def last(self, beam: Beam) -> int:
-        """The last column that may light a cell; −1 where none does."""
+        """The last column that may light a cell; −1 if there is none."""
         ...
 
     def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
@@ -185,7 +185,7 @@ class PoseTile(Protocol):
 
 @dataclass(frozen=True)
 class _Footprints:
-    """Trapezoids that parts of cells are to light, each (parts · rings, parts · cells of a ring)."""
+    """Trapezoids for the parts of cells, each (parts · rings, parts · cells of a ring)."""
 
     # column: that lights the middle.  strength: of a column's light.  a, b: widths [columns].  arc: of the turn [rad]
     # during which an angle is lit.
@@ -203,12 +203,12 @@ class _Footprints:
         return np.repeat([[self.arc], [0.0]], ROWS, axis=1)
 
     def rings(self, begin: int, stop: int) -> _Footprints:
-        """Those of some of the rings."""
+        """The trapezoids of some of the rings."""
         own = slice(begin * self.parts, stop * self.parts)
         return replace(self, **{name: getattr(self, name)[own] for name in ("column", "strength", "a", "b")})
 
     def is_mirrored(self, columns: int) -> bool:
-        """Whether cells on either side see columns on either side."""
+        """Whether cells on one side see only columns on that side."""
 
         def beyond(values: np.ndarray) -> np.ndarray:  # parts lie on both sides of a cell's middle
             return np.roll(values[:, ::-1], 1 if self.parts == 1 else self.parts, axis=1)
@@ -221,7 +221,7 @@ class _Footprints:
         )
 
     def last(self, beam: Beam) -> int:
-        """The last column that may light a cell; −1 where none does."""
+        """The last column that may light a cell; −1 if there is none."""
         reach = half_support(*sides(self.a, self.b, beam.sigma), beam.fill**0.5, beam.sigma)
         return min(int(np.floor(self.column + reach)[self.strength > 0.0].max(initial=-1)), beam.pixels[0] - 1)
 
@@ -279,7 +279,7 @@ def _in_squares(
     grid: PolarGrid, band: RingBand, beam: Beam, vessel: Vessel, side: float, splines: bool, arc: float
 ) -> _Footprints:
     """Squares about the middles of a band's cells."""
-    # splines overshoot where light ends: with them, unlit outer rings repeat the last lit one.
+    # splines overshoot where light ends: with splines, unlit outer rings therefore repeat the last lit one.
     count = grid.angles * band.samples
     rho = (np.arange(band.begin, band.stop) + 0.5)[:, None] * grid.pitch
     lit = rho <= vessel.lit_radius

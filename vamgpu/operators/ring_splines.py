@@ -1,9 +1,9 @@
-"""Splines through samples on rings: 4 × 4 coefficients about a place make a field there.
+"""Splines through samples on rings: 4 × 4 coefficients about a point give the field there.
 
-Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that come nearest to smooth functions:
-T. Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients come of samples by a division of
-each angular frequency and an elimination along the radius. Both are linear and the same at every angle: a table of
-angular frequencies takes them in once, and products give coefficients where they gave samples.
+Cubic O-MOMS, the piecewise polynomials of maximal order and minimal support that approximate smooth functions best: T.
+Blu, P. Thévenaz, M. Unser, IEEE Trans. Image Process. 10 (2001) 1069. Coefficients follow from samples by a division
+for each angular frequency and an elimination along the radius. Both are linear and the same at every angle: they are
+applied once to a table of angular frequencies, and products then give coefficients instead of samples.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from vamgpu.operators.polar import PolarGrid
 
 TAPS = np.arange(-1, 3)
-"""Coefficients about a place that make what is there."""
+"""Number of coefficients about a point that determine the field there."""
 OWN, NEXT = 13 / 21, 4 / 21
 """Weight of a coefficient in its own sample, and in either next one."""
 
 
 def shares(place: np.ndarray) -> list[np.ndarray]:
-    """Weight of each of `TAPS` for places (n,) after the second of them, 0..1; four arrays (n,)."""
+    """Weight of each of `TAPS` for positions (n,) after the second of them, 0..1; four arrays (n,)."""
     return [_spline(np.abs(place - tap)) for tap in TAPS.tolist()]
 
 
@@ -53,5 +53,5 @@ def pivots(rings: int) -> np.ndarray:
     found[0] = OWN + NEXT, OWN - NEXT
     for ring in range(1, rings):
         found[ring] = OWN - NEXT**2 / found[ring - 1]
-    found[-1] += NEXT  # as if the last sample went on
+    found[-1] += NEXT  # as if the last sample continued
     return found

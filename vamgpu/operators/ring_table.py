@@ -23,7 +23,7 @@ MANY = 1 << 20
 
 @dataclass(frozen=True)
 class RingTable:
-    """Entries, tiles and what lights these, as in `vamgpu.kernels.spectrum`; no entry exceeds ``greatest``."""
+    """Entries, tiles and their light, as in `vamgpu.kernels.spectrum`; no entry exceeds ``greatest``."""
 
     entries: DeviceArray
     greatest: float

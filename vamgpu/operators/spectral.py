@@ -27,25 +27,25 @@ from vamgpu.schema.quantities import finite
 class SpectralProjection(LinearOperator):
     """Rays of a beam through rings of voxels that a turntable turns, in air or inside a vessel at rest.
 
-    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the mean, over
-    cell j, of the light that the box of pixel i sends, blurred by the beam's point spread, × pitch² / pixel pitch, as
-    of a voxel of a box; multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction,
-    absorption and the point spread are in the light of one angle, and cost nothing.
+    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the light of pixel
+    i's box, blurred by the beam's point spread, averaged over cell j, × pitch² / pixel pitch, as for a voxel of a box;
+    multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction, absorption and the point
+    spread are part of the light of one angle, and take no additional time.
 
     Args:
-        grid: Rings of the volume, made for the angles.
+        grid: Rings of the volume, made for these angles.
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
-        square: Side [mm] of squares about the middles of the cells, over which doses are means instead of over cells;
-            ``pitch`` above is then theirs.
-        faint: Share of the greatest entry of its table up to which entries of the outermost columns count as zero.
+        square: Side [mm] of squares about the middles of the cells, over which doses are averaged instead of over
+            cells; ``pitch`` above is then this side.
+        faint: Share of the greatest entry of its table below which entries of the outermost columns count as zero.
         tf32: Use eleven bits of each number in products (TensorFloat-32) on devices with units for them: NVIDIA's in
             OpenCL. It has no effect on other devices.
-        motion: Turntable of the grid's angles, and the share of the steps that is lit; None for one that turns all the
-            time.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only with
-            a square.
+        motion: Turntable of the grid's angles, with the lit share of its steps; None for one that is lit during the
+            whole step.
+        splines: Return coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only
+            with a square.
         tiles: Dose of the light of one angle in every eight rings, if it is not that of the vessel.
 
     Raises:
@@ -112,10 +112,10 @@ class SpectralProjection(LinearOperator):
             Its arguments by name.
 
         Raises:
-            BadInput: It was given tiles.
+            BadInput: The operator was made from tiles.
         """
         if self._has_tiles:
-            raise BadInput(f"got {self!r} of tiles, which are not kept; expected one of a vessel: pickle what made it")
+            raise BadInput(f"got {self!r}, made of tiles; expected one of a vessel: pickle the operator of its tiles")
         return {"grid": self.grid, "beam": self.beam, "vessel": self.vessel, **self._given}
 
     def __repr__(self) -> str:
@@ -160,7 +160,7 @@ class SpectralProjection(LinearOperator):
         self._in_turn(self._gathered(x), rows)
 
     def _gathered(self, x: DeviceArray) -> DeviceArray:
-        """`_gather` by angular frequencies, in a field that is worked in."""
+        """`_gather` for angular frequencies, in a work field."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
         light = work("light 0", self._light_shape)
@@ -168,25 +168,25 @@ class SpectralProjection(LinearOperator):
         return light
 
     def _in_turn(self, light: DeviceArray, rows: DeviceArray) -> None:
-        """Light by angular frequencies, in "light 0", back at its angles."""
+        """Transform light in "light 0" from angular frequencies to angles."""
         self._of_light.run(1.0, light, lambda number: self._work(f"light {1 - number}", self._light_shape), last=rows)
 
     def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
-        """The dose of columns in slices, the transpose of `_gather`."""
+        """The dose of columns in slices; the transpose of `_gather`."""
         self._on_rings(self._by_frequency(rows), out)
 
     def _by_frequency(self, rows: DeviceArray) -> DeviceArray:
-        """Light by its angular frequencies, in a field that is worked in."""
+        """Angular frequencies of light, in a work field."""
         return self._of_light.run(-1.0, rows, lambda number: self._work(f"light {number}", self._light_shape))
 
     def _on_rings(self, light: DeviceArray, out: DeviceArray) -> None:
-        """The dose of light by its angular frequencies."""
+        """The dose of light given by its angular frequencies."""
         spectrum = self._work("rings 0", out.shape)
         self.device.launch(light_rings, light=light, **self._entries, spectrum=spectrum)
         self._to_rings.run(1.0, spectrum, lambda number: self._work(f"rings {1 - number}", out.shape), last=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
+        """A work field, kept for the next product: new memory takes longer than a pass over it."""
         held = vars(self._held)  # of each thread
         if name not in held:
             held[name] = self.device.empty(shape)

@@ -106,7 +106,7 @@ def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, .
 
 
 def _radices(n: int, passes: int, fits: Callable[[int], bool] = bool) -> tuple[int, ...]:
-    """Factors of n that fit, one a pass, none of them 1, whose sum is least; nothing where there are none."""
+    """Factors of n above 1 that fit, one per pass, with the least sum; empty if there are none."""
     if passes == 1:
         return (n,) if n > 1 and fits(n) else ()
     rest = ((d, *_radices(n // d, passes - 1, fits)) for d in range(2, n) if n % d == 0 and fits(d))

@@ -18,7 +18,7 @@ MOST_STEPS = 100
 
 
 def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Column u [mm] of the ray through each (x, y) [mm], and its dX_perpendicular/du: 0 where no ray comes."""
+    """Column u [mm] of the ray through each (x, y) [mm], and dX_perpendicular/du of that ray; 0 without a ray."""
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
     # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
     # = aperture·sin ψ, in which d is smooth up to the last ray.
@@ -39,7 +39,7 @@ def _piece(
     node, before, after = np.empty(x.size, np.int64), np.empty_like(x), np.empty_like(x)
     for start in range(0, x.size, CHUNK):
         some = slice(start, start + CHUNK)
-        # no product of BLAS, whose threads would add to ours
+        # avoid BLAS, whose threads would compete with ours
         values = x[some, None] * cos_d + (y[some, None] * sin_d - ratio * columns)
         node[some] = at = np.argmax(values[:, 1:] <= 0.0, axis=1)
         row = np.arange(at.size)
@@ -59,7 +59,7 @@ def _piece(
 def _newton(
     faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats, low: Floats, high: Floats, psi: Floats
 ) -> Floats:
-    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method with bisection as the safeguard."""
+    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method safeguarded by bisection."""
     root = psi.copy()
     live = np.arange(x.size)
     for _ in range(MOST_STEPS):

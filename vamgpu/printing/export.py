@@ -1,4 +1,4 @@
-"""Frames as images and videos for other programs; lossless except for videos that any player decodes."""
+"""Frames as images and videos for other programs; lossless, except videos that any player decodes."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ BLOCK = 1 << 25
 
 @dataclass(frozen=True)
 class Canvas:
-    """The image for a projector, and the position of the frames on it; the rest is black.
+    """The image of a projector, and the position of the frames on it; the rest is black.
 
     Args:
         size: Columns and rows; None for those of the frames.
-        offset: Columns to the right and rows upwards from the middle of the canvas to that of the frames.
+        offset: Columns to the right and rows upwards by which the middle of the frames is off that of the canvas.
         rotation: Rotation of the frames, counterclockwise [deg]. Quarter turns keep every level; others interpolate the
             light (not the levels) linearly between neighboring pixels.
         flip_r: Mirror the frames left to right, in addition to their own flip.
@@ -120,7 +120,7 @@ class Canvas:
             return np.rot90(levels, round(self.rotation / 90))
         if frames.bits == 1:
             raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, because "
-                           "a mirror is only on or off: export 8 bits")  # fmt: skip
+                           "mirrors are only on or off: export 8 bits")  # fmt: skip
         from scipy.ndimage import rotate
 
         light = np.pad(frames.gray(levels) - frames.gray.black, 1)  # so that no pixel at the rim is lost
@@ -143,7 +143,7 @@ class Canvas:
         if top < 0 or left < 0 or top + rows > height or left + columns > width:
             raise BadInput(
                 f"frames of {columns} × {rows} pixels, {self.offset} off the middle, do not fit a canvas of {width} × "
-                f"{height}; expected all of them on it: use a smaller offset or a larger canvas"
+                f"{height}; expected all on the canvas: use a smaller offset or a larger canvas"
             )
         return top, left
 
@@ -237,12 +237,12 @@ class _Shown:
         """Metadata of the images, for `vam import`."""
         beside: dict[str, Any] = {} if self.canvas is None else {"canvas": self.canvas}
         if self.frames.flat_field is not None:
-            beside["flat_field"] = "made up for in the levels, and kept nowhere here"
+            beside["flat_field"] = "compensated in the levels, and not kept here"
         return plain({**describe(self.frames), **beside})
 
 
 def _on_threads(act: Callable[[tuple[int, np.ndarray]], Any], shown: _Shown) -> Iterator[Any]:
-    """Results for numbers and images, in their order, by as many threads as there are cores."""
+    """Results for numbers and images, in order, computed by as many threads as there are cores."""
     with ThreadPoolExecutor(threads()) as pool:
         begun: deque[Future[Any]] = deque()
         for numbered in enumerate(shown.images):
@@ -325,7 +325,7 @@ def _mp4(shown: _Shown, draft: Path) -> None:
 
 
 FULL_RANGE, LIMITED_RANGE = 2, 1
-"""FFmpeg's numbers for pixel values from 0 to 255, and from 16 to 235; without the first players stretch the others."""
+"""FFmpeg's names for pixel values from 0 to 255, and from 16 to 235; without the first, players stretch the values."""
 LOW, HIGH = 16, 235
 
 
@@ -345,7 +345,7 @@ class _Film:
         return "libx264" if self.channel is None else "libx264rgb"
 
     def frame(self, levels: np.ndarray) -> Any:
-        """A picture as the encoder takes it."""
+        """A picture in the encoder's format."""
         import av
 
         if self.channel is not None:

@@ -27,7 +27,7 @@ class PlaneDose:
     """The print by bit planes, each at the angles at which it is lit."""
 
     window: float  # the strict one
-    off: float  # greatest difference to the dose of frames that are lit evenly, over the peak
+    off: float  # greatest difference from the dose of frames that are lit evenly, over the peak
 
     def line(self) -> Line:
         """The window as a line of a proof."""
@@ -79,7 +79,7 @@ def _arcs(motion: Turntable, planes: Sequence[PlaneTime]) -> Any:
 
 
 def _light(frames: Frames, A: Projection, planes: Sequence[PlaneTime]) -> np.ndarray:
-    """Light [plane and angle, r, z] of every plane: of the frame's own, the part that its bit has in the levels."""
+    """Light [plane and angle, r, z] of every plane: the share of the frame's light that this bit contributes."""
     whole, levels = frames.irradiance(A.device).numpy(), frames.images.numpy()
     parts: dict[int, np.ndarray] = {}
     for bit in range(8):
@@ -87,7 +87,7 @@ def _light(frames: Frames, A: Projection, planes: Sequence[PlaneTime]) -> np.nda
         parts[bit] = replace(frames, images=some, gray=GrayCurve.linear(), packed=None).irradiance(A.device).numpy()
     total = np.sum(list(parts.values()), axis=0)
     share = np.divide(whole, total, out=np.zeros_like(whole), where=total > 0)
-    dark = np.where(total > 0, 0.0, whole)  # mirrors that never close wholly
+    dark = np.where(total > 0, 0.0, whole)  # mirrors never close completely
     time = {bit: sum(plane.width for plane in planes if plane.bit == bit) for bit in range(8)}
     every = sum(time.values())
     return np.concatenate([

@@ -1,4 +1,4 @@
-"""Tables of files as pydantic reads them: nothing unknown, nothing converted in silence."""
+"""Tables of files in the form that pydantic reads: no unknown keys, and no silent conversion."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Val
 
 
 class Section(BaseModel):
-    """A table: nothing unknown, nothing converted in silence."""
+    """A table: no unknown keys, and no silent conversion."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Misplaced(ValueError):
-    """An error between tables of a file; ``key`` is the key to correct."""
+    """An error that concerns several tables of a file; ``key`` is the key to correct."""
 
     def __init__(self, message: str, *key: str) -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""Read a part from a mesh file and bring it into the vial's frame."""
+"""Read a part from a mesh file and place it in the vial's coordinates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh", "solid_of"]
 FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
-"""Bytes of memory that reading and mending take at most, by byte of the file; 3MF files are packed, see package.py."""
+"""Bytes of memory that reading and repairing take at most, per byte of the file; for 3MF, see package.py."""
 
 
 def load_mesh(
@@ -44,9 +44,9 @@ def load_mesh(
 ) -> Solid:
     """Read STL, PLY, OBJ or 3MF, repair it, and return it placed in the vial as a Solid [mm].
 
-    rotation: 3 x 3 rotation matrix, applied first; then height [mm] along z, or factor, scales; then center puts the
-    smallest enclosing circle of the footprint on the axis and mid-height at z = 0. Files without a unit are read as
-    mm; a 3MF file says its unit. The parts of a file with several are joined into one Solid.
+    rotation: 3 x 3 rotation matrix, applied first. height [mm] along z, or factor, then scales the part. center finally
+    puts the smallest enclosing circle of the footprint on the axis and mid-height at z = 0. Files without a unit are
+    read as mm; a 3MF file states its unit. The parts of a file with several are joined into one Solid.
 
     What is left out of a damaged STL or PLY file is warned of, and stands in ``mended``.
 
@@ -69,7 +69,7 @@ def load_mesh(
 
 
 def solid_of(source: Any, name: str = "solid") -> Solid | None:
-    """The repaired Solid [mm], where it was drawn, of a path, a Solid or a trimesh.Trimesh; None for anything else."""
+    """The repaired Solid [mm] of a path, a Solid or a trimesh.Trimesh, where it was drawn; None for anything else."""
     if isinstance(source, Solid):
         return repaired(source)
     if isinstance(source, str | Path):
@@ -80,7 +80,7 @@ def solid_of(source: Any, name: str = "solid") -> Solid | None:
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
-    """Turn a trimesh.Trimesh into a watertight Solid [mm]; a mesh with a unit is converted, one without is in mm.
+    """Turn a trimesh.Trimesh into a watertight Solid [mm]; its unit, mm by default, is converted.
 
     Raises EmptyMesh, NotWatertight, MeshError as load_mesh does.
     """
@@ -116,7 +116,7 @@ def _read(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
             mesh, notes = _scene(data, kind, file.name), ()
     except MeshError:
         raise
-    except Exception as error:  # the readers raise whatever they stumble over
+    except Exception as error:  # the readers raise many types of errors
         raise MeshError(
             f"cannot read {file.name!r} as {kind.upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"

@@ -1,6 +1,6 @@
 "use strict";
 const PATIENCE = 2000; // longest wait for an answer [ms]
-const SILENT = 1.0; // age of the last poll of the machines from which a print with light counts as silent [s]
+const SILENT = 1.0; // age of the last status poll above which a print with light counts as silent [s]
 const SHAPES = {
   standby: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0z",
   starting: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0zm-2 2l5 4-5 4z",
@@ -83,14 +83,14 @@ function rows(now) {
       : [`light closes ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
   };
   if (now.focus !== null) told.lens = [`${now.focus > 0 ? "+" : ""}${now.focus.toFixed(3)} dpt`, ""];
-  if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, as told in the dark`, ""];
+  if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, measured while dark`, ""];
   if (now.light) told.buffer = [`${Math.round(100 * now.fill)} % full, frames ready ${ms(now.margin / 1e9)} early`, ""];
   const step = now.unit === "deg" ? "turn" : "segment"; // of a vial, of a web
   if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? `all ${step}s` : `until ${step} ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
   for (const each of now.parameters) told[each.name] = [`${+each.value.toPrecision(4)}${each.error ? ` ± ${each.error.toPrecision(2)}` : ""}`, "", each.usual && each];
   told["in doubt"] = doubtful(now);
   told["shown black"] = [`${now.dark} frames`, now.dark ? "warn" : ""];
-  if (silent) told.light = [`last known ON, no look at the machines for ${time(now.ago)}`, "warn"];
+  if (silent) told.light = [`last known ON, no status of the machines for ${time(now.ago)}`, "warn"];
   return told;
 }
 
@@ -110,7 +110,7 @@ function show(now) {
   const missing = none ? "" : `${now.frame < 0 ? now.slots : left} of ${now.slots} slots were not shown. `;
   const black = now.dark ? `${now.dark} frames were shown black. ` : "";
   const waits = now.waits !== null && state !== "starting", open = now.interlock_closed === false;
-  const todo = state === "starting" ? "Frames are loaded and the motion runs up; then the light turns on. "
+  const todo = state === "starting" ? "Frames are loaded and the motion accelerates; then the light turns on. "
     : !waits || !(now.waits > 0) ? "" : open ? "Close the enclosure, then press resume. "
     : state === "held" ? "Fix the cause, then press resume. " : "Press resume to continue. ";
   explain((now.message && !now.resuming ? `${now.message}. ` : "") + todo + (now.ended ? missing + black : ""), now);
@@ -154,11 +154,11 @@ function show(now) {
   checks(now);
   claims(now);
   if (now.readings !== readings) { readings = now.readings; scatter(); }
-  const changed = now.ended !== ended; // at first the server may still tell what it read before the end
+  const changed = now.ended !== ended; // at first the server may still report values from before the end
   if (changed || Date.now() > pastDue) { ended = now.ended; pastDue = Date.now() + (changed ? 6000 : 15000); past(); }
 }
 
-function bar(parent, { name, value, error, usual: [low, high] }) { // what was usual, and on it value ± deviation
+function bar(parent, { name, value, error, usual: [low, high] }) { // the usual value, and on it value ± deviation
   const track = parent.querySelector("svg") || drawn("svg", parent, { class: "bar", preserveAspectRatio: "none", viewBox: "0 0 100 10", role: "img" });
   const from = Math.min(low, value - error), wide = Math.max(high, value + error) - from, x = (at) => (100 * (at - from)) / wide;
   track.setAttribute("aria-label", `${name}: usual from ${+low.toPrecision(3)} to ${+high.toPrecision(3)}`);
@@ -303,7 +303,7 @@ async function press(path) {
   if (said && path === "stop") said = `THE STOP WAS NOT CONFIRMED (${said}): use the switch at the machine`;
   at("notice").textContent = said;
   at("notice").hidden = !said;
-  look(); // who pressed wants to see what came of it
+  look(); // the user who pressed sees the result
 }
 
 function connection() {

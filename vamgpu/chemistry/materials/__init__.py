@@ -1,4 +1,4 @@
-"""Resins, inhibitors, glasses and liquids: numbers that each name their source, from files anybody can write."""
+"""Resins, inhibitors, glasses and liquids: numbers with their sources, from files that anybody can write."""
 
 from __future__ import annotations
 

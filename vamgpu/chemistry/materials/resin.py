@@ -40,7 +40,7 @@ class Inhibitor(Material):
 
 
 class Component(Sourced):
-    """A component of a resin. At most one of share and concentration is given: the one that the source gives.
+    """A component of a resin. At most one of share and concentration is given, the one in the source.
 
     Args:
         name: Name.
@@ -58,7 +58,7 @@ class Component(Sourced):
 
 
 class Resin(Absorbing):
-    """A resin and what its sources say of it; None for what they do not. Numbers have a ``.value`` and its ``.source``.
+    """A resin with the numbers from its sources, or None. Numbers have a ``.value`` and its ``.source``.
 
     Args:
         name: Name.
@@ -69,7 +69,7 @@ class Resin(Absorbing):
         oxygen: Oxygen dissolved in air-saturated resin [mol/m³].
         critical_dose: Dose [mJ/mm³] from which it is solid.
         index, extinction: Refractive index and absorption by wavelength.
-        note: Whatever else a reader should know.
+        note: Further remarks for the reader.
     """
 
     folder: ClassVar[str] = "resins"
