@@ -140,9 +140,9 @@ def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
         bits, columns = int(said["bits"]), int(said["columns"])
         angles, rows = int(said["angles"]), int(said["rows"])
         if "canvas" in said:
-            canvas = Canvas(**{name: tuple(value) if isinstance(value, list) else value
-                               for name, value in said["canvas"].items()})  # fmt: skip
-            levels = canvas.undone(levels, angles, rows, columns)
+            placed: dict[str, Any] = said["canvas"]
+            lists = {name: tuple(value) for name, value in placed.items() if isinstance(value, list)}
+            levels = Canvas(**(placed | lists)).undone(levels, angles, rows, columns)
         levels = levels[:, :rows, :columns]  # videos of an even size have some more
         images = levels if bits == 8 else np.packbits(levels > (127 if levels.dtype == np.uint8 else 0), axis=2)
         frames = Frames.from_bytes(np.ascontiguousarray(images), "numpy", bits=bits, columns=columns,
