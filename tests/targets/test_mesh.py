@@ -173,7 +173,7 @@ def test_repeated_and_empty_triangles_are_removed_and_told() -> None:
     extra = np.array([[0, 1, 1], [3, 2, 3], [5, 5, 5]])
     mended = mending(Solid(part.vertices, np.concatenate([part.faces, part.faces[:2], extra])))
     assert mended.volume == pytest.approx(part.volume, rel=1e-12)
-    assert mended.mended == ("3 triangles without area removed", "2 triangles that repeated another removed")
+    assert mended.mended == ("3 triangles without area removed", "2 triangles that duplicated others removed")
 
 
 def test_what_was_mended_stays_with_the_part(tmp_path: Path) -> None:

@@ -142,7 +142,8 @@ def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
         if "canvas" in said:
             placed: dict[str, Any] = said["canvas"]
             lists = {name: tuple(value) for name, value in placed.items() if isinstance(value, list)}
-            levels = Canvas(**(placed | lists)).undone(levels, angles, rows, columns)
+            placed.update(lists)
+            levels = Canvas(**placed).undone(levels, angles, rows, columns)
         levels = levels[:, :rows, :columns]  # videos of an even size have some more
         images = levels if bits == 8 else np.packbits(levels > (127 if levels.dtype == np.uint8 else 0), axis=2)
         frames = Frames.from_bytes(np.ascontiguousarray(images), "numpy", bits=bits, columns=columns,
