@@ -24,7 +24,6 @@ import numpy as np
 from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.history import ResinHistory
 from vamgpu.chemistry.materials.resin import Resin
-from vamgpu.curethrough.resin import read_columns
 from vamgpu.curethrough.stack import open_stack
 from vamgpu.errors import BadInput, JobError, MaterialError, MeshError, SliceError, StorageError, VamError
 from vamgpu.hosts.records.record import MAGIC, read_run
@@ -42,6 +41,7 @@ from vamgpu.printing.gray import GrayCurve
 from vamgpu.storage.films import read_film
 from vamgpu.storage.folder import Entry, Folder, write_folder
 from vamgpu.storage.numpy_files import map_npy, read_npz
+from vamgpu.storage.tables import read_columns
 from vamgpu.targets.mesh import load_mesh
 from vamgpu.webs.store import WebFolder
 

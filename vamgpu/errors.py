@@ -210,7 +210,7 @@ class ClusterWarning(UserWarning):
 
 
 class SliceWarning(UserWarning):
-    """A stack of slices or its settings are usable but probably not intended."""
+    """Slices, their settings or measurements of a resin are usable but probably not intended."""
 
 
 class ToleranceWarning(UserWarning):

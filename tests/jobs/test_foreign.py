@@ -18,7 +18,7 @@ import trimesh
 import vamgpu as vam
 from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError, StorageError
-from vamgpu.jobs.build import target_of
+from vamgpu.jobs.build import projection_of, target_of
 from vamgpu.jobs.foreign.drtvam import export_drtvam, read_drtvam, write_drtvam
 from vamgpu.jobs.foreign.importing import import_patterns, import_task
 from vamgpu.jobs.foreign.patterns import STEPPED
@@ -143,7 +143,13 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
     ("changes", "said"),
     [
         ({"vial": VIAL | {"type": "square", "w_int": 10, "w_ext": 12}}, "expected index_matched or cylindrical"),
-        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions"),
+        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions, which patterns alone cannot"),
+        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply", "bsdf": {"type": "dull"}}]}}, "expected a black one"),
+        ({"vial": VIAL | {"r_inn": 7}}, r"its key vial\.r_inn is unknown; did you mean r_int\?"),
+        ({"vial": VIAL | {"medium": MEDIUM | {"absorption": 1}}}, r"medium\.absorption is unknown; expected one of"),
+        ({"filter_random": True}, r"its key filter_random is unknown; did you mean filter_radon\?"),
+        ({"projector": {"type": "collimated", "n_patterns": 25, "pixel_size": 0.5}}, r"n_patterns 25, and .* 24"),
+        ({"projector": {"type": "collimated", "resx": 25, "pixel_size": 0.5}}, r"resx 25, and 'patterns\.npz' 24"),
         ({"projector": {"type": "lens"}}, "lacks 'pixel_size'"),
         ({"projector": {"type": "lens", "pixel_size": 0.1}}, "expected a collimated or telecentric"),
         ({"target": {}}, "lacks 'filename'"),
@@ -160,6 +166,31 @@ def test_a_set_up_without_a_model_is_refused(changes: dict[str, Any], said: str,
     with pytest.raises(BadInput, match=said):
         import_patterns(configuration(tmp_path, **changes), tmp_path / "a.vam", device="cpu")
     assert not (tmp_path / "a.vam").exists()
+
+
+def test_what_is_left_out_of_a_configuration_is_told_by_name(tmp_path: Path) -> None:
+    more: dict[str, Any] = {"physical_model": {"type": "a"}, "time": 30.0, "filter_radon": True, "_remark": "mine"}
+    notes = import_task(configuration(tmp_path, **more), tmp_path / "box.toml")
+    assert notes[1:] == (
+        "its physical_model is left out: describe the resin in the job",
+        "its time is left out: it follows from irradiance and dose",
+        "its filter_radon left out: `vam solve` has methods of its own",
+    )
+
+
+def test_occlusions_become_inserts_where_they_were_drawn(tmp_path: Path) -> None:
+    rod = trimesh.creation.cylinder(0.6, 3.0)
+    rod.apply_translation((2.0, 1.0, 0.5))
+    rod.export(tmp_path / "rod.ply")
+    glass = {"filename": "rod.ply", "bsdf": {"type": "dielectric", "int_ior": 1.58, "ext_ior": 1.4}}
+    path = configuration(tmp_path, vial=VIAL | {"occlusions": [{"filename": "rod.ply"}, glass]})
+    import_task(path, tmp_path / "box.toml")
+    job = read_job(tmp_path / "box.toml")
+    assert [(body.role, body.index) for body in job.file.body] == [("print", None), ("insert", None), ("insert", 1.58)]
+    assert np.allclose(trimesh.load(tmp_path / "box-insert1.ply").bounds.mean(axis=0), (2.0, 1.0, 0.5), atol=0.01)
+    operator = projection_of(job.file, target_of(job, vam.open_device("numpy")), vam.open_device("numpy"), tmp_path)
+
+    assert "Traced" in type(operator).__name__
 
 
 @pytest.mark.parametrize(("key", "value"), [("n_patterns", -3), ("n_patterns", 0), ("resx", 30.5), ("resy", "8")])

@@ -27,6 +27,7 @@ from vamgpu.storage.memory import afford, budget
 from vamgpu.storage.reading import MOST_LEVELS, MOST_PARTS, is_file, open_file, parse_json, parse_toml, read_bytes
 
 SCRIPT = Path(__file__).parents[1] / "hostile_inputs.py"
+BREAKING = Path(__file__).parents[1] / "broken_files.py"
 fuzzed = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -50,6 +51,19 @@ def test_hostile_inputs_end_as_errors_of_their_kind(results: dict[str, Any]) -> 
     assert max(found["work"] for found in results.values()) < SECONDS
     greedy = {name: found["memory"] for name, found in results.items() if found["memory"] > MEMORY}
     assert not greedy
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of memory as Linux has them")
+@pytest.mark.parametrize("rounds", [30, pytest.param(1000, marks=pytest.mark.slow)])
+def test_broken_files_are_read_or_refused(rounds: int, tmp_path: Path) -> None:
+    """Within ten seconds and a gigabyte each."""
+    words = [sys.executable, str(BREAKING), str(tmp_path), str(rounds)]
+    run = subprocess.run(words, capture_output=True, text=True, timeout=600)
+    assert run.returncode == 0, run.stderr[-2000:]
+    results = list(map(json.loads, run.stdout.splitlines()))
+    assert not [found for found in results if "error" in found]
+    assert sum(found["read"] + found["refused"] for found in results) >= 35 * rounds
+    assert all(found["refused"] for found in results)
 
 
 def test_messages_name_the_claim_the_budget_and_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

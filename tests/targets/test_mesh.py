@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import warnings
 from itertools import combinations
 from pathlib import Path
 
@@ -171,7 +173,7 @@ def test_repeated_and_empty_triangles_are_removed_and_told() -> None:
     extra = np.array([[0, 1, 1], [3, 2, 3], [5, 5, 5]])
     mended = mending(Solid(part.vertices, np.concatenate([part.faces, part.faces[:2], extra])))
     assert mended.volume == pytest.approx(part.volume, rel=1e-12)
-    assert mended.mended == ("3 triangles without area removed", "2 triangles that repeated another removed")
+    assert mended.mended == ("3 triangles without area removed", "2 triangles that duplicated others removed")
 
 
 def test_what_was_mended_stays_with_the_part(tmp_path: Path) -> None:
@@ -302,6 +304,95 @@ def test_binary_stl_that_is_cut_off_says_so(tmp_path):
     file = tmp_path / "cut.stl"
     file.write_bytes(_binary_stl(np.ones((3, 3, 3)), 12))
     with pytest.raises(MeshError, match="12 triangles but ends after 3"):
+        load_mesh(file)
+
+
+PLATE = trimesh.creation.box((10, 8, 4))
+BINARY = PLATE.export(file_type="stl")
+TEXT = f"{PLATE.export(file_type='stl_ascii')}".encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (BINARY, None),
+        (b"solid of a program".ljust(80) + BINARY[80:], None),
+        (BINARY + bytes(60), "60 bytes after the last triangle were left out"),
+        (BINARY + b"\r\n", "2 bytes after"),
+        (BINARY[:80] + bytes(4) + BINARY[84:], "counts 0 triangles, and 12 were read"),
+        (BINARY[:80] + b"\xff" * 4 + BINARY[84:], "counts 4,294,967,295 triangles, and 12 were read"),
+        (BINARY[:80] + b"\6\0\0\0" + BINARY[84:], "counts 6 triangles, and 12 were read"),
+        (TEXT, None),
+        (TEXT.upper(), None),
+        (TEXT.replace(b"\n", b"\r"), None),
+        (TEXT.replace(b"\n", b" "), None),
+        (TEXT.replace(b".", b","), None),
+        (TEXT.replace(b"solid", b"solid vertex 1 2 3", 1).replace(b"\xe9", b""), None),
+        (b"\xef\xbb\xbf\n" + TEXT.replace(b"solid", b"solid \xe9", 1), None),
+        (TEXT[: TEXT.rindex(b"endsolid")], "it has no line endsolid"),
+        (TEXT[: TEXT.rindex(b"vertex")], "ends inside a triangle"),
+    ],
+)
+def test_a_broken_stl_is_read_as_far_as_it_is_whole(data: bytes, said: str | None, tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(data)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        found = load_mesh(tmp_path / "a.stl")
+    assert found.volume == pytest.approx(320.0) and len(found.faces) == 12
+    assert (said is None and not warned) or any(said in str(each.message) for each in warned)
+    assert said is None or said in "; ".join(found.mended)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (BINARY[:-70], "12 triangles but ends after 10"),
+        (TEXT.replace(b"vertex", b"corner", 1), "35 vertices in 12 triangles"),
+        (TEXT.replace(b"vertex 5.0", b"vertex nan", 1), "1 of 12 triangles"),
+        (TEXT.replace(b"vertex 5.0", b"vertex five", 1), "expected three numbers"),
+        (b"solid a\nendsolid a\n", "no triangles"),
+    ],
+)
+def test_an_stl_that_is_not_whole_is_refused_with_the_cause(data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(data)
+    with pytest.raises(MeshError, match=said):
+        load_mesh(tmp_path / "a.stl")
+
+
+def _ply(order: str, faces: list[tuple[int, ...]], more: bytes = b"") -> bytes:
+    """A box with texture coordinates at its faces; the order of bytes, or none for text."""
+    corners = [(x, y, z) for x in (0, 10) for y in (0, 8) for z in (0, 4)]
+    form = {"": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}[order]
+    head = (f"ply\nformat {form} 1.0\ncomment of a program\nelement vertex 8\nproperty double x\nproperty float y\n"
+            f"property short z\nproperty uchar red\nelement face {len(faces)}\nproperty list uchar float texcoord\n"
+            "property list uchar int vertex_indices\nproperty uchar flags\nend_header\n").encode()  # fmt: skip
+    if not order:
+        rows = ["{} {} {} 7".format(*each) for each in corners]
+        rows += [f"2 .5 .5 {len(face)} {' '.join(map(str, face))} 1" for face in faces]
+        return head + "\n".join(rows).encode() + more
+    rows = [struct.pack(f"{order}dfhB", *each, 7) for each in corners]
+    rows += [struct.pack(f"{order}B2fB{len(face)}iB", 2, 0.5, 0.5, len(face), *face, 1) for face in faces]
+    return head + b"".join(rows) + more
+
+
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+MIXED = [*QUADS[:5], (1, 5, 7), (1, 7, 3)]
+
+
+@pytest.mark.parametrize("order", ["", "<", ">"])
+@pytest.mark.parametrize("faces", [QUADS, MIXED], ids=["quads", "mixed"])
+def test_ply_of_any_encoding_and_faces_is_read(order: str, faces: list[tuple[int, ...]], tmp_path: Path) -> None:
+    file = tmp_path / "a.ply"
+    file.write_bytes(_ply(order, faces))
+    assert load_mesh(file).volume == pytest.approx(320.0)
+    file.write_bytes(_ply(order, faces, b" 1" * 8))
+    with pytest.warns(MeshWarning, match="after the last row were left out"):
+        assert load_mesh(file).volume == pytest.approx(320.0)
+    file.write_bytes(_ply(order, faces)[:-9])
+    with pytest.raises(MeshError, match=rf"last of its {len(faces)} rows of 'face'; it is cut off"):
+        load_mesh(file)
+    file.write_bytes(_ply(order, [*faces, (0, 1, 8)]))
+    with pytest.raises(MeshError, match="vertices 0 to 8 among 8"):
         load_mesh(file)
 
 

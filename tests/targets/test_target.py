@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,28 @@ def test_a_trimesh_is_a_target_as_its_file_is(tmp_path: Path) -> None:
 def test_the_unit_of_an_odd_part_is_asked_for(scale: float, options: dict[str, Any], said: str) -> None:
     with pytest.raises(BadInput, match=said):
         Target.from_mesh(wedge().scaled(scale), pitch=0.1, device="numpy", **options)
+
+
+@pytest.mark.parametrize(("thick", "thin"), [(0.2, True), (0.35, False)])
+@pytest.mark.parametrize("degrees", [0.0, 20.0])
+def test_walls_thinner_than_a_voxel_are_named(thick: float, thin: bool, degrees: float) -> None:
+    plate = trimesh.creation.box((8, 4, thick))
+    plate.apply_transform(trimesh.transformations.rotation_matrix(np.radians(degrees), (1, 1, 0)))
+    scene = vamgpu.Scene([vamgpu.Body(plate)], origin=(0.0, 0.0, 0.125))
+    for voxelize in (
+        lambda: Target.from_mesh(plate, factor=1, pitch=0.25, device="numpy"),
+        lambda: scene.target(pitch=0.25, device="numpy"),
+    ):
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            voxelize()
+        assert [f"about {0.186:g} mm thick, thinner" in str(each.message) for each in warned] == [True] * thin
+
+
+def test_a_scene_too_large_for_a_vial_asks_for_the_unit() -> None:
+    body = vamgpu.Body(trimesh.creation.box((10000, 8000, 4000)))
+    with pytest.raises(BadInput, match=r"1\.281e\+04 mm wide .* at most: check the unit \(was it drawn in um\?\)"):
+        vamgpu.Scene([body]).target(pitch=0.25, device="numpy")
 
 
 def test_a_solid_is_repaired_as_a_file_is() -> None:

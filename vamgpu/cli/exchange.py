@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from cyclopts import Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
@@ -77,7 +78,10 @@ def export(
     job: Path, *, png: Path | None = None, tiff: Path | None = None, npz: Path | None = None, mp4: Path | None = None,
     drtvam: Path | None = None, fps: float = 30.0, players: Switch = False, canvas: str | None = None,
     offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
-    repeats: int = 1, rig: Path | None = None, projector: int = 1, overwrite: Overwrite = False,
+    repeats: int = 1, rig: Path | None = None, projector: int = 1,
+    machine: Annotated[str | None, Parameter(name="--for")] = None, out: Path | None = None, rpm: float | None = None,
+    dark: tuple[float, float] = (5.0, 10.0), channel: str | None = None, keystone: str | None = None,
+    overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Write the frames of a job as files for other programs.
 
@@ -98,6 +102,14 @@ def export(
         repeats: number of turns
         rig: TOML file of a rig; frames are made for its gray curve, flat field and axis
         projector: number of the projector of that rig, from 1
+        machine: files as a machine plays them, with a card: opencal, tvam-code, rotary or lightcrafter; with --out and
+            --rpm, its turns by --repeats
+        out: the folder for them
+        rpm: speed of that machine's turntable; in videos it replaces --fps
+        dark: seconds without light before and after the turns of its film, made whole turns
+        channel: the only channel of a video that is lit: red, green or blue
+        keystone: corners at which those of the canvas are drawn, "column,row" from its left top: left top, right top,
+            right bottom, left bottom
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.jobs.web import is_web_folder
@@ -105,13 +117,17 @@ def export(
     from vamgpu.printing.export import Canvas
     from vamgpu.printing.export import export as write
     from vamgpu.printing.folder import frames_of, load_frames
+    from vamgpu.printing.machine_films import export_for
     from vamgpu.storage.atomic import named
     from vamgpu.storage.folder import Folder
 
     formats = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
     places = {ending: place for ending, place in formats.items() if place is not None}
-    if not places and drtvam is None:
-        raise BadInput("there is no format; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a path")
+    if not places and drtvam is None and machine is None:
+        raise BadInput("there is no format; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a "
+                       "path, or --for with a machine")  # fmt: skip
+    if machine is not None and (out is None or rpm is None):
+        raise BadInput(f"--for {machine} lacks {'--rpm' if out else '--out'}; expected --out FOLDER --rpm SPEED")
     for ending, place in places.items():
         if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
             raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
@@ -124,12 +140,21 @@ def export(
     screen, frames = console(), load_frames(job, "numpy")
     if rig is not None:
         frames = _on_rig(frames, rig, projector)
-    placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats)
+    placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats, keystone=_corners(keystone))
     for ending, place in places.items():
-        on = None if placed == Canvas() or ending == ".npz" else placed
-        done = write(frames, place, fps=fps, overwrite=overwrite, canvas=on, players=players and ending == ".mp4")
+        on = None if placed == Canvas() else placed
+        film = {"players": players, "channel": channel} if ending == ".mp4" else {}
+        rate = fps if rpm is None else rpm * frames.shape[0] / 60.0
+        done = write(frames, place, fps=rate, overwrite=overwrite, canvas=on, **film)
         screen.print(f"wrote [bold]{shown_path(done)}[/]")
+    if machine is not None and out is not None and rpm is not None:
+        for done in export_for(machine, frames, out, job.stem, rpm=rpm, canvas=placed, dark=dark, channel=channel,
+                               overwrite=overwrite):  # fmt: skip
+            screen.print(f"wrote [bold]{shown_path(done)}[/]")
     if drtvam is not None:
+        if placed != Canvas():
+            raise BadInput("--drtvam writes the patterns themselves; expected no canvas, rotation, flips or repeats: "
+                           "leave them out, or export for a machine with --for")  # fmt: skip
         whole = frames_of(Folder.open(job), frames.device, load_plan(job, frames.device))
         screen.print(f"wrote [bold]{shown_path(export_drtvam(whole, drtvam))}[/]")
 
@@ -142,6 +167,16 @@ def _size(canvas: str | None) -> tuple[int, int] | None:
     if not (columns.strip().isdecimal() and rows.strip().isdecimal()):
         raise BadInput(f"--canvas is {canvas!r}; expected columns and rows, such as 1920x1080")
     return int(columns), int(rows)
+
+
+def _corners(text: str | None) -> tuple[tuple[float, float], ...] | None:
+    """Four corners of text such as "0,12 1919,0 1919,1079 0,1070". Raises `BadInput`."""
+    if text is None:
+        return None
+    try:
+        return tuple((float(x), float(y)) for x, y in (corner.split(",") for corner in text.split()))
+    except ValueError as error:
+        raise BadInput(f"--keystone is {text!r}; expected four corners such as 0,12 1919,0 1919,1079 0,1070") from error
 
 
 def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:

@@ -150,6 +150,21 @@ def encode_bits(lit: np.ndarray) -> bytes:
     return _written(struct.pack(">IIBBBBB", columns, rows, 1, 0, 0, 0, 0), lines)
 
 
+def encode_colors(levels: np.ndarray) -> bytes:
+    """A PNG of 8 bits in red, green and blue.
+
+    Args:
+        levels: Levels, uint8 [y, x, color].
+
+    Returns:
+        The bytes of its file.
+    """
+    rows, columns, _ = levels.shape
+    lines = np.zeros((rows, 3 * columns + 1), np.uint8)
+    lines[:, 1:] = levels.reshape(rows, -1)
+    return _written(struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0), lines)
+
+
 def _written(head: bytes, lines: np.ndarray) -> bytes:
     packed = deflated(lines)
     return SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")

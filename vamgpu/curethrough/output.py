@@ -9,17 +9,18 @@ import zipfile
 import zlib
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from vamgpu.backend.cores import threads
+from vamgpu.curethrough.goo import END, encode_goo
 from vamgpu.curethrough.images import encode
-from vamgpu.curethrough.stack import ARCHIVES, ZipStack
+from vamgpu.curethrough.stack import ARCHIVES, GooStack, ZipStack
 from vamgpu.errors import StorageError
 from vamgpu.storage.atomic import replacing
 from vamgpu.storage.manifest import plain
@@ -35,6 +36,8 @@ WAITING = 64
 class Writer(ABC):
     """Encodes slices on all processors and writes them in order; ``names`` begins with slice 0."""
 
+    code: Callable[[np.ndarray, str], bytes] = staticmethod(encode)
+
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
         self._pool = ThreadPoolExecutor(threads(), "slices")
@@ -45,7 +48,7 @@ class Writer(ABC):
         """Write slices from number ``start`` on, uint8 [slice, y, x]; the caller must not change them afterwards."""
         for k, picture in enumerate(levels):
             name = self.names[start + k]
-            self._coding.append((name, self._pool.submit(encode, picture, PurePosixPath(name).suffix)))
+            self._coding.append((name, self._pool.submit(self.code, picture, PurePosixPath(name).suffix)))
             while len(self._coding) > WAITING:
                 self._one()
 
@@ -90,6 +93,21 @@ class _Zip(Writer):
         self._archive.writestr(name, data)  # pictures are already compressed
 
 
+class _Goo(Writer):
+    """Layers with the settings of the file they were read from."""
+
+    code = staticmethod(encode_goo)
+
+    def __init__(self, file: BinaryIO, source: GooStack, names: tuple[str, ...]) -> None:
+        super().__init__(names)
+        self._file, self._goo, self._count = file, source.goo, 0
+        file.write(source.goo.head(len(names)))
+
+    def put(self, name: str, data: bytes) -> None:
+        self._file.write(self._goo.layer(self._count, data))
+        self._count += 1
+
+
 @contextmanager
 def writing(
     path: str | Path, names: tuple[str, ...], *, source: object = None, overwrite: bool = False,
@@ -99,6 +117,12 @@ def writing(
     place = Path(path)
     check_place(place, source, overwrite=overwrite)
     with replacing(place, overwrite=overwrite) as draft:
+        if place.suffix.lower() == ".goo" and isinstance(source, GooStack):
+            with draft.open("wb") as file:
+                with _finished(_Goo(file, source, names)) as writer:
+                    yield writer
+                file.write(END)
+            return
         if place.suffix.lower() not in ARCHIVES:
             draft.mkdir()
             with _finished(_Folder(draft, names)) as writer:
@@ -160,11 +184,13 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
     held = source.others if isinstance(source, ZipStack) else ()
     if place.suffix.lower() in (".sl1", ".sl1s") and not any(info.filename == "config.ini" for info in held):
         raise StorageError(f"{str(path)!r} would lack what an SL1 says of its printer; write a .zip or a folder")
+    if place.suffix.lower() == ".goo" and not isinstance(source, GooStack):
+        raise StorageError(f"{str(path)!r} would lack what a .goo file says of its printer; write a .zip or a folder")
     if not os.path.lexists(place):
         return
     if not overwrite:
         raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it")
-    folder = place.suffix.lower() not in ARCHIVES
+    folder = place.suffix.lower() not in (*ARCHIVES, ".goo")
     if folder != place.is_dir() or (folder and not (place / RECORD).is_file()):
         raise StorageError(f"{str(path)!r} exists and holds no corrected slices; choose another path")
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import csv
+import warnings
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput, SliceWarning
 from vamgpu.geometry import positive
-from vamgpu.storage.reading import read_text
+from vamgpu.storage.tables import read_table
 
 LN10 = float(np.log(10.0))
 TOP = 255
+LOST = 4.0
+"""Deviations by which a plug that gelled is not 0 high."""
+BENT = 0.01
+"""Chance of a bend by scatter alone below which heights are taken not to follow the law."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,16 @@ class Range:
 class WorkingCurve:
     """Cured height z = h_a·log10[I₀·t·ln10 / (D_gel·h_a)] fitted to plugs (Pritchard et al. 2019, eq. S1).
 
+    The likelihood counts a plug of height 0 as what it is: one that would be 0 or less high. Leaving such plugs out, or
+    fitting them as heights, makes both numbers too small.
+
     Args:
         absorption_height: h_a [mm].
         gel_dose: D_gel [mJ/mm³].
         confidence: Share of repetitions whose interval contains the true value.
         spread: Standard deviation [mm] of the heights about the curve.
         plugs: Measurements used.
+        uncured: How many of them did not gel.
     """
 
     absorption_height: Range
@@ -50,6 +57,7 @@ class WorkingCurve:
     confidence: float
     spread: float
     plugs: int
+    uncured: int = 0
 
     def height(self, exposure: Any) -> np.ndarray:
         """Cured height for exposures.
@@ -65,50 +73,51 @@ class WorkingCurve:
 
     @classmethod
     def fit(cls, exposure: Any, height: Any, confidence: float = 0.95) -> WorkingCurve:
-        """Least squares over heights of plugs; intervals by Student's t, that of D_gel on its logarithm to first order.
+        """Maximum likelihood for heights that scatter alike; intervals by its profile, also of few plugs.
 
         Args:
             exposure: I₀·t [mJ/mm²] of each plug.
-            height: Height [mm] of each plug.
+            height: Height [mm] of each plug; 0 where nothing gelled.
             confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
 
         Returns:
             The curve.
 
         Raises:
-            BadInput: Fewer than three plugs, fewer than two exposures, or heights that do not grow.
-        """
-        from scipy.stats import t as student
+            BadInput: Fewer than three plugs gelled, or at fewer than two exposures, or heights do not grow.
 
+        Warns:
+            SliceWarning: The heights do not follow the law.
+        """
         x, z = _pairs(exposure, height, "exposures [mJ/mm²]", "heights [mm]")
         if not 0.0 < confidence < 1.0:
             raise BadInput(f"confidence is {confidence!r}; expected a share between 0 and 1")
-        if len(x) < 3 or len(np.unique(x)) < 2 or (x <= 0).any():
-            raise BadInput(f"got {len(x)} plugs at {len(np.unique(x))} exposures; expected 3 at 2 or more, all > 0")
-        log = np.log10(x)
-        center = log.mean()
-        room = float(((log - center) ** 2).sum())
-        slope = float(((log - center) * (z - z.mean())).sum()) / room
-        if slope <= 0:
-            raise BadInput(f"heights change by {slope:g} mm for ten times the exposure; expected them to grow")
-        level = float(z.mean()) - slope * center
-        spread = float(np.sqrt(((z - slope * log - level) ** 2).sum() / (len(x) - 2)))
-        wide = float(student.ppf(0.5 + 0.5 * confidence, len(x) - 2)) * spread
-        # ln D_gel = ln(ln10) − ln h − ln10·c/h with the line z = c + h·log10 x
-        by_slope, by_level = -1.0 / slope + LN10 * level / slope**2, -LN10 / slope
-        variance = (by_level**2 / len(x) + (by_slope - by_level * center) ** 2 / room) * wide**2
-        gel, factor = LN10 / slope * 10.0 ** (-level / slope), float(np.exp(np.sqrt(variance)))
-        reach = wide / room**0.5
-        return cls(Range(slope, slope - reach, slope + reach), Range(gel, gel / factor, gel * factor), confidence,
-                   spread, len(x))  # fmt: skip
+        cured = z > 0
+        several = len(np.unique(np.round(np.log10(np.maximum(x[cured], 1e-300)), 6)))
+        if cured.sum() < 3 or several < 2 or (x <= 0).any() or (z < 0).any():
+            raise BadInput(f"got {cured.sum()} plugs that gelled, at {several} exposures; expected 3 at 2 or more, all "
+                           "> 0, and no height below 0")  # fmt: skip
+        line = _Line(np.log10(x), z, cured)
+        if line.best[1] <= 0:
+            raise BadInput(f"heights change by {line.best[1]:g} mm for ten times the exposure; expected them to grow")
+        level, slope = line.bounds(confidence)
+        for doubt in line.doubts():
+            warnings.warn(doubt, SliceWarning, stacklevel=2)
+        h, gel = float(line.best[1]), float(_gel_dose(*line.best))
+        doses = _gel_dose(level[slope > 0], slope[slope > 0])
+        high = float(doses.max()) if (slope > 0).all() else np.inf
+        return cls(Range(h, float(slope.min()), float(slope.max())), Range(gel, float(doses.min()), high), confidence,
+                   line.spread, len(x), int((~cured).sum()))  # fmt: skip
 
     @classmethod
     def read(cls, path: str | Path, irradiance: float | None = None, confidence: float = 0.95) -> WorkingCurve:
-        """Fit a CSV file whose header names ``height_mm`` and ``exposure_mJ_cm2``, or ``time_s`` with an irradiance.
+        """Fit a table whose header names ``height_mm`` and ``exposure_mJ_cm2``, or ``time_s`` with an irradiance.
+
+        Headers may have other names and units, such as ``Depth [µm]``; `read_table` tells what may be between cells.
 
         Args:
             path: The file.
-            irradiance: I₀ [mW/mm²] if the file has only times; a column ``irradiance_mW_cm2`` replaces it.
+            irradiance: I₀ [mW/mm²] if the file has only times; a column such as ``irradiance_mW_cm2`` replaces it.
             confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
 
         Returns:
@@ -118,23 +127,112 @@ class WorkingCurve:
             StorageError: The file cannot be read.
             BadInput: It lacks a column, or its numbers fit no curve.
         """
-        table = read_columns(path)
-        if "height_mm" not in table:
-            raise BadInput(f"{Path(path).name} has columns {', '.join(table)}; expected height_mm among them")
-        if "exposure_mJ_cm2" in table:
-            return cls.fit(table["exposure_mJ_cm2"] / 100.0, table["height_mm"], confidence)
-        if "time_s" not in table:
-            raise BadInput(f"{Path(path).name} has columns {', '.join(table)}; expected exposure_mJ_cm2 or time_s")
-        if "irradiance_mW_cm2" in table:
-            light = table["irradiance_mW_cm2"] / 100.0
-        elif irradiance is not None:
-            light = positive("irradiance [mW/mm²]", irradiance)
-        else:
-            raise BadInput(
-                f"{Path(path).name} gives times; add a column irradiance_mW_cm2, or say the "
-                'irradiance: --irradiance "10 mW/cm2", in Python irradiance=0.1 [mW/mm²]'
-            )
-        return cls.fit(table["time_s"] * light, table["height_mm"], confidence)
+        table = read_table(path)
+        height, dose = table.find("height"), table.find("exposure")
+        if height is None:
+            raise table.lacks("height_mm among them, or another length such as 'height [µm]'")
+        if dose is None:
+            seconds, light = table.find("time"), table.find("irradiance")
+            if seconds is None:
+                raise table.lacks("exposure_mJ_cm2", "time_s")
+            if light is None and irradiance is not None:
+                light = positive("irradiance [mW/mm²]", irradiance)
+            if light is None:
+                raise BadInput(
+                    f"{table.name} gives times; add a column irradiance_mW_cm2, or say the "
+                    'irradiance: --irradiance "10 mW/cm2", in Python irradiance=0.1 [mW/mm²]'
+                )
+            dose = seconds * light
+        return cls.fit(dose, height, confidence)
+
+
+class _Line:
+    """The line z = c + h·log10 x of greatest likelihood through heights that scatter alike, if z > 0."""
+
+    def __init__(self, x: np.ndarray, z: np.ndarray, cured: np.ndarray) -> None:
+        from scipy.optimize import minimize
+
+        self.x, self.z, self.cured, self.n = x, z, cured, int(cured.sum())
+        self.least = (1e-9 * float(z.max())) ** 2  # of a variance, for heights without scatter
+        rows = np.stack([np.ones(self.n), x[cured]], 1)
+        best, *_ = np.linalg.lstsq(rows, z[cured], rcond=None)
+        if not cured.all():
+            start = (*best, 0.5 * np.log(self._variance(*best[:, None])[0]))
+            options = {"xatol": 1e-10, "fatol": 1e-10, "maxiter": 5000}
+            best = minimize(lambda p: self._loss(*p)[0], start, method="Nelder-Mead", options=options).x[:2]
+        self.best = best
+        deviation, self.lowest = (found[0] for found in self._profile(*best[:, None]))
+        self.spread = float(deviation) * (self.n / (self.n - 2)) ** 0.5
+        self.scale = self.spread * np.linalg.cholesky(np.linalg.inv(rows.T @ rows))
+
+    def bounds(self, confidence: float, directions: int = 120) -> tuple[np.ndarray, np.ndarray]:
+        """Levels and slopes about the best, as unlikely as ``confidence`` allows."""
+        from scipy.stats import t as student
+
+        t = float(student.ppf(0.5 + 0.5 * confidence, self.n - 2))
+        limit = self.lowest + 0.5 * self.n * np.log1p(t**2 / (self.n - 2))  # without uncured plugs this is Student's t
+        angle = 2.0 * np.pi * np.arange(directions) / directions
+        ways = self.scale @ np.stack([np.cos(angle), np.sin(angle)])
+        low, high = np.zeros(directions), np.full(directions, 1e3 * t)
+        for _ in range(32):
+            middle = 0.5 * (low + high)
+            beyond = self._profile(*(self.best[:, None] + middle * ways))[1] > limit
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        level, slope = self.best[:, None] + low * ways
+        return level, slope
+
+    def doubts(self) -> list[str]:
+        """Why the heights do not follow the law."""
+        from scipy.stats import t as student
+
+        found, x, z = [], self.x[self.cured] - self.x[self.cured].mean(), self.z[self.cured]
+        if self.n > 4 and len(np.unique(x)) > 3:
+            rows = np.stack([np.ones(self.n), x, x**2], 1)
+            inverse = np.linalg.pinv(rows.T @ rows)
+            fit = inverse @ rows.T @ z
+            rest = float(((z - rows @ fit) ** 2).sum()) / (self.n - 3)
+            error = np.sqrt(max(rest, self.least) * inverse[2, 2])
+            if 2.0 * student.sf(abs(fit[2]) / error, self.n - 3) < BENT:
+                way = "less" if fit[2] < 0 else "more"
+                found.append(f"the heights do not follow the law: they grow {way} at high exposures than at low ones; "
+                             "use plugs near the heights that you print, and one wavelength")  # fmt: skip
+        slope, level = np.polyfit(self.x[self.cured], z, 1)  # without the lost ones, which would widen the scatter
+        deviation = float(self._variance(*np.array([[level], [slope]]))[0]) ** 0.5
+        expected = level + slope * self.x[~self.cured]
+        if odd := int((expected > LOST * deviation).sum()):
+            found.append(f"{odd} plugs of height 0 got exposures for which the curve gives up to {expected.max():.3g} "
+                         "mm: were they lost? leave their lines out")  # fmt: skip
+        return found
+
+    def _variance(self, level: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        apart = self.z[self.cured] - level[:, None] - slope[:, None] * self.x[self.cured]
+        return np.maximum((apart**2).mean(axis=1), self.least)
+
+    def _loss(self, level: Any, slope: Any, log_deviation: Any) -> np.ndarray:
+        """−ln likelihood of lines, without constants."""
+        from scipy.special import log_ndtr
+
+        level, slope, log_deviation = np.atleast_1d(level, slope, log_deviation)
+        below = (level[:, None] + slope[:, None] * self.x[~self.cured]) / np.exp(log_deviation)[:, None]
+        spread = 0.5 * self._variance(level, slope) * np.exp(-2.0 * log_deviation)
+        return self.n * (log_deviation + spread) - log_ndtr(-below).sum(axis=1)
+
+    def _profile(self, level: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The most likely deviation of each line, and its loss."""
+        log = 0.5 * np.log(self._variance(level, slope))
+        if not self.cured.all():  # uncured plugs only widen or narrow it a little: golden sections
+            low, high = log - 2.0, log + 3.0
+            for _ in range(20):
+                one, two = low + 0.381966 * (high - low), low + 0.618034 * (high - low)
+                left = self._loss(level, slope, one) < self._loss(level, slope, two)
+                low, high = np.where(left, low, one), np.where(left, two, high)
+            log = 0.5 * (low + high)
+        return np.exp(log), self._loss(level, slope, log)
+
+
+def _gel_dose(level: Any, slope: Any) -> Any:
+    """D_gel of the line z = level + slope·log10 x."""
+    return LN10 / slope * 10.0 ** (-level / slope)
 
 
 @dataclass(frozen=True)
@@ -194,48 +292,11 @@ def read_gray(path: str | Path, pieces: int | None = None) -> GrayFit:
         StorageError: The file cannot be read.
         BadInput: It lacks a column, or its numbers fit no curve.
     """
-    table = read_columns(path)
-    if not {"level", "intensity_mW_cm2"} <= set(table):
-        raise BadInput(f"{Path(path).name} has columns {', '.join(table)}; expected level and intensity_mW_cm2")
-    return fit_gray(table["level"], table["intensity_mW_cm2"] / 100.0, pieces)
-
-
-def read_columns(path: str | Path) -> dict[str, np.ndarray]:
-    """Read the columns of numbers of a CSV file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Name → values, float64 [line].
-
-    Raises:
-        StorageError: The file cannot be read.
-        BadInput: The file is not a table of finite numbers; the message names the line.
-    """
-    file = Path(path)
-    try:
-        reader = csv.reader(StringIO(read_text(file)))
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise StorageError(f"cannot read {str(path)!r}: {error}; check the path") from error
-    if len(rows) < 2:
-        raise BadInput(f"{file.name} has {len(rows)} lines; expected a header and numbers below it")
-    header = [cell.strip() for cell in rows[0][1]]
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise BadInput(f"{file.name} has the column {twice[0]!r} more than once; keep one of them")
-    values = []
-    for number, row in rows[1:]:
-        try:
-            values.append([float(cell) for cell in row])
-        except ValueError as error:
-            raise BadInput(f"{file.name}, line {number}: {error}; expected numbers below the header") from error
-        if len(row) != len(header):
-            raise BadInput(f"{file.name}, line {number} has {len(row)} values; expected {len(header)}")
-        if not np.isfinite(values[-1]).all():
-            raise BadInput(f"{file.name}, line {number} holds NaN or infinity; correct it, or leave the line out")
-    return dict(zip(header, np.array(values).T, strict=True))
+    table = read_table(path)
+    light = table.find("irradiance")
+    if light is None or "level" not in table.cells:
+        raise table.lacks("level and intensity_mW_cm2")
+    return fit_gray(table.numbers("level"), light, pieces)
 
 
 def _pairs(x: Any, y: Any, name_x: str, name_y: str) -> tuple[np.ndarray, np.ndarray]:

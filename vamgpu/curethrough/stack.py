@@ -16,7 +16,8 @@ import numpy as np
 
 from vamgpu.backend.cores import threads
 from vamgpu.curethrough.buffers import SliceBuffers
-from vamgpu.curethrough.images import HEAD, Header, decode, header
+from vamgpu.curethrough.goo import Goo
+from vamgpu.curethrough.images import HEAD, MOST_PIXELS, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
 from vamgpu.errors import SliceError
 from vamgpu.storage.atomic import explained
@@ -29,6 +30,11 @@ AHEAD = 32
 """Number of slices that are decoded ahead while others are processed."""
 MOST_BYTES = 1 << 28
 """Upper limit of the size of a slice's file."""
+MOST_GOO = 1_000_000_000
+PREVIEW = re.compile(r"(^|/)((preview|thumb)|3d\.png$)", re.IGNORECASE)
+"""Pictures that slicers put beside the slices."""
+HEIGHTS = {"config.ini": r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", "run.gcode": r"^;\s*layerHeight\s*:\s*([0-9.eE+-]+)"}
+"""Files of a zip that say the height of a layer, and how."""
 MOST_NAME = 1000
 """Greatest number of characters of a name in a zip."""
 BLOCKS_HELD = 6
@@ -191,6 +197,30 @@ class ZipStack(FileStack):
         self._file.close()
 
 
+class GooStack(FileStack):
+    """The layers of a .goo file. Raises `SliceError`."""
+
+    def __init__(self, path: str | Path) -> None:
+        place = Path(path)
+        try:
+            self.goo = Goo(read_bytes(place, MOST_GOO), str(path))
+        except OSError as error:
+            raise SliceError(f"cannot read {str(path)!r}: {error.strerror or error}; check the path") from error
+        super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.goo.count)))
+
+    def _bytes(self, name: str, most: int | None = None) -> bytes:
+        raise SliceError(f"{self._label(name)} is no picture of its own; read the stack")
+
+    def _decode(self, name: str, out: np.ndarray) -> None:
+        self.goo.decode(self.names.index(name), out)
+
+    def _plane(self) -> tuple[int, int]:
+        if self.goo.shape[0] * self.goo.shape[1] > MOST_PIXELS:
+            raise SliceError(f"{str(self.place)!r} has layers of {self.goo.shape} pixels; expected {MOST_PIXELS:,} in "
+                             "all at most: check the file")  # fmt: skip
+        return self.goo.shape
+
+
 def open_stack(path: str | Path) -> FileStack:
     """Open the slices of a folder, a zip or an SL1 file.
 
@@ -208,9 +238,12 @@ def open_stack(path: str | Path) -> FileStack:
         return FolderStack(place)
     if not os.path.lexists(place):
         raise SliceError(f"there is nothing at {str(path)!r}; expected a folder of slices or a zip: check the path")
+    if place.suffix.lower() == ".goo":
+        return GooStack(place)
     if place.suffix.lower() in ARCHIVES or _is_zip(place):
         return ZipStack(place)
-    raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)}; check the path")
+    raise SliceError(f"{str(path)!r} is neither a folder nor a file ending in {', '.join(ARCHIVES)} or .goo; expected "
+                     "slices: export pictures from the slicer, or check the path")  # fmt: skip
 
 
 def _is_zip(place: Path) -> bool:
@@ -222,7 +255,7 @@ def _is_zip(place: Path) -> bool:
 
 
 def layer_height(stack: object) -> float | None:
-    """Read the layer height of an SL1 file.
+    """Read the layer height of an SL1, a .goo file, or a zip of Chitubox.
 
     Args:
         stack: The slices.
@@ -230,10 +263,13 @@ def layer_height(stack: object) -> float | None:
     Returns:
         Height of a layer [mm]; None if the file does not state it.
     """
-    if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
+    if isinstance(stack, GooStack):
+        return stack.goo.height
+    beside = {info.filename for info in stack.others} if isinstance(stack, ZipStack) else set()
+    name = next((name for name in HEIGHTS if name in beside), None)
+    if name is None or not isinstance(stack, ZipStack):
         return None
-    text = stack.entry("config.ini").decode("utf-8", "replace")
-    found = re.search(r"^layerHeight\s*=\s*([0-9.eE+-]+)\s*$", text, re.MULTILINE)
+    found = re.search(HEIGHTS[name], stack.entry(name).decode("utf-8", "replace"), re.MULTILINE)
     try:
         return float(found[1]) if found else None
     except ValueError:
@@ -263,7 +299,7 @@ def _pictures(entries: tuple[zipfile.ZipInfo, ...], place: str) -> list[str]:
     twice = next((name for name, count in Counter(every).items() if count > 1), None)
     if twice is not None:
         raise SliceError(f"{place!r} holds {twice!r} more than once; pack the slices again")
-    names = [name for name in every if is_slice(name)]
+    names = [name for name in every if is_slice(name) and not PREVIEW.search(name)]
     if "config.ini" in every:
         return [name for name in names if "/" not in name]
     folders = sorted({str(PurePosixPath(name).parent) for name in names})

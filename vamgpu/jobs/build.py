@@ -11,7 +11,6 @@ import numpy as np
 from vamgpu.backend.device import Device
 from vamgpu.calibration.pointspread import PointSpread
 from vamgpu.chemistry.diffusion import Spread
-from vamgpu.curethrough.resin import read_columns
 from vamgpu.errors import BadInput, JobError, OutOfMemory, StorageError
 from vamgpu.geometry import FULL_TURN, Beam, Turntable
 from vamgpu.jobs.material import diffusion_of
@@ -38,6 +37,7 @@ from vamgpu.printing.fit import check_fit
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import FIT
 from vamgpu.scene import Body, Scene
+from vamgpu.storage.tables import read_columns
 from vamgpu.targets import shapes
 from vamgpu.targets.target import Target
 from vamgpu.units import deg, rad

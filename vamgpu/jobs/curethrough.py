@@ -192,7 +192,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         if slices is None and section.path is None:
             return self.folder / f"{self.name}-corrected"
         place = slices if slices is not None else self.folder / str(section.path)
-        archive = place.suffix.lower() in ARCHIVES
+        archive = place.suffix.lower() in (*ARCHIVES, ".goo")
         name = place.stem if archive else place.name
         return place.with_name(f"{name}-corrected{place.suffix if archive else ''}")
 

@@ -36,7 +36,12 @@ class Fitted:
                 ("absorption height", f"{height.value / um:.4g} µm", f"{_bounds(height, um)} µm with {share}"),
                 ("gel dose", f"{gel.value / mJ_cm3:.4g} mJ/cm³", f"{_bounds(gel, mJ_cm3)} mJ/cm³ with {share}"),
                 ("critical dose", f"{self.critical_dose / mJ_cm3:.4g} mJ/cm³", f"{self.gels:g} gel doses"),
-                ("spread of heights", f"{self.resin.spread / um:.3g} µm", f"of {plugs} plugs about the curve"),
+                (
+                    "spread of heights",
+                    f"{self.resin.spread / um:.3g} µm",
+                    f"of {plugs} plugs about the curve"
+                    + (f", {self.resin.uncured} of them of height 0" if self.resin.uncured else ""),
+                ),
             ]
         if self.gray is not None:
             low, high = self.gray.intensity[0] / mW_cm2, self.gray.intensity[-1] / mW_cm2

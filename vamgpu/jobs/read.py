@@ -148,12 +148,13 @@ def _complaint(
     data: dict[str, Any],
 ) -> str:  # fmt: skip
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
-    key = tuple(str(part) for part in (*entry["loc"], *between))
-    named = tuple(part for part in key if not part.isdigit())
+    parts = (*entry["loc"], *(int(part) if str(part).isdigit() else part for part in between))
+    key = tuple(map(str, parts))
+    named = tuple(str(part) for part in parts if not isinstance(part, int))
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
-        line = line_of(lines, _numbered(key, named, lines))
+        line = line_of(lines, _numbered(parts, named, lines))
         place = f"{source}, line {line}" if line else source
     if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and key[-1].isdigit():
         key = key[:-1]  # a missing value in a list has no name
@@ -163,14 +164,14 @@ def _complaint(
     return f"{place}: {subject}{complaint(entry, _remedy(key))}"
 
 
-def _numbered(key: tuple[str, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
+def _numbered(key: tuple[Any, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
     """A key as written, with the numbers of tables in the file."""
     found, words = (), iter(named)
     for part in key:
-        if not part.isdigit():
+        if not isinstance(part, int):
             found = (*found, next(words))
-        elif (*found, part) in lines:
-            found = (*found, part)
+        elif (*found, str(part)) in lines:
+            found = (*found, str(part))
     return found
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -42,6 +44,9 @@ class Canvas:
         flip_r: Mirror the frames left to right, in addition to their own flip.
         flip_z: Mirror the frames top to bottom, in addition to their own flip.
         repeats: Number of times that the turn is shown.
+        dark: Black images before the first turn and after the last.
+        keystone: Columns and rows, from the canvas's left top, at which its corners are drawn: left top, right top,
+            right bottom, left bottom. The light between them follows by the homography, interpolated linearly.
 
     Raises:
         BadInput: A value is out of its range.
@@ -53,11 +58,19 @@ class Canvas:
     flip_r: bool = False
     flip_z: bool = False
     repeats: int = 1
+    dark: tuple[int, int] = (0, 0)
+    keystone: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         if self.size is not None:
             object.__setattr__(self, "size", counts("canvas size", self.size, 2))
         counts("canvas repeats", (self.repeats,), 1)
+        if min(self.dark) < 0:
+            raise BadInput(f"canvas dark is {self.dark!r}; expected numbers of black images before and after")
+        if self.keystone is not None:
+            if np.shape(self.keystone) != (4, 2):
+                raise BadInput(f"canvas keystone is {self.keystone!r}; expected four corners (column, row)")
+            object.__setattr__(self, "keystone", tuple((float(x), float(y)) for x, y in self.keystone))
         number("canvas rotation [deg]", abs(self.rotation), zero=True)
         try:
             right, up = (int(part) for part in self.offset)
@@ -66,12 +79,39 @@ class Canvas:
         object.__setattr__(self, "offset", (right, up))
 
     def images(self, frames: Frames) -> Iterator[np.ndarray]:
-        """The images of ``repeats`` turns, uint8 [row, column]. Raises `BadInput`, `ShapeMismatch`."""
+        """The images, uint8 [row, column], turns between dark ones. Raises `BadInput`, `ShapeMismatch`."""
         each = max(BLOCK // max(frames.shape[1] * frames.shape[2], 1), 1)
+        black = np.zeros_like(self._shown(frames.gray_levels(0, 1)[0], frames)) if any(self.dark) else None
+        yield from repeat(black, self.dark[0])  # type: ignore[misc]
         for _ in range(self.repeats):
             for first in range(0, frames.shape[0], each):
                 for levels in frames.gray_levels(first, min(first + each, frames.shape[0])):
-                    yield self._placed(self._turned(levels, frames))
+                    yield self._shown(levels, frames)
+        yield from repeat(black, self.dark[1])  # type: ignore[misc]
+
+    def undone(self, images: np.ndarray, angles: int, rows: int, columns: int) -> np.ndarray:
+        """The levels of the first turn among images that a canvas was exported as. Raises `BadInput`."""
+        if self.keystone is not None or self.rotation % 90:
+            raise BadInput("the images were rotated by a part of a quarter turn, or have a keystone; expected plain "
+                           "ones: prove the job that they were exported from")  # fmt: skip
+        shape = (rows, columns)[:: -1 if round(self.rotation / 90) % 2 else 1]
+        top, left = self._corner(shape, images.shape[1:] if self.size is None else self.size[::-1])
+        turn = images[self.dark[0] :][:angles, top : top + shape[0], left : left + shape[1]]
+        turn = np.rot90(turn, -round(self.rotation / 90), (1, 2))
+        turn = turn[:, ::-1] if self.flip_z else turn
+        return turn[:, :, ::-1] if self.flip_r else turn
+
+    def _shown(self, levels: np.ndarray, frames: Frames) -> np.ndarray:
+        placed = self._placed(self._turned(levels, frames))
+        if self.keystone is None:
+            return placed
+        if frames.bits == 1:
+            raise BadInput("frames of 1 bit have no keystone, because a mirror is only on or off: export 8 bits")
+        from scipy.ndimage import map_coordinates
+
+        light = frames.gray(placed) - frames.gray.black
+        found = map_coordinates(light, _homography(self.keystone, placed.shape), order=1, cval=0.0)
+        return frames.gray.inverse(found + frames.gray.black)
 
     def _turned(self, levels: np.ndarray, frames: Frames) -> np.ndarray:
         levels = levels[:, ::-1] if self.flip_r else levels
@@ -91,21 +131,42 @@ class Canvas:
         if self.size is None and self.offset == (0, 0):
             return np.ascontiguousarray(levels)
         columns, rows = self.size or levels.shape[::-1]
-        top = (rows - levels.shape[0]) // 2 - self.offset[1]
-        left = (columns - levels.shape[1]) // 2 + self.offset[0]
-        if top < 0 or left < 0 or top + levels.shape[0] > rows or left + levels.shape[1] > columns:
-            raise BadInput(
-                f"frames of {levels.shape[1]} × {levels.shape[0]} pixels, {self.offset} off the middle, do not fit a "
-                f"canvas of {columns} × {rows}; expected all on the canvas: use a smaller offset or a larger canvas"
-            )
+        top, left = self._corner(levels.shape, (rows, columns))
         canvas = np.zeros((rows, columns), np.uint8)
         canvas[top : top + levels.shape[0], left : left + levels.shape[1]] = levels
         return canvas
 
+    def _corner(self, shape: tuple[int, ...], size: tuple[int, ...]) -> tuple[int, int]:
+        """Row and column of the canvas at which images of a shape begin. Raises `BadInput` if they do not fit."""
+        (rows, columns), (height, width) = shape, size
+        top, left = (height - rows) // 2 - self.offset[1], (width - columns) // 2 + self.offset[0]
+        if top < 0 or left < 0 or top + rows > height or left + columns > width:
+            raise BadInput(
+                f"frames of {columns} × {rows} pixels, {self.offset} off the middle, do not fit a canvas of {width} × "
+                f"{height}; expected all on the canvas: use a smaller offset or a larger canvas"
+            )
+        return top, left
+
+
+@lru_cache(maxsize=2)
+def _homography(corners: tuple[tuple[float, float], ...], shape: tuple[int, int]) -> np.ndarray:
+    """Row and column of an image that each pixel shows if its corners are drawn there, [2, row, column]."""
+    rows, columns = shape
+    x, y = np.array([(0, 0), (columns - 1, 0), (columns - 1, rows - 1), (0, rows - 1)], np.float64).T
+    known, none = np.concatenate([np.array(corners), np.ones((4, 1))], 1), np.zeros((4, 3))
+    equations = np.concatenate([np.concatenate([known, none, -known[:, :2] * x[:, None]], 1),
+                                np.concatenate([none, known, -known[:, :2] * y[:, None]], 1)])  # fmt: skip
+    if np.linalg.matrix_rank(equations) < 8:
+        raise BadInput(f"canvas keystone is {corners!r}; expected four corners of which no three are on a line")
+    home = np.append(np.linalg.solve(equations, np.concatenate([x, y])), 1.0).reshape(3, 3)
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    at = np.tensordot(home, np.stack([column, row, np.ones_like(row)]), 1)
+    return np.stack([at[1], at[0]]) / at[2]
+
 
 def export(
     frames: Frames, path: str | Path, *, fps: float = 30.0, overwrite: bool = False, canvas: Canvas | None = None,
-    players: bool = False,
+    players: bool = False, channel: str | None = None,
 ) -> Path:  # fmt: skip
     """Write frames in the format that the path's ending names.
 
@@ -121,6 +182,8 @@ def export(
         canvas: Position of the frames on a larger image, and number of repeats; not for ``.npz``.
         players: Write a video in yuv420p, which projectors and common players decode, at levels from 16 to 235 and an
             even size; levels change by a few.
+        channel: ``"red"``, ``"green"`` or ``"blue"``: a lossless video in RGB that lights this channel alone, which
+            players decode in software.
 
     Returns:
         The path.
@@ -140,9 +203,12 @@ def export(
     check_folder(place)
     if canvas is not None and writer is _npz:
         raise BadInput("an .npz file holds the frames themselves; expected no canvas: export images or a video with it")
-    if players and writer is not _mp4:
+    if (players or channel is not None) and writer is not _mp4:
         raise BadInput(f"players read videos, not {place.name!r}; expected a path ending in .mp4")
-    shown = _Shown(frames, canvas, positive("frames per second", fps), players)
+    if channel is not None and channel not in CHANNELS:
+        raise BadInput(f"channel is {channel!r}; expected one of {', '.join(CHANNELS)}")
+    how = PLAYERS if players and channel is None else LOSSLESS if channel is None else CHANNELS[channel]
+    shown = _Shown(frames, canvas, positive("frames per second", fps), how)
     with replacing(place, overwrite=overwrite) as draft:
         writer(shown, draft)
     return place
@@ -155,7 +221,7 @@ class _Shown:
     frames: Frames
     canvas: Canvas | None
     fps: float
-    players: bool
+    how: _Film
 
     @property
     def images(self) -> Iterator[np.ndarray]:
@@ -163,7 +229,8 @@ class _Shown:
 
     @property
     def count(self) -> int:
-        return self.frames.shape[0] * (1 if self.canvas is None else self.canvas.repeats)
+        placed = self.canvas or Canvas()
+        return self.frames.shape[0] * placed.repeats + sum(placed.dark)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -238,12 +305,12 @@ def _mp4(shown: _Shown, draft: Path) -> None:
     import av
     from av.error import FFmpegError
 
-    how = PLAYERS if shown.players else LOSSLESS
+    how = shown.how
     try:
         with av.open(str(draft), "w", format="mp4") as film:
             film.metadata["comment"] = json.dumps(shown.description)
             rate = Fraction(shown.fps).limit_denominator(1001)
-            stream = film.add_stream("libx264", rate=rate, options=how.options)
+            stream: Any = film.add_stream(how.codec, rate=rate, options=how.options)
             for index, levels in enumerate(shown.images):
                 levels = np.pad(levels, [(0, size % how.even) for size in levels.shape]) if how.even else levels
                 if index == 0:
@@ -264,18 +331,28 @@ LOW, HIGH = 16, 235
 
 @dataclass(frozen=True)
 class _Film:
-    """A way to encode. even: sizes are multiples of this number; 0 for any size."""
+    """A way to encode. even: what sizes are made a multiple of; 0 for any. channel: the one that is lit of RGB."""
 
     pixels: str
     range: int
     even: int
     options: dict[str, str]
+    channel: int | None = None
+
+    @property
+    def codec(self) -> str:
+        """FFmpeg's name of the encoder."""
+        return "libx264" if self.channel is None else "libx264rgb"
 
     def frame(self, levels: np.ndarray) -> Any:
         """A picture in the encoder's format."""
         import av
 
-        if self.range == FULL_RANGE:
+        if self.channel is not None:
+            colors = np.zeros((*levels.shape, 3), np.uint8)
+            colors[..., self.channel] = levels
+            image = av.VideoFrame.from_ndarray(colors, format=self.pixels)
+        elif self.range == FULL_RANGE:
             image = av.VideoFrame.from_ndarray(np.ascontiguousarray(levels), format=self.pixels)
         else:
             rows, columns = levels.shape
@@ -288,6 +365,10 @@ class _Film:
 
 LOSSLESS = _Film("gray", FULL_RANGE, 0, {"qp": "0", "preset": "ultrafast"})  # a fifth more bytes, 17 times as fast
 PLAYERS = _Film("yuv420p", LIMITED_RANGE, 2, {"crf": "4", "preset": "medium", "profile": "high", "bf": "0"})
+CHANNELS = {
+    name: _Film("rgb24", FULL_RANGE, 2, {"qp": "0", "preset": "ultrafast"}, channel)
+    for channel, name in enumerate(("red", "green", "blue"))
+}
 
 FORMATS: dict[str, Callable[[_Shown, Path], None]] = {
     "": _png,

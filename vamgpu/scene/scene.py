@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import ceil, inf
+from math import ceil, inf, isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,12 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.traced_projection import TracedProjection
 from vamgpu.optics.graded_vial import GradedVial
 from vamgpu.optics.occluder import Occluded
+from vamgpu.quantity import meant
 from vamgpu.scene.body import FREE, PRINTED, Body, Place
 from vamgpu.schema.quantities import Length, measured
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.solid import Solid
-from vamgpu.targets.target import MARGIN, Target
+from vamgpu.targets.target import LARGEST, MARGIN, SMALLEST, Target, check_thickness
 
 MULTIPLE = 4
 """Default grids have multiples of this many voxels along every axis."""
@@ -131,6 +132,11 @@ class Scene:
         pitch, place = measured("pitch", pitch, Length), self.place
         free = positive("margin [voxels]", margin, zero=True)
         radius, low, high = self._reach(place)
+        if (size := max(2.0 * radius, high - low)) > LARGEST and isfinite(size):
+            unit = meant(size / self.factor, SMALLEST, LARGEST)
+            likely = f" (was it drawn in {unit}?)" if unit else ""
+            raise BadInput(f"what is printed is {size:.4g} mm wide or high about the axis; expected {LARGEST:g} mm at "
+                           f"most: check the unit{likely}, the factor or the origin")  # fmt: skip
         along = 2.0 * max(abs(low), abs(high)) / pitch - 1e-6 if low < high else 0.0
         across = 2.0 * (radius / pitch + free) + 1.0 - 1e-6
         if shape is not None:
@@ -174,6 +180,9 @@ class Scene:
         grid = self.grid(pitch, margin=margin, shape=shape)
         found, name = self._shares(grid, open_device(device)), name or str(self.printed[0].name)
         fraction, radius, place = found.fraction, self._reach(self.place), self.place
+        for body in self.printed:
+            if (solid := body.solid(self.place)) is not None:
+                check_thickness(solid, grid.pitch)
         target = Target.from_array(fraction, grid.pitch, name)
         exact = all(body.reach(place) is not None for body in self.printed)
         limits = None if self._plain else found.limits(self)

@@ -33,9 +33,9 @@ def read_film(path: str | Path) -> tuple[np.ndarray, str]:
         raise StorageError(f"cannot read {str(path)!r} as a video: expected one ending in {', '.join(FORMATS)}")
     try:
         with open_file(path) as file, av.open(file, "r", format=kind) as film:
-            if not film.streams.video:
-                raise ValueError("it has no images")
-            stream = film.streams.video[0]
+            stream = next(iter(film.streams.video), None)
+            if stream is None or stream.codec_context is None:
+                raise ValueError("it has no images that FFmpeg decodes")
             size = stream.codec_context.width * stream.codec_context.height
             if not 0 < size <= MOST_PIXELS:
                 raise ValueError(f"{size:,} pixels per frame, expected at most {MOST_PIXELS:,}")
@@ -87,7 +87,7 @@ def _gray(frame: Any) -> np.ndarray:
     """Levels of a frame, 0 to 255, for any range of its brightness."""
     name = frame.format.name
     if not name.startswith(("gray", "yuv", "nv")) or name not in ("gray",) and frame.format.components[0].bits != 8:
-        return np.asarray(frame.to_ndarray(format="rgb24"))[..., 1]
+        return np.asarray(frame.to_ndarray(format="rgb24")).max(axis=2)  # one channel may be lit alone
     plane = frame.planes[0]
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
     if name.startswith("yuvj") or frame.color_range == FULL_RANGE or (name == "gray" and frame.color_range == 0):

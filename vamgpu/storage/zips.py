@@ -27,6 +27,8 @@ def open_zip(file: BinaryIO) -> ZipFile:
     archive = ZipFile(file)
     try:
         for member in archive.infolist():
+            if not member.filename:
+                raise BadZipFile("it has a member without a name")
             if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) or member.flag_bits & 1:
                 how = "is encrypted" if member.flag_bits & 1 else f"is packed in way {member.compress_type}"
                 raise BadZipFile(f"{member.filename!r} {how}, expected stored or deflated members")

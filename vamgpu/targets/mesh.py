@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from io import BytesIO
 from os import fstat
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from vamgpu.errors import BadInput, EmptyMesh, MeshError
+from vamgpu.errors import BadInput, EmptyMesh, MeshError, MeshWarning
 from vamgpu.storage.memory import afford, size
 from vamgpu.storage.reading import is_file, open_file
+from vamgpu.targets.ply import read_ply
 from vamgpu.targets.repair import repaired
 from vamgpu.targets.solid import Solid
+from vamgpu.targets.stl import read_stl
 from vamgpu.targets.threemf import TRIANGLE, read_3mf
 
 if TYPE_CHECKING:
@@ -27,8 +30,6 @@ FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
 """Bytes of memory that reading and repairing take at most, per byte of the file; for 3MF, see package.py."""
-PLY_HEAD = 1 << 16
-"""Largest number of bytes of a PLY file's header."""
 
 
 def load_mesh(
@@ -47,6 +48,8 @@ def load_mesh(
     puts the smallest enclosing circle of the footprint on the axis and mid-height at z = 0. Files without a unit are
     read as mm; a 3MF file states its unit. The parts of a file with several are joined into one Solid.
 
+    What is left out of a damaged STL or PLY file is warned of, and stands in ``mended``.
+
     Raises BadInput (no such file, unknown format, bad rotation, height or factor), EmptyMesh (no triangles),
     NotWatertight (open edges that repair could not close, or any with repair=False), MeshError (unreadable file).
     """
@@ -55,7 +58,12 @@ def load_mesh(
         raise BadInput(f"cannot read {str(path)!r}: expected a mesh file ending in {', '.join(FORMATS)}")
     if not is_file(file):
         raise BadInput(f"there is no mesh file {str(path)!r}; check the path")
-    solid = from_trimesh(_read(file), name=name or file.stem, repair=repair)
+    mesh, notes = _read(file)
+    solid = from_trimesh(mesh, name=name or file.stem, repair=repair)
+    if notes:
+        solid = replace(solid, mended=(*notes, *solid.mended))
+        warnings.warn(f"{file.name} is damaged: {'; '.join(notes)}. Check the part before it is printed, or export it "
+                      "again", MeshWarning, stacklevel=2)  # fmt: skip
     placed = solid.placed(rotation=rotation, height=height, factor=factor, center=center)
     return placed if center else replace(placed, drawn=True)
 
@@ -89,26 +97,23 @@ def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = T
     return repaired(Solid(vertices, faces, name), fix=repair)
 
 
-def _read(file: Path) -> trimesh.Trimesh:
+def _read(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
+    """A mesh, and what was left out of its file."""
     import trimesh
 
     kind = file.suffix[1:].lower()
     data = _bytes(file, kind)
-    count = _announced(data, kind, file.name)
-    if kind == "ply":
-        _check_ply(data, file.name)
     try:
         if kind == "3mf":
-            return read_3mf(data, file.name)
-        content = BytesIO(_encoded(data, kind))
-        # bytes in place of a path: the readers then cannot open other files that this one names
-        scene = trimesh.load_scene(content, file_type=kind)
-        instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
-        triangles = sum(len(getattr(scene.geometry.get(name), "faces", ())) for name in instances)
-        afford(triangles * TRIANGLE, f"{file.name!r} with {triangles:,} triangles", MeshError)
-        mesh = scene.to_mesh()
-        if scene.units is not None:
-            mesh.units = scene.units
+            mesh, notes = read_3mf(data, file.name), ()
+        elif kind == "stl":
+            corners, notes = read_stl(data, file.name)
+            mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+        elif kind == "ply":
+            vertices, faces, notes = read_ply(data, file.name)
+            mesh = trimesh.Trimesh(vertices, faces)
+        else:
+            mesh, notes = _scene(data, kind, file.name), ()
     except MeshError:
         raise
     except Exception as error:  # the readers raise many types of errors
@@ -119,11 +124,20 @@ def _read(file: Path) -> trimesh.Trimesh:
     if not len(mesh.faces):
         raise EmptyMesh(f"{file.name!r} has no triangles: it is empty, or no {kind.upper()} file; expected a triangle "
                         "mesh: export the part again")  # fmt: skip
-    if count > len(mesh.faces):  # the reader drops them in silence, which leaves holes
-        raise MeshError(
-            f"{file.name}: {count - len(mesh.faces)} of {count} triangles have corners that are NaN or infinite; "
-            "expected finite numbers: export the part again"
-        )
+    return mesh, notes
+
+
+def _scene(data: bytes, kind: str, name: str) -> trimesh.Trimesh:
+    import trimesh
+
+    # bytes in place of a path: the readers then open no other file that this one names
+    scene = trimesh.load_scene(BytesIO(_encoded(data)), file_type=kind)
+    instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
+    triangles = sum(len(getattr(scene.geometry.get(each), "faces", ())) for each in instances)
+    afford(triangles * TRIANGLE, f"{name!r} with {triangles:,} triangles", MeshError)
+    mesh = scene.to_mesh()
+    if scene.units is not None:
+        mesh.units = scene.units
     return mesh
 
 
@@ -140,39 +154,8 @@ def _bytes(file: Path, kind: str) -> bytes:
     return data
 
 
-def _announced(data: bytes, kind: str, name: str) -> int:
-    """Number of triangles by the header of a binary STL file, else 0. Raises MeshError if the file ends too soon."""
-    if kind != "stl" or b"\0" not in data[:512]:
-        return 0
-    count, room = int.from_bytes(data[80:84], "little"), max(0, len(data) - 84) // 50
-    if count > room:
-        raise MeshError(
-            f"{name} states that it has {count} triangles but ends after {room}; it is cut off or not an STL file: "
-            "copy or export it again"
-        )
-    return count
-
-
-def _check_ply(data: bytes, name: str) -> None:
-    """Raise MeshError if the header counts more numbers than the file has bytes."""
-    count = claim = 0
-    head, mark, _ = data[:PLY_HEAD].partition(b"end_header")
-    for line in head.splitlines():
-        words = line.split()
-        if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
-            count = int(words[2][:20])
-            claim += count
-        elif words[:1] == [b"property"]:
-            claim += count
-    if not mark or claim > 2 * len(data):
-        fault = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
-        raise MeshError(f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY file: export it again")
-
-
-def _encoded(data: bytes, kind: str) -> bytes:
-    """Bytes. Text in another encoding than UTF-8 is converted to UTF-8; only names and remarks can need this."""
-    if kind not in ("obj", "stl") or b"\0" in data[:512]:
-        return data
+def _encoded(data: bytes) -> bytes:
+    """Text; if it is in another encoding than UTF-8, which only names and remarks can hold, in UTF-8."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from math import ceil, prod
 from pathlib import Path
@@ -14,7 +15,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.card import card, drawable
-from vamgpu.errors import BadInput, EmptyMesh, OutOfMemory, TargetTooLarge
+from vamgpu.errors import BadInput, EmptyMesh, MeshWarning, OutOfMemory, TargetTooLarge
 from vamgpu.geometry import Grid, counts, positive
 from vamgpu.operators.polar import PolarGrid
 from vamgpu.quantity import meant
@@ -110,7 +111,7 @@ class Target:
             OutOfMemory: The grid does not fit the device.
 
         Warns:
-            MeshWarning: The mesh was repaired.
+            MeshWarning: The mesh was repaired, or its walls are thinner than a voxel.
         """
         pitch, shape = _pitch_and_shape(pitch, shape, grid)
         height = _one_scale(height, factor)
@@ -119,6 +120,7 @@ class Target:
         solid = given.placed(rotation=orientation, height=height, factor=factor, center=not drawn)
         solid = solid.leveled() if drawn else solid
         _check_size(solid, height, factor, pitch)
+        check_thickness(solid, pitch)
         box = _grid(solid, pitch, _margin(margin), shape)
         place = open_device(device)
         _check_memory(box, place)
@@ -315,6 +317,16 @@ def _check_size(solid: Solid, height: float | None, factor: float | None, pitch:
         likely = f"; if that was meant in {unit}, take {name}={value:g} * vamgpu.units.{unit}"
     raise BadInput(f"{solid.name}: the part is {size:.3g} mm at its longest; expected {SMALLEST:g} to {LARGEST:g} mm: "
                    f"check the unit{likely}")  # fmt: skip
+
+
+def check_thickness(solid: Solid, pitch: float) -> None:
+    """Warn of a part whose walls are thinner than a voxel, as its volume and its surface tell."""
+    a, b, c = (solid.vertices[solid.faces[:, k]] for k in range(3))
+    surface = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    if (thick := 2.0 * abs(solid.volume) / surface) < pitch:
+        warnings.warn(f"{solid.name}: its walls are about {thick:.3g} mm thick, thinner than a voxel of {pitch:g} mm: "
+                      "where a wall lies between voxels decides what prints; use a smaller pitch or thicker walls",
+                      MeshWarning, stacklevel=3)  # fmt: skip
 
 
 def _margin(margin: int) -> int:

@@ -33,6 +33,7 @@ from vamgpu.optics.vial import Vial
 from vamgpu.printing.frames import Frames
 from vamgpu.scene.body import Body
 from vamgpu.scene.scene import Scene
+from vamgpu.schema.registry import nearest_of
 from vamgpu.storage.atomic import check_folder, replacing
 from vamgpu.storage.images import write_exr
 from vamgpu.storage.numpy_files import map_npy, read_npz
@@ -43,6 +44,30 @@ from vamgpu.targets.target import Target
 
 PATTERNS = ("patterns.npz", "patterns", "patterns_normalized_uint8.npz")
 """Files of its patterns, beside the configuration or in its output folder, the best first."""
+KEYS = {
+    "": "vial projector sensor final_sensor target output loss optimizer n_steps spp spp_ref spp_grad spp_filter_radon "
+        "max_depth max_depth_ref rr_depth rr_depth_ref time progressive surface_aware filter_radon filter_corner "
+        "transmission_only regular_sampling diffusion physical_model psf_analysis",
+    "vial": "type height ior ior_surrounding medium occlusions r r_int r_ext w_int w_ext filename_vial_outer "
+            "filename_vial_inner r_int_outer r_ext_outer r_int_inner r_ext_inner ior_outer ior_inner ior_inside_inner",
+    "vial.medium": "ior extinction albedo phase",
+    "projector": "type n_patterns resx resy cropx cropy crop_offset_x crop_offset_y pixel_size motion distance tilt "
+                 "clockwise patterns filter_nonzero sampler aperture_radius focus_distance fov",
+    "sensor": "type scalex scaley scalez film", "final_sensor": "type scalex scaley scalez film",
+    "sensor.film": "type resx resy resz surface_aware", "final_sensor.film": "type resx resy resz surface_aware",
+    "target": "filename size box_center_x box_center_y box_center_z scale_and_center",
+    "loss": "type reduction K M tl tu t_limit weight_object weight_void weight_limit weight_sparsity",
+    "diffusion": "type D printing_time number_rotations",
+}  # fmt: skip
+"""Keys of version 0.9, by table; those of the optimizer and of phases are Mitsuba's."""
+LEFT_OUT = {
+    "diffusion": "add [resin.diffusion] to the job", "physical_model": "describe the resin in the job",
+    "final_sensor": "all resin inside the sensor is judged", "time": "it follows from irradiance and dose",
+    "psf_analysis": "light single pixels in Python",
+}  # fmt: skip
+"""Keys that change a print and are not imported, and what to do."""
+METHOD = ("loss", "optimizer", "n_steps", "progressive", "filter_radon", "filter_corner")
+"""Keys of its method, which only a job that is to be solved would have."""
 ORIGIN = (0.0, 0.0, 0.0)
 """Point of the part's frame that lies on the axis."""
 
@@ -54,9 +79,16 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
         setup = _set_up(path, said)
         place = patterns if patterns is not None else _beside(path, said)
         light = _patterns(place) if place.is_file() else images_of(place)[0]
+    if setup.inserts:
+        raise BadInput(f"{str(path)!r} has occlusions, which patterns alone cannot be judged with; make a job of "
+                       "it with --out job.toml, then import its folder of EXR images with --job job.toml")  # fmt: skip
     if light.ndim != 3:
         raise BadInput(f"its patterns have shape {light.shape}; expected [pattern, row, column]")
     angles, rows, columns = light.shape
+    for name, found in (("n_patterns", angles), ("resx", columns), ("resy", rows)):
+        if said["projector"].get(name, found) != found:
+            raise BadInput(f"{str(path)!r} has {name} {said['projector'][name]!r}, and {place.name!r} {found}; "
+                           "expected patterns of this configuration: name them with --patterns")  # fmt: skip
     tables = setup.tables(angles, (columns, rows))
     tables["target"] = {"mesh": str(setup.part.mesh.resolve()), "factor": 1.0, **tables["target"]}
     found = np.ascontiguousarray(light[:, ::-1].transpose(0, 2, 1))
@@ -65,17 +97,21 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
     return ForeignPatterns("Dr.TVAM", found, Turntable(angles, lit_share=0), tables, setup.part, notes=setup.notes)
 
 
-def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
-    """Job of a configuration, to be solved by `vam solve`. Raises `StorageError`, `BadInput`, `MeshError`."""
+def read_task(path: Path) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Solid]], tuple[str, ...]]:
+    """Job of a configuration, to be solved by `vam solve`, and its bodies: the part, then inserts.
+
+    Raises `StorageError`, `BadInput`, `MeshError`.
+    """
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]
         pixels = _count(projector, "resx"), _count(projector, "resy")
         tables = setup.tables(_count(projector, "n_patterns"), pixels)
-        own = [name for name in ("loss", "optimizer", "n_steps") if name in said]
+        own = [name for name in METHOD if name in said]
     tables["target"]["origin"] = list(ORIGIN)
     notes = (f"its {', '.join(own)} left out: `vam solve` has methods of its own",) if own else ()
-    return tables, setup.part.placed(), (*setup.notes, *notes)
+    inserts = [({"role": "insert", **keys}, load_mesh(mesh, center=False)) for mesh, keys in setup.inserts]
+    return tables, [({}, setup.part.placed()), *inserts], (*setup.notes, *notes)
 
 
 @contextmanager
@@ -104,6 +140,7 @@ class _SetUp:
     vessel: dict[str, Any]
     clockwise: bool
     part: _Part
+    inserts: tuple[tuple[Path, dict[str, Any]], ...]
     notes: tuple[str, ...]
 
     def tables(self, angles: int, pixels: tuple[int, int]) -> dict[str, Any]:
@@ -117,12 +154,12 @@ class _SetUp:
 
 
 def _set_up(path: Path, said: Any) -> _SetUp:
+    _check_keys(said, "")
     projector, sensor, target = (_table(said, name) for name in ("projector", "sensor", "target"))
     vessel, vial_notes = _vessel(_table(said, "vial"))
     pitch = _number(projector, "pixel_size")
     notes = [STEPPED, *_projector(projector), *vial_notes]
-    if "diffusion" in said:
-        notes.append("its diffusion is left out; add [resin.diffusion] to the job")
+    notes += [f"its {name} is left out: {why}" for name, why in LEFT_OUT.items() if name in said]
     film = _table(sensor, "film")
     voxel = min(_number(sensor, f"scale{axis}", 1.0) / _count(film, f"res{axis}", 256) for axis in "xyz")
     _number(target, "size", 1.0)
@@ -130,7 +167,34 @@ def _set_up(path: Path, said: Any) -> _SetUp:
     box = tuple(min(_number(sensor, f"scale{axis}", 1.0), width if axis != "z" else inf) for axis in "xyz")
     part = _Part(path.parent / str(target["filename"]), target, box)
     clockwise = bool(projector.get("clockwise", False))
-    return _SetUp(pitch, voxel, vessel, clockwise, part, tuple(notes))
+    inserts = tuple(_insert(path.parent, each) for each in said["vial"].get("occlusions", ()))
+    return _SetUp(pitch, voxel, vessel, clockwise, part, inserts, tuple(notes))
+
+
+def _check_keys(said: Any, place: str) -> None:
+    """Raises `BadInput` for a key that no version has; those that begin with _ are remarks."""
+    known = KEYS[place].split()
+    for key, value in said.items() if isinstance(said, dict) else ():
+        name = f"{place}.{key}".lstrip(".")
+        if key not in known and not key.startswith("_"):
+            near = nearest_of(key, known)
+            raise BadInput(f"its key {name} is unknown; " + (f"did you mean {near}?" if near else f"expected one of "
+                           f"{', '.join(known)}: correct or remove it"))  # fmt: skip
+        if name in KEYS:
+            _check_keys(value, name)
+
+
+def _insert(folder: Path, said: Any) -> tuple[Path, dict[str, Any]]:
+    """File and keys of an occlusion: black by default, or clear. Raises `BadInput`."""
+    surface = said.get("bsdf", {"type": "diffuse"})
+    if surface.get("type") == "dielectric":
+        return folder / str(said["filename"]), {"index": _number(surface, "int_ior", least=1.0, zero=True)}
+    reflectance = surface.get("reflectance", 0.0)
+    shine = reflectance.get("value", 0.0) if isinstance(reflectance, dict) else reflectance
+    if surface.get("type") != "diffuse" or shine:
+        raise BadInput(f"its occlusion {said['filename']!r} has the surface {surface!r}; expected a black one "
+                       "(diffuse, reflectance 0) or a dielectric")  # fmt: skip
+    return folder / str(said["filename"]), {}
 
 
 class _Part:
@@ -273,8 +337,6 @@ def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     if albedo > 0.0:
         notes.append(f"its resin scatters (albedo {albedo:g}), which is left out: {1 - albedo:.3g} of its extinction "
                      "counts as absorption")  # fmt: skip
-    if said.get("occlusions"):
-        raise BadInput("its vial has occlusions, which are not imported; expected none: use inserts in a job file")
     around = _number(said, "ior_surrounding", 1.0, least=1.0, zero=True)
     resin = _number(medium, "ior", least=1.0, zero=True)
     absorption = f"{extinction * (1.0 - albedo)!r} 1/mm"

@@ -123,15 +123,17 @@ def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False
     if origin.suffix.lower() != ".json":
         raise BadInput(f"a job file is made from a configuration of Dr.TVAM in JSON, but {str(source)!r} is not one; "
                        "import patterns into a folder: --out job.vam")  # fmt: skip
-    mesh = place.with_name(f"{place.stem}-part.ply")
-    for taken in (place, mesh):
+    tables, bodies, notes = read_task(origin)
+    names = [f"{place.stem}-{f'insert{k}' if k else 'part'}.ply" for k in range(len(bodies))]
+    for taken in (place, *map(place.with_name, names)):
         if os.path.lexists(taken) and not overwrite:
             raise StorageError(f"{str(taken)!r} exists; choose another path, or allow overwriting it (--overwrite)")
-    tables, part, notes = read_task(origin)
-    with replacing(mesh, overwrite=overwrite) as draft:
-        part.save(draft)
+    for name, (_, solid) in zip(names, bodies, strict=True):
+        with replacing(place.with_name(name), overwrite=overwrite) as draft:
+            solid.save(draft)
+    body = [{"mesh": name, **keys} for name, (keys, _) in zip(names, bodies, strict=True)]
     with replacing(place, overwrite=overwrite) as draft:
-        draft.write_text(toml_text({"body": [{"mesh": mesh.name}], **tables}), encoding="utf-8")
+        draft.write_text(toml_text({"body": body, **tables}), encoding="utf-8")
     return notes
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Turntable
 from vamgpu.jobs.foreign.patterns import ForeignPatterns
+from vamgpu.printing.export import Canvas
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
@@ -132,14 +133,18 @@ def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
     """Light of this library's exports, which contain their orientation. Raises `StorageError`, `BadInput`."""
     try:
         said = parse_json(remark)
-        if "canvas" in said:
-            raise BadInput(f"{str(path)!r} was exported onto a canvas; expected plain frames: export them without")
         if "flat_field" in said:
             raise BadInput(f"{str(path)!r} was made for a projector's flat field, which it does not contain; expected "
                            "plain frames: prove the job from which it was exported")  # fmt: skip
         settings = Placement(**{**said["settings"], "shift": tuple(said["settings"]["shift"])})
         bits, columns = int(said["bits"]), int(said["columns"])
-        levels = levels[:, : int(said["rows"]), :columns]  # videos of an even size have an extra row or column
+        angles, rows = int(said["angles"]), int(said["rows"])
+        if "canvas" in said:
+            placed: dict[str, Any] = said["canvas"]
+            lists = {name: tuple(value) for name, value in placed.items() if isinstance(value, list)}
+            placed.update(lists)
+            levels = Canvas(**placed).undone(levels, angles, rows, columns)
+        levels = levels[:, :rows, :columns]  # videos of an even size have some more
         images = levels if bits == 8 else np.packbits(levels > (127 if levels.dtype == np.uint8 else 0), axis=2)
         frames = Frames.from_bytes(np.ascontiguousarray(images), "numpy", bits=bits, columns=columns,
                                    gray=GrayCurve.parse(said["gray"]), scale=float(said["scale"]),

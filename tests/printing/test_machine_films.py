@@ -1,0 +1,190 @@
+"""Films of machines: read back as these machines read them, and by the import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_export import some_frames
+
+import vamgpu as vam
+from vamgpu.cli import main
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.jobs.foreign.pictures import Layout, read_pictures
+from vamgpu.printing.export import Canvas, export
+from vamgpu.printing.folder import save_frames
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.machine_films import export_for
+
+
+def plain_frames(angles: int = 12, gray: GrayCurve = GrayCurve.linear()) -> Frames:
+    levels = np.random.default_rng(1).integers(0, 256, (angles, 21, 13), np.uint8)
+    return Frames.from_bytes(levels, "numpy", bits=8, gray=gray, scale=1.0, columns=13)
+
+
+def decoded(path: Path) -> tuple[np.ndarray, float]:
+    """Images in RGB, and their rate."""
+    import av
+
+    with av.open(str(path)) as film:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]), float(
+            film.streams.video[0].average_rate or 0
+        )
+
+
+@pytest.mark.parametrize(("channel", "lit"), [("blue", 2), ("red", 0), (None, None)])
+def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
+    channel: str | None, lit: int | None, tmp_path: Path
+) -> None:
+    frames = plain_frames()
+    canvas = Canvas((64, 40), offset=(3, -2), rotation=90.0, flip_r=True, repeats=2)
+    film, card = export_for(
+        "opencal", frames, tmp_path, "part", rpm=9, canvas=canvas, dark=(5.0, 10.0), channel=channel
+    )
+    assert (film.name, card.name) == ("part_9rpm.mp4", "part_9rpm.txt")
+    images, rate = decoded(film)
+    assert rate == pytest.approx(9 * 12 / 60, rel=1e-3) and images.shape == (12 * (1 + 2 + 2), 40, 64, 3)
+    assert images[:12].max() <= 3 and images[-24:].max() <= 3 and images[12:36].min(0).max() > 0
+    top, left = (40 - 13) // 2 + 2, (64 - 21) // 2 + 3
+    drawn = images[12:, top : top + 13, left : left + 21]
+    expected = np.rot90(frames.gray_levels()[:, :, ::-1], 1, (1, 2))
+    if lit is not None:
+        assert np.array_equal(drawn[:12, ..., lit], expected)
+        assert images[..., [k for k in range(3) if k != lit]].max() == 0
+    back = read_pictures(film, Layout()).light.transpose(0, 2, 1)[:, ::-1]
+    assert np.abs(back - frames.irradiance().numpy().transpose(0, 2, 1)[:, ::-1]).mean() < (
+        0.01 if lit is None else 1e-6
+    )
+    said = card.read_text()
+    assert "turn at     9 rpm = 54 deg/s, one turn in 6.66667 s" in said
+    assert "2 turns of 12 images, 1.8 images a second, 13.3333 s" in said
+    assert "1 turns (6.66667 s) before, 2 turns (13.3333 s) after" in said
+
+
+def test_tvam_code_s_own_loop_shows_the_light(tmp_path: Path) -> None:
+    """Loading as the program does: patterns / max · 255, 768 × 1024, rows along r."""
+    frames = plain_frames(gray=GrayCurve.gamma(2.2, black=0.0))
+    made, card = export_for("tvam-code", frames, tmp_path, "part", rpm=10.0, canvas=Canvas(repeats=4))
+    with np.load(made) as held:
+        assert held.files == ["patterns"]
+        images = held["patterns"] / np.max(held["patterns"]) * 255
+    assert images.shape == (12, 768, 1024)
+    light = frames.gray(frames.gray_levels())
+    drawn = images[:, 377 : 377 + 13, 501 : 501 + 21]
+    assert np.abs(drawn - 255 * light.transpose(0, 2, 1) / light.max()).max() <= 0.51
+    assert images.sum() == drawn.sum()
+    assert f"python tvam_code.py -p {made.name} -v 60 -n 4" in card.read_text()
+    with pytest.raises(BadInput, match=r"turns at 20 rpm at most: use 20 rpm or less"):
+        export_for("tvam-code", frames, tmp_path, "b", rpm=21)
+
+
+@pytest.mark.parametrize("angles", [12, 13])
+def test_a_lightcrafter_gets_three_frames_an_image(angles: int, tmp_path: Path) -> None:
+    frames = plain_frames(angles)
+    made, _ = export_for("lightcrafter", frames, tmp_path, "part", rpm=30)
+    files = sorted(made.iterdir())
+    assert len(files) == -(-angles // 3)
+    images = np.stack([np.asarray(Image.open(file)) for file in files])
+    assert images.shape[1:] == (1140, 912, 3)
+    planes = images[:, 559 : 559 + 21, 449 : 449 + 13][..., [1, 0, 2]].transpose(0, 3, 1, 2).reshape(-1, 21, 13)
+    assert np.array_equal(planes[:angles], frames.gray_levels()) and planes[angles:].sum() == 0
+
+
+def test_a_rotary_film_keeps_to_the_projector_s_rate(tmp_path: Path) -> None:
+    made, card = export_for("rotary", plain_frames(), tmp_path, "part", rpm=12.5, canvas=Canvas((16, 24)))
+    assert decoded(made)[1] == pytest.approx(2.5) and "film ends in the dark" in card.read_text()
+    with pytest.raises(BadInput, match=r"12 frames a turn at 301 rpm are 60\.2 images a second; .* use 300 rpm"):
+        export_for("rotary", plain_frames(), tmp_path, "b", rpm=301)
+
+
+@pytest.mark.parametrize(
+    ("machine", "options", "said"),
+    [
+        ("printer", {}, "no machine 'printer'; expected one of opencal"),
+        ("opencal", {"rpm": 9.5}, "expected a whole number"),
+        ("opencal", {"rpm": 0}, "rpm"),
+        ("opencal", {"dark": (-1.0, 0.0)}, "seconds of dark"),
+        ("opencal", {"channel": "violet"}, "expected one of red, green, blue"),
+        ("opencal", {"canvas": Canvas((4, 4))}, "do not fit a canvas of 4 × 4"),
+    ],
+)
+def test_films_that_no_machine_shows_are_refused(
+    machine: str, options: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BadInput, match=said):
+        export_for(machine, plain_frames(), tmp_path, "a", **{"rpm": 9.0, **options})
+    assert not list(tmp_path.iterdir())
+
+
+def test_angles_that_a_film_has_not_are_refused(tmp_path: Path) -> None:
+    plan: Any = type("Plan", (), {"sinogram": vam.open_device("numpy").upload(np.ones((4, 5, 6))), "operator": None})()
+    frames = vam.pack(plan)
+    half = Frames(frames.images, 8, frames.gray, 1.0, frames.columns, motion=vam.Turntable.arc(4, span=np.pi))
+    with pytest.raises(BadInput, match="expected equal angles and times over a full turn"):
+        export_for("opencal", half, tmp_path, "a", rpm=9)
+
+
+def test_a_keystone_draws_each_point_where_the_homography_puts_it() -> None:
+    """One lit block, whose middle is looked for where the projective map of the four corners puts it."""
+    levels = np.zeros((1, 60, 80), np.uint8)
+    levels[0, 18:25, 50:57] = 255
+    frames = Frames.from_bytes(levels, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=80)
+    corners = ((4.0, 2.0), (75.0, 6.0), (70.0, 55.0), (8.0, 50.0))
+    image = next(Canvas(keystone=corners).images(frames)).astype(float)
+    row, column = (float((image * axis).sum() / image.sum()) for axis in np.indices(image.shape))
+
+    def basis(points: Any) -> np.ndarray:
+        p = np.concatenate([np.array(points, float).T, np.ones((1, 4))])
+        return p[:, :3] * np.linalg.solve(p[:, :3], p[:, 3])
+
+    home = basis(corners) @ np.linalg.inv(basis(((0, 0), (79, 0), (79, 59), (0, 59))))
+    x, y, w = home @ (53.0, 21.0, 1.0)
+    assert (column, row) == (pytest.approx(x / w, abs=0.1), pytest.approx(y / w, abs=0.1))
+    same = next(Canvas(keystone=((0, 0), (79, 0), (79, 59), (0, 59))).images(frames))
+    assert np.abs(same.astype(int) - levels[0]).max() <= 1
+    with pytest.raises(BadInput, match="no three are on a line"):
+        next(Canvas(keystone=((0, 0), (1, 0), (2, 0), (0, 9))).images(frames))
+    with pytest.raises(BadInput, match="four corners"):
+        Canvas(keystone=((0, 0), (1, 0)))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(BadInput, match="1 bit have no keystone"):
+        next(Canvas(keystone=corners).images(some_frames("numpy", bits=1)))
+
+
+def test_a_canvas_comes_back_by_import_but_not_a_keystone(tmp_path: Path) -> None:
+    frames = plain_frames()
+    for number, canvas in enumerate((Canvas((50, 44), (4, -3), 270.0, flip_z=True, dark=(2, 3)), Canvas(flip_r=True))):
+        folder = export(frames, tmp_path / f"png{number}", canvas=canvas)
+        assert np.allclose(read_pictures(folder, Layout()).light, frames.irradiance().numpy(), atol=1e-6)
+    corners = ((1, 0), (49, 0), (49, 43), (0, 43))
+    folder = export(frames, tmp_path / "bent", canvas=Canvas((50, 44), keystone=corners))
+    with pytest.raises(BadInput, match="or have a keystone"):
+        read_pictures(folder, Layout())
+
+
+def test_the_command_writes_a_machine_s_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_frames(tmp_path / "boat.vam", plain_frames())
+    job, out = str(tmp_path / "boat.vam"), str(tmp_path)
+    words = [
+        "--rpm",
+        "6",
+        "--repeats",
+        "2",
+        "--keystone",
+        "0,3 31,0 31,29 0,27",
+        "--canvas",
+        "32x30",
+        "--dark",
+        "0",
+        "0",
+    ]
+    assert main(["export", job, "--for", "opencal", "--out", out, *words]) == 0
+    assert decoded(tmp_path / "boat_6rpm.mp4")[0].shape == (24, 30, 32, 3)
+    assert main(["export", job, "--for", "opencal", "--out", out]) == 1 and "lacks --rpm" in capsys.readouterr().err
+    assert main(["export", job, "--npz", f"{out}/a.npz", "--canvas", "32x30"]) == 1
+    assert "expected no canvas" in capsys.readouterr().err
+    with pytest.raises(StorageError, match="exists"):
+        export_for("opencal", plain_frames(), tmp_path, "boat", rpm=6)
