@@ -208,7 +208,7 @@ class LiveLoop:
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
         self.replanner.prepare(self.estimator.operator)
         light = self._planned
-        dark = scaled(self._field(light), 0.0)
+        dark = scaled(self.field(light), 0.0)
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
@@ -251,9 +251,9 @@ class LiveLoop:
         fade = exp(-1.0 / self.resin.dark)
         showing, *committed = *state.committed, state.light
         made = self.resin.dark * (1.0 - fade)
-        had, light = self._field(state.pending), self._field(showing)
+        had, light = self.field(state.pending), self.field(showing)
         pending = combine(fade, had, made, light, had.device.empty(had.shape))
-        shown = added(self._field(state.shown), light)
+        shown = added(self.field(state.shown), light)
         level, clear, share = mean_level(frames, self.tomograph.camera.shape), state.clear, 0.0
         if level is not None:
             share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
@@ -262,7 +262,7 @@ class LiveLoop:
         return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
                      digest(frames))  # fmt: skip
 
-    def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
+    def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; the last few read-only arrays are kept there."""
         device, kept = self.estimator.operator.device, self._kept_fields
         if isinstance(values, DeviceArray) or values.flags.writeable:
@@ -301,13 +301,27 @@ class LiveLoop:
         Yields:
             The decision after each.
         """
+        return (decision for _, decision in self.states(turns, showed))
+
+    def states(
+        self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None
+    ) -> Iterator[tuple[LiveState, Decision]]:
+        """The states, with the decisions of `replay`.
+
+        Args:
+            turns: As for `replay`.
+            showed: As for `replay`.
+
+        Yields:
+            The state and the decision after each turn.
+        """
         state, lights = self.start(), {0: self.light}
         for frames, versions in zip(turns, repeat(()) if showed is None else showed, strict=False):
             if versions:
                 state = self.corrected(state, lights, versions)
             state, decision = self.decide(state, frames)
             lights[decision.version] = decision.light
-            yield decision
+            yield state, decision
 
     def _kept(self, at: _Turn, reason: str) -> Decision:
         stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
@@ -325,7 +339,7 @@ class LiveLoop:
 
     def _allowed(self, at: _Turn) -> int:
         """Turns of planned light that the dose of the plan has room for."""
-        spent = total(added(at.shown, *map(self._field, at.committed))) / total(self._field(self._planned))
+        spent = total(added(at.shown, *map(self.field, at.committed))) / total(self.field(self._planned))
         return max(floor(self.planned - spent + ROUNDING), 0)
 
     @cached_property
@@ -350,15 +364,15 @@ class LiveLoop:
         deviation = self._deviation(told, seen)
         laps.over("see")
         acted = added(at.shown, at.pending, factor=-1.0)
-        found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
+        found = self._estimated(at.before, acted, self.field(seen.cured), deviation)
         laps.over("estimate")
         if doubt := self.trust.of_estimate(found):
             return self._by_plan(at, doubt)
         calibrated = self.estimator.nearly(found.values, acted, found.lit)
-        more = calibrated.T(added(at.pending, *map(self._field, at.committed)))
+        more = calibrated.T(added(at.pending, *map(self.field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
         plan = self.replanner.replan(
-            calibrated, delivered, self._field(at.before.light), at.left,
+            calibrated, delivered, self.field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
             wanted=self._wanted(float(found.values[6])),
         )  # fmt: skip
@@ -386,7 +400,7 @@ class LiveLoop:
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the rest."""
         turns, light = plan.expected.turns, at.before.light
-        swapped = not alike(plan.light, self._field(light))
+        swapped = not alike(plan.light, self.field(light))
         if swapped:
             light = plan.light.numpy()
             light.setflags(write=False)
@@ -399,10 +413,10 @@ class LiveLoop:
 
     def _deviation(self, told: OpticalDepths, seen: Reconstruction) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
-        variance = self._field(self.tomograph.variance(told, iterations=self.iterations))
-        sharp = self._field(seen.cured)
+        variance = self.field(self.tomograph.variance(told, iterations=self.iterations))
+        sharp = self.field(seen.cured)
         variance.device.launch(
-            conversion_deviation, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
+            conversion_deviation, extinction=self.field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
             **self._slopes, model=MODEL, variance=variance,
         )  # fmt: skip
         return variance

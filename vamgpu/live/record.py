@@ -15,7 +15,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.live.camera import MonitoringCamera, SensorNoise
 from vamgpu.live.estimate import Estimator
-from vamgpu.live.loop import Decision, LiveLoop
+from vamgpu.live.loop import Decision, LiveLoop, LiveState
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.replan import Replanner
 from vamgpu.live.tomography import Tomograph
@@ -300,11 +300,41 @@ class LiveRecord:
             BadInput: The setup cannot be read.
             StorageError: A file is missing or damaged.
         """
-        setup, part, light = self.setup(), self.part(), np.array(map_npy(self.folder / "live-light.npy"))
-        told: Sequence[dict[str, Any]] = self.decisions
-        showed = [was.get("showed", ()) for was in told]
-        seen = [np.array(map_npy(self._frames(turn))) for turn in range(1, len(told) + 1)]
-        yield from zip(told, seen, setup.loop(part, light).replay(seen, showed), strict=True)
+        told = self.decisions
+        for was, frames, (_, decision) in zip(told, self._turns(told), self.states(self.loop()), strict=True):
+            yield was, frames, decision
+
+    def loop(self) -> LiveLoop:
+        """The loop that the record is of, before its first turn.
+
+        Raises:
+            BadInput: The setup cannot be read.
+            StorageError: A file is missing or damaged.
+        """
+        return self.setup().loop(self.part(), np.array(map_npy(self.folder / "live-light.npy")))
+
+    def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
+        """Go through the print once more with a loop.
+
+        Yields:
+            The state and the repeated decision after each turn.
+
+        Raises:
+            StorageError: A file is missing or damaged.
+        """
+        told = self.decisions
+        yield from loop.states(self._turns(told), [was.get("showed", ()) for was in told])
+
+    def _turns(self, told: Sequence[Mapping[str, Any]]) -> Iterator[np.ndarray]:
+        return (self.frames(each["turn"]) for each in told)
+
+    def frames(self, turn: int) -> np.ndarray:
+        """Frames of a turn, [angle, row, column].
+
+        Raises:
+            StorageError: The file is missing or damaged.
+        """
+        return np.array(map_npy(self._frames(turn)))
 
     def _frames(self, turn: int) -> Path:
         return self.folder / f"live-frames-{turn:04}.npy"
