@@ -45,7 +45,7 @@ class LiveSetup:
         angles: Images of a turn.
         vial: The vial for the printing light.
         red: The vial for the camera's light; absorbs nothing.
-        open_field: Gray level through the vial before the print.
+        open_field: Gray level through the vial before the print, or levels [row][column].
         noise: Noise of the camera.
         resin: Assumed kinetics.
         turbidity: Assumed turbidity.
@@ -72,7 +72,7 @@ class LiveSetup:
     angles: int
     vial: Vial
     red: Vial
-    open_field: float
+    open_field: Any
     noise: SensorNoise
     resin: CuringResin
     turbidity: Turbidity
@@ -166,6 +166,11 @@ class LiveRecord:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
 
+    @property
+    def begun(self) -> bool:
+        """Whether the folder holds a live print."""
+        return (self.folder / DECISIONS).exists()
+
     def begin(self, setup: LiveSetup, part: np.ndarray, light: np.ndarray) -> LiveLoop:
         """Start a record.
 
@@ -180,7 +185,7 @@ class LiveRecord:
         Raises:
             StorageError: The folder already holds a live print, or cannot be written.
         """
-        if (self.folder / DECISIONS).exists():
+        if self.begun:
             raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

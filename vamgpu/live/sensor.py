@@ -105,6 +105,23 @@ class SensorView:
         origin = np.array(self.origin) + matrix @ (np.array([top, left]) + corner)
         return replace(self, matrix=_pairs(matrix * [down, across]), origin=(float(origin[0]), float(origin[1])))
 
+    def shown(self, image: np.ndarray, outside: float) -> np.ndarray:
+        """What the camera shows of an image on the pixels of the beam.
+
+        Args:
+            image: Values, [row, column] of the beam.
+            outside: Value beyond the beam.
+
+        Returns:
+            The value of the nearest pixel, [row, column] of the camera.
+        """
+        at = np.indices(self.shape).reshape(2, -1) - np.array(self.origin)[:, None]
+        row, column = np.rint(np.linalg.inv(np.array(self.matrix)) @ at).astype(int)
+        inside = (row >= 0) & (column >= 0) & (row < image.shape[0]) & (column < image.shape[1])
+        values = np.full(row.size, outside)
+        values[inside] = image[row[inside], column[inside]]
+        return values.reshape(self.shape)
+
     @property
     def orientation(self) -> str:
         """How the images are mirrored and turned, in words."""
@@ -143,7 +160,7 @@ class BeamImages:
     pixels: tuple[int, int]
 
     def __init__(self, view: SensorView, pixels: tuple[int, int]) -> None:
-        self.view, self.pixels = view, pixels
+        self.view, self.pixels = view, (int(pixels[0]), int(pixels[1]))
         if not self._known.any():
             raise BadInput(f"the camera's images of {view.shape[0]} × {view.shape[1]} show no pixel of the beam; expected "
                            "crop, pixel and place by which they do: run vam calibrate live")  # fmt: skip
@@ -167,7 +184,7 @@ class BeamImages:
                                 f"{self.view.shape[0]} × {self.view.shape[1]}: set crop and binning in [[feedback]] as "
                                 "they were in vam calibrate live")  # fmt: skip
         levels = given.ravel().astype(np.float32)
-        seen = self._scale * (self._table @ levels - self.view.dark)
+        seen = self.scale * (self._table @ levels - self.view.dark)
         over = self._table @ (levels >= 2**self.view.bits - 1)
         seen = np.where(over > 0.0, self._brightest, np.clip(seen, 0.0, self._brightest))
         return np.where(self._known, seen, np.nan).astype(np.float32).reshape(self.pixels[::-1])
@@ -181,8 +198,8 @@ class BeamImages:
         Returns:
             Noise of the levels that a call returns.
         """
-        share = self._scale / self._most
-        return SensorNoise(noise.read * share, noise.gain / self._scale * share**2, self._bits)
+        share = self.scale / self._most
+        return SensorNoise(noise.read * share, noise.gain / self.scale * share**2, self._bits)
 
     @property
     def _brightest(self) -> float:
@@ -199,7 +216,8 @@ class BeamImages:
         return 1.0 / float(np.sqrt(np.median(np.asarray(squares).ravel()[self._known])))
 
     @cached_property
-    def _scale(self) -> float:
+    def scale(self) -> float:
+        """Levels of a resampled image per level of the camera."""
         return min(self._most, 2.0 ** (SIXTEEN - self.view.bits))
 
     @cached_property
