@@ -24,7 +24,7 @@ def live(
     machines: CalibrationMachines, *, repeats: int = 8, projector: int = 0, place: Mapping[str, Any] | None = None,
     turbidity: MeasuredTurbidity | None = None, progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure the levels of the camera and where it sees the mirrors; place: numbers of `PLACE`, which it then keeps."""
+    """Measure the levels of the camera and where it sees the mirrors; place: numbers of `PLACE` that it keeps."""
     if repeats < 2:
         raise BadInput(f"{repeats} images of each exposure; expected 2 or more, whose difference is the noise")
     camera, section = need(machines.camera, "camera"), need(machines.rig.camera, "camera")

@@ -8,23 +8,28 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.geometry import Beam
 from vamgpu.live import LiveSetup, SensorNoise, Truth, VirtualPrinter
 from vamgpu.live.sensor import BeamImages, SensorView
 from vamgpu.metrics import score
 from vamgpu.operators.projection import Projection
 
+PARTS = 4  # parts of an edge of the beam's pixels that a camera sees apart
+
 
 @dataclass(frozen=True, eq=False)
 class EmulatedSensor:
-    """A camera with pixels of its own: where they see the beam, its levels without cured resin, and its noise."""
+    """A camera with pixels of its own: where they see parts of the beam's, its levels at first, and its noise."""
 
-    view: SensorView
+    view: SensorView  # of the parts
     open_field: np.ndarray  # [row, column] of the camera
     noise: SensorNoise
 
-    def image(self, passed: np.ndarray) -> np.ndarray:
-        """Levels of the share of light that passes each pixel of the beam, [row, column], without noise."""
-        return self.view.dark + self.view.shown(passed, 1.0) * self.open_field
+    def image(self, passed: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Levels of the share of light that passes each part of a pixel, [row, column], with noise."""
+        light = (self.view.shown(passed) * self.open_field).astype(np.float32)
+        noise = np.sqrt(self.noise.read**2 + self.noise.gain * light) * random.standard_normal(light.shape, np.float32)
+        return np.clip(np.rint(self.view.dark + light + noise), 0, self.noise.brightest).astype(np.uint16)
 
 
 def sensor_of(settings: Mapping[str, Any], setup: LiveSetup) -> EmulatedSensor | None:
@@ -33,15 +38,17 @@ def sensor_of(settings: Mapping[str, Any], setup: LiveSetup) -> EmulatedSensor |
         return None
     view = SensorView(**settings["view"])
     field = np.asarray(setup.open_field, float) / BeamImages(view, setup.pixels).scale
-    return EmulatedSensor(view, view.shown(field, 0.0), SensorNoise(**settings["noise"]))
+    return EmulatedSensor(view.finer(PARTS), view.shown(field), SensorNoise(**settings["noise"]))
 
 
 def printer_of(setup: LiveSetup, resin: Mapping[str, Any], sharp: bool) -> VirtualPrinter:
-    """The print of a setup in a resin: its truth and seed. sharp: its camera sees the share of light, without blur."""
+    """The print of a setup in a resin: its truth and seed. sharp: its camera sees shares of light, on parts of pixels."""
     camera, plan = setup.camera(), setup.projection(setup.vial)
     if sharp:
         rays = camera.projection
-        rays = Projection(rays.grid, replace(rays.beam, spread=0.0), rays.motion, rays.vessel, rays.device)
+        columns, rows = setup.pixels
+        beam = Beam((PARTS * columns, PARTS * rows), setup.pixel / PARTS, spread=0.0)
+        rays = Projection(rays.grid, beam, rays.motion, rays.vessel, rays.device)
         camera = replace(camera, projection=rays, open_field=1.0)
     return VirtualPrinter(plan, camera, setup.resin, setup.turbidity, Truth(**resin["truth"]), resin["seed"])
 
@@ -76,10 +83,10 @@ class CuringCamera:
             self.cure()
         if self._images is None:
             self._images = self.printer.images()
-        image, noise = self._images[int(rest * len(self._images))], self.printer.camera.noise
+        image = self._images[int(rest * len(self._images))]
         if self._sensor is not None:
-            image, noise = self._sensor.image(image), self._sensor.noise
-        return noise.expose(image, int(self._random.integers(2**31)))
+            return self._sensor.image(image, self._random)
+        return self.printer.camera.noise.expose(image, int(self._random.integers(2**31)))
 
     def cure(self) -> None:
         """Let the light since the last turn act."""

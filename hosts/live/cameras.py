@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -42,7 +41,7 @@ class RedCamera:
     view: SensorView | None = None
 
     def on_beam(self, planned: PrintPlan, pixels: tuple[int, int]) -> tuple[Any, SensorNoise, SensorView | None]:
-        """Open field, noise and place of the images on the pixels of a job's beam (columns, rows). Raises `BadInput`."""
+        """Open field, noise and place of images on the pixels of a job's beam (columns, rows). Raises `BadInput`."""
         frames, columns, rows = planned.jobs[0].frames, *pixels
         if self.view is None or frames is None:
             return self.open_field, self.noise, None
@@ -78,12 +77,11 @@ def camera_of(planned: PrintPlan, given: RedCamera | None, pitch: float) -> RedC
 def _measured(found: Calibration) -> RedCamera:
     numbers = found.tables()[MEASURED]
     try:
-        view = SensorView(
-            (numbers["rows"], numbers["columns"]), numbers["matrix"], numbers["origin"], numbers["dark"], numbers["bits"]
-        )
-        noise = SensorNoise(numbers["read"], numbers["gain"], numbers["bits"])
+        shape, bits = (numbers["rows"], numbers["columns"]), numbers["bits"]
+        view = SensorView(shape, numbers["matrix"], numbers["origin"], numbers["dark"], bits)
+        noise = SensorNoise(numbers["read"], numbers["gain"], bits)
     except (KeyError, TypeError, ValueError) as error:
-        raise StorageError(f"{str(found.path)!r} has malformed numbers: {error}; run vam calibrate live again") from error
+        raise StorageError(f"{str(found.path)!r} is malformed ({error}); run vam calibrate live again") from error
     open_field = read_npz(found.path / "readings.npz").get("open_field")
     if open_field is None or open_field.shape != view.shape:
         raise StorageError(f"{str(found.path)!r} has no open field of {view.shape}; run vam calibrate live again")
@@ -92,15 +90,13 @@ def _measured(found: Calibration) -> RedCamera:
     return camera if full is None else replace(camera, turbidity=Turbidity((0.0, 1.0), (0.0, float(full))))
 
 
-def provisional(planned: PrintPlan, given: RedCamera | None) -> str:
-    """What a print on real machines assumes and nobody measured; empty if nothing."""
-    if given is not None or planned.rehearsed:
+def unmeasured(planned: PrintPlan) -> str:
+    """What a print on real machines assumes of its camera although nobody measured it; empty if nothing."""
+    found = in_force(planned.rig).get(KIND)
+    if planned.rehearsed or found is None or "turbidity" in found.tables()[MEASURED]:
         return ""
-    numbers: Mapping[str, Any] = measured(planned.rig, KIND).tables()[MEASURED]
-    return "" if "turbidity" in numbers else (
-        "the turbidity of the cured resin was not measured: after this print in fresh resin, run vam calibrate live "
-        "--keep-place --cured with its run folder"
-    )  # fmt: skip
+    return ("the turbidity of cured resin is a guess: after this print in fresh resin, measure it with vam calibrate "
+            "live --keep-place --cured and its run folder")  # fmt: skip
 
 
 def no_camera(planned: PrintPlan) -> JobError:

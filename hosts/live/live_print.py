@@ -129,13 +129,13 @@ def live(
 def watched_plan(
     job: str | Path, rig: Any, *, camera: RedCamera | None = None, every: int = 1, turns: int = 16,
     longest: int | None = None, truth: Truth | None = None, seed: int = 0, evaluations: float = 8.0,
-    speed: float | str | None = None, rehearsed: bool = False,
+    speed: float | str | None = None, rehearsed: bool = False, device: str | None = None,
 ) -> WatchedPlan:  # fmt: skip
     """The plan of a watched print on a `RigConfig`; see `live`. rehearsed: on emulated machines, on any rig."""
     turns, every, seed = whole("turns", turns, 2), whole("every", every), whole("seed", seed, 0)
     evaluations = positive("evaluations", evaluations)
     longest = whole("longest", 2 * turns if longest is None else longest, turns)
-    planned = plan(job, rig, speed=speed, turns=longest, exposure=False, rehearsed=rehearsed)  # the planner doses
+    planned = plan(job, rig, speed=speed, turns=longest, exposure=False, rehearsed=rehearsed, device=device)
     if planned.kind != "vial":
         raise BadInput(f"{planned.jobs[0].path!r} is for {planned.kind}; expected the job of a vial")
     if truth is not None and not (isinstance(truth, Truth) and planned.rehearsed):
@@ -151,7 +151,7 @@ def watched_plan(
         A.grid.shape, A.grid.pitch, A.beam.pixels, A.beam.pitch, A.motion.angles, A.vessel,
         camera.vial or replace(A.vessel, absorption=0.0), open_field, noise, camera.resin,
         camera.turbidity, max(1.0, frames.scale * dose / turns / float(light.max())), turns, longest,
-        evaluations=evaluations, device=open_device().name, ahead=1, every=every, fill=A.beam.fill,
+        evaluations=evaluations, device=open_device(device).name, ahead=1, every=every, fill=A.beam.fill,
         spread=A.beam.spread, dose=dose, lit_share=A.motion.lit_share,
     )  # fmt: skip
     setup.camera()  # so that a wrong description ends here, not in the print

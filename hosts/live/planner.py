@@ -84,7 +84,7 @@ class Following:
         self._state = self._restored() if self._resumed else self._loop.start()
 
     def _restored(self) -> LiveState:
-        """The state after the recorded turns, whose decisions are repeated; the print meanwhile runs by the last one."""
+        """The state after the recorded turns, whose decisions are repeated; the last one holds meanwhile."""
         told, state, numbers = self._record.decisions, self._loop.start(), {0: 0}
         for was, (after, decision) in zip(told, self._record.states(self._loop), strict=True):
             state, self._over = after, decision.action == "stop"
@@ -100,7 +100,7 @@ class Following:
         """Run until the print is over."""
         if not self._resumed:
             self._propose(0, self._state.light, 1, self._setup.planned)
-        stack, first = self._blank(), 0
+        stack, first, seen = self._blank(), 0, -1  # of several images of an angle, the first is used
         for told in self._planner:
             if "answer" in told:
                 self._answered(told["answer"])
@@ -112,7 +112,8 @@ class Following:
                 if turn != self._turn:
                     self._turn, stack, first = int(turn), self._blank(), told["at"]
                 if self._turn == self._state.turn + 1:
-                    stack[int(rest * len(stack))] = self._image(told["image"])
+                    if (angle := int(rest * len(stack))) != seen and np.isnan(stack[angle]).all():
+                        stack[angle], seen = self._image(told["image"]), angle
                     if rest >= SEEN:
                         self._decide(stack, 1e-9 * (told["at"] - first))
                 elif self._turn > self._state.turn + 1:  # a turn passed without images

@@ -213,7 +213,8 @@ def live(
     place = {name: measured(config, "live").tables()[MEASURED][name] for name in PLACE} if keep_place else None
     turbidity = None if cured is None else _turbidity(cured)
     _run("live", rig, tables, out, settings, overwrite, lambda machines, progress: live(
-        machines, repeats=repeats, projector=projector, place=place, turbidity=turbidity, progress=progress))  # fmt: skip
+        machines, repeats=repeats, projector=projector, place=place, turbidity=turbidity,
+        progress=progress))  # fmt: skip
 
 
 def _turbidity(cured: Path) -> MeasuredTurbidity:

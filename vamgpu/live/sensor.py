@@ -105,22 +105,29 @@ class SensorView:
         origin = np.array(self.origin) + matrix @ (np.array([top, left]) + corner)
         return replace(self, matrix=_pairs(matrix * [down, across]), origin=(float(origin[0]), float(origin[1])))
 
-    def shown(self, image: np.ndarray, outside: float) -> np.ndarray:
-        """What the camera shows of an image on the pixels of the beam.
+    def finer(self, parts: int) -> SensorView:
+        """The view of pixels of which so many make an edge of one."""
+        matrix = np.array(self.matrix)
+        origin = np.array(self.origin) + matrix @ np.full(2, 0.5 / parts - 0.5)
+        return replace(self, matrix=_pairs(matrix / parts), origin=(float(origin[0]), float(origin[1])))
+
+    def shown(self, image: np.ndarray) -> np.ndarray:
+        """What the camera shows of an image on the pixels of the beam, which goes on beyond them.
 
         Args:
             image: Values, [row, column] of the beam.
-            outside: Value beyond the beam.
 
         Returns:
             The value of the nearest pixel, [row, column] of the camera.
         """
+        row, column = self._nearest
+        return image[np.clip(row, 0, image.shape[0] - 1), np.clip(column, 0, image.shape[1] - 1)]
+
+    @cached_property
+    def _nearest(self) -> np.ndarray:
+        """Row and column of the beam nearest to each pixel of the camera, [2, row, column]."""
         at = np.indices(self.shape).reshape(2, -1) - np.array(self.origin)[:, None]
-        row, column = np.rint(np.linalg.inv(np.array(self.matrix)) @ at).astype(int)
-        inside = (row >= 0) & (column >= 0) & (row < image.shape[0]) & (column < image.shape[1])
-        values = np.full(row.size, outside)
-        values[inside] = image[row[inside], column[inside]]
-        return values.reshape(self.shape)
+        return np.rint(np.linalg.inv(np.array(self.matrix)) @ at).astype(int).reshape(2, *self.shape)
 
     @property
     def orientation(self) -> str:
@@ -162,8 +169,8 @@ class BeamImages:
     def __init__(self, view: SensorView, pixels: tuple[int, int]) -> None:
         self.view, self.pixels = view, (int(pixels[0]), int(pixels[1]))
         if not self._known.any():
-            raise BadInput(f"the camera's images of {view.shape[0]} × {view.shape[1]} show no pixel of the beam; expected "
-                           "crop, pixel and place by which they do: run vam calibrate live")  # fmt: skip
+            raise BadInput(f"the camera's images of {view.shape[0]} × {view.shape[1]} show no pixel of the beam; "
+                           "expected crop, pixel and place by which they do: run vam calibrate live")  # fmt: skip
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Resample an image.
