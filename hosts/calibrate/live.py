@@ -17,6 +17,7 @@ from vamgpu.live.turbidity import MeasuredTurbidity
 TABLES = ("camera",)  # tables of a rig's file that it needs
 SHARES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # exposure times, of that in the rig's file
 PLACE = ("rows", "columns", "matrix", "origin", "place_error_pixels")  # numbers of the camera's place
+SURE = 10.0  # standard errors by which levels must rise with the exposure time
 LEVELS = 12  # groups of pixels of similar level, of each exposure
 
 
@@ -70,7 +71,7 @@ def _found(
     means = np.stack([stack.mean(axis=0) for stack in stacks])
     levels = means.mean(axis=(1, 2))
     (rate, dark), spread = np.polyfit(times, levels, 1, cov=True)
-    if not rate > 0:
+    if not rate > SURE * np.sqrt(spread[0, 0]):
         raise BadInput(f"levels are {levels.min():.4g} to {levels.max():.4g} at all exposure times; expected levels in "
                        "proportion to them: switch on the camera's own light, and its automatics off")  # fmt: skip
     dark, dark_error = max(float(dark), 0.0), float(np.sqrt(spread[1, 1]))

@@ -42,7 +42,7 @@ def sensor_of(settings: Mapping[str, Any], setup: LiveSetup) -> EmulatedSensor |
 
 
 def printer_of(setup: LiveSetup, resin: Mapping[str, Any], sharp: bool) -> VirtualPrinter:
-    """The print of a setup in a resin: its truth and seed. sharp: its camera sees shares of light, on parts of pixels."""
+    """The print of a setup in a resin: its truth and seed. sharp: its camera sees light on parts of pixels."""
     camera, plan = setup.camera(), setup.projection(setup.vial)
     if sharp:
         rays = camera.projection

@@ -82,7 +82,6 @@ class PrintOrder:
         )  # fmt: skip
         return made if self.stop is None else stopping(made, self.stop)
 
-
     def stand(self, planned: PrintPlan, paced: bool = False) -> Rehearsal:
         """Emulated machines of a dry run, with curing resin for a print that is watched."""
         made = rehearsal(planned, paced)

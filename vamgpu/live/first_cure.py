@@ -11,6 +11,8 @@ from vamgpu.live.turbidity import MeasuredTurbidity, Turbidity
 
 PARTS = 4
 """Parts of the images, by their distance from the axis and by height; how much they differ is the error."""
+MODEL = 0.01
+"""Error by which rays and kinetics of the model may be wrong besides, relative."""
 LEAST = 0.02
 """Least optical depth of a pixel that counts as darkened."""
 DARKEST = 1e-6
@@ -63,8 +65,8 @@ def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
                        "light of its job: check open field, noise and place of the camera")  # fmt: skip
     each = [found.x - np.linalg.lstsq(found.jac[some], found.fun[some], rcond=None)[0]
             for some in (number == part for part in range(PARTS))]  # fmt: skip
-    full = float(np.exp(found.x[1]))
-    return MeasuredTurbidity(full, full * float(np.std(each, axis=0, ddof=1)[1]) / PARTS**0.5)
+    full, spread = float(np.exp(found.x[1])), float(np.std(each, axis=0, ddof=1)[1]) / PARTS**0.5
+    return MeasuredTurbidity(full, full * float(np.hypot(spread, MODEL)))
 
 
 def _parts(depth: np.ndarray) -> np.ndarray:
