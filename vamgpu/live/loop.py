@@ -22,7 +22,7 @@ from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smoothing import Smoothing
 from vamgpu.live.tomography import TINY, OpticalDepths, Reconstruction, Tomograph
-from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of
+from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
@@ -64,7 +64,7 @@ class Decision:
         turns: Expected number of remaining turns.
         inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
-        iou: Overlap expected at the end, dimensionless.
+        iou: Overlap claimed for the end: the least within the error of the resin's gel point, dimensionless.
         reason: Reason in words.
         doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
             as its print makes them, with at most the dose of the plan, and no overlap is expected.
@@ -260,7 +260,7 @@ class LiveLoop:
             if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
                 clear = level
         return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
-                     digest(frames))  # fmt: skip
+                     digest(some(frames)))  # fmt: skip
 
     def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; the last few read-only arrays are kept there."""
@@ -354,7 +354,7 @@ class LiveLoop:
         share = max(1.0 - (self.resin.dark + self.ahead) / self.planned, 0.0)
         cured = self.estimator.conversion(share * self._planned_dose.numpy())
         passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
-        return darkening(-np.log(np.maximum(passed, TINY)).mean(axis=0))
+        return darkening(-np.log(np.maximum(some(passed), TINY)).mean(axis=0))
 
     def _replanned(self, at: _Turn, told: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
@@ -407,7 +407,7 @@ class LiveLoop:
             self._kept_fields[id(light)] = light, plan.light
         return Decision(
             at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
-            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.iou),
+            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.least),
             f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 

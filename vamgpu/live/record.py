@@ -121,7 +121,8 @@ class LiveSetup:
         Returns:
             The loop, before its first turn.
         """
-        replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
+        most, resin = self.most * float(light.max()), self.resin
+        replanner = Replanner(part, most=most, threshold=resin.solid, thresholds=resin.solid_doses)
         estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
             Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,

@@ -72,11 +72,13 @@ class Forecast:
         turns: Number of remaining turns.
         window: Strict process window, dimensionless.
         iou: Overlap with the part at the threshold of the resin, dimensionless, 0..1.
+        least: Least overlap at the thresholds that the resin may have, dimensionless, 0..1.
     """
 
     turns: int
     window: float
     iou: float
+    least: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +135,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled so that it is midway between
             outside and inside. None leaves them as they are.
+        thresholds: Further doses that it may be, as for `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -144,6 +147,7 @@ class Replanner:
     inside: float = 0.95
     greatest: float = 1.0
     threshold: float | None = None
+    thresholds: tuple[float, ...] = ()
     _known: dict[Any, tuple[DeviceArray, Border]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -304,5 +308,8 @@ class Replanner:
     def _forecast(self, task: _Task, turns: int, dose: DeviceArray) -> Forecast:
         assert self.threshold is not None
         parts = Parts(dose, task.target, 0.5, None)
-        (_, excess), (missing, printed) = above(parts, float(np.float32(self.threshold)))[0].tolist()
-        return Forecast(turns, task.state.window(dose)[0], printed / (missing + printed + excess))
+        overlaps = []
+        for level in (self.threshold, *self.thresholds):
+            (_, excess), (missing, printed) = above(parts, float(np.float32(level)))[0].tolist()
+            overlaps.append(printed / (missing + printed + excess))
+        return Forecast(turns, task.state.window(dose)[0], overlaps[0], min(overlaps))

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 CLEAREST = 0.05
 """Quantile of the pixels that are taken as without cured resin."""
+SOME = 32
+"""Least number of angles whose images are looked at for that."""
 FAINT = 0.05
 """Share of the greatest darkening up to which pixels are not compared."""
 
@@ -51,6 +53,12 @@ class Trust:
                 f"{100.0 * self.conversion:g} % expected): check the camera's orientation and the resin")  # fmt: skip
 
 
+def some(frames: np.ndarray) -> np.ndarray:
+    """Images of evenly spaced angles, [angle, row, column]: enough for means, and to find repeated ones."""
+    values = np.asarray(frames)
+    return values[:: max(len(values) // SOME, 1)]
+
+
 def digest(frames: np.ndarray) -> str:
     """Digest of images or patterns; empty where no number is finite, as where no image arrived."""
     values = np.asarray(frames)
@@ -64,7 +72,7 @@ def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
     values = np.asarray(frames)
     if values.shape != shape or values.dtype.kind not in "fiu":
         return None  # what looks at the images says what is wrong with them
-    arrived = [frame for frame in values if np.isfinite(frame).all()]  # one after the other: no copy of them all
+    arrived = [frame for frame in some(values) if np.isfinite(frame).all()]  # one after the other: no copy of them all
     total = sum((np.log(np.maximum(frame, 1.0)) for frame in arrived), np.zeros(shape[1:]))
     return total / len(arrived) if arrived else None
 
