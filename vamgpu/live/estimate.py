@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,10 @@ FAR = 0.75
 """Share of these distances beyond which derivatives are computed again."""
 KEPT = 16
 """Operators whose tables are kept."""
+BLOCK = 8
+"""Edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are alike."""
+REWEIGHTED = 2
+"""Fits from one set of derivatives, the later weighted by how many voxels err alike."""
 SLICES = 32
 """Most slices with voxels that parameters are estimated from: slices do not light each other."""
 
@@ -263,7 +268,7 @@ class Estimator:
 
     def estimate(
         self, light: Any, seen: Any, deviation: Any, prior: Prior, before: Estimate | None = None,
-        start: np.ndarray | None = None,
+        start: np.ndarray | None = None, common: float = 0.0,
     ) -> Estimate:  # fmt: skip
         """Estimate parameters and delivered dose.
 
@@ -274,6 +279,8 @@ class Estimator:
             prior: Prior of the parameters of these turns.
             before: The estimate before these turns; None at the start.
             start: Start of the search, for example the last values, (7,); None for the prior's.
+            common: Relative error that the conversion seen has in all voxels alike, such as that of the turbidity, and
+                its change from the middle to the top, and to the rim.
 
         Returns:
             The estimate.
@@ -298,12 +305,16 @@ class Estimator:
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
         fit = _Fit(lit, used, base, told, sigma, prior.mean, whitening)
-        values, data, residuals = self._fitted(fit, values)
+        values, data, residuals, alike = self._fitted(fit, values)
+        spread = scaled(spread, sqrt(alike))
         chi = float(residuals @ residuals)
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
-        unexplained = float(np.square(residuals * sigma).mean() / max(float(told.var()), TINY))
+        unexplained = float(alike * np.square(residuals * sigma).mean() / max(float(told.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
+        seen_off = common * told * self._trends(used) / (excess * sqrt(alike) * sigma)
+        shifts = covariance @ data.T @ seen_off.T  # by errors that all voxels have alike
+        covariance = covariance + shifts @ shifts.T
         dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
         if before is not None:
@@ -311,26 +322,42 @@ class Estimator:
         std = self._by_voxel(field, seen, spread)
         return Estimate(values, covariance, field, dose, std, chi, used.size, unexplained)
 
-    def _fitted(self, fit: _Fit, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The most probable parameters, and the derivatives and residuals of the voxels used, by Gauss-Newton."""
-        data, residuals, near = np.empty((0, len(NAMES))), np.empty(0), None
+    def _trends(self, used: np.ndarray) -> np.ndarray:
+        """Errors that voxels have alike: everywhere, rising with height, and with the squared radius; (3, voxels)."""
+        count = self.operator.grid.shape[2]
+        out = 2.0 * self._out.reshape(-1)[used // count]
+        return np.stack([np.ones(used.size), self._up[used % count], out])
+
+    def _fitted(self, fit: _Fit, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """The most probable parameters, derivatives and residuals of the voxels used, and how many err alike."""
+        data, residuals, near, alike = np.empty((0, len(NAMES))), np.empty(0), None, 1.0
         for _ in range(self.rounds):
             if near is not None and (np.abs(values - near.center)[list(OPTICAL)] <= FAR * self._apart).all():
                 break
             near = self._near(fit.light, self._center(values), fit.used, fit.before)
 
-            def gaps(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
-                seen_less = (self.conversion(near.dose(p)) - fit.seen) / fit.sigma
+            def gaps(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                seen_less = (self.conversion(near.dose(p)) - fit.seen) / sigma
                 return np.concatenate([seen_less, fit.whitening @ (p - fit.mean)])
 
-            def rise(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
-                rate = self._slope(near.dose(p)) / fit.sigma
+            def rise(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                rate = self._slope(near.dose(p)) / sigma
                 return np.concatenate([(rate * near.rates(p)).T, fit.whitening])
 
-            begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
-            found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST))  # pyright: ignore[reportArgumentType]
-            values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
-        return values, data, residuals
+            for _ in range(REWEIGHTED):
+                begin, sigma = np.clip(values, LEAST + EDGE, MOST - EDGE), sqrt(alike) * fit.sigma
+                found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST), args=(sigma,))  # pyright: ignore[reportArgumentType]
+                values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
+                alike, was = self._alike(fit.used, residuals), alike
+            alike = was  # by which the residuals were weighted
+        return values, data, residuals, alike
+
+    def _alike(self, used: np.ndarray, residuals: np.ndarray) -> float:
+        """Voxels that err alike, and count as one: how much blocks of them err, over independent voxels."""
+        at = np.unravel_index(used, self.operator.domain.shape)
+        _, block = np.unique(np.stack([each // BLOCK for each in at]), axis=1, return_inverse=True)
+        together = np.square(np.bincount(block.ravel(), residuals)).sum()
+        return float(max(together / max(np.square(residuals).sum(), TINY), 1.0))
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
         """Conversion and its deviation on the device, 0 where nothing is seen, and where something is; None for all."""

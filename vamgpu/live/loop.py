@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from math import exp, floor, inf, sqrt
+from math import exp, floor, inf
 from time import perf_counter
 from typing import Any
 
@@ -22,7 +22,7 @@ from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smoothing import Smoothing
 from vamgpu.live.tomography import TINY, OpticalDepths, Reconstruction, Tomograph
-from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some
+from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some, sunk
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
@@ -34,8 +34,8 @@ ENOUGH = 50
 """Fewest such voxels for an estimate."""
 MODEL = 0.1
 """Conversion by which resin and tomograph may be wrong besides the noise."""
-ALIKE = 30.0
-"""Neighbors with the same error, which count as one."""
+COMMON = 0.05
+"""Relative error of the conversion seen that all voxels have alike."""
 FIRST = 1000
 """Most voxels of the first estimate."""
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
@@ -64,7 +64,7 @@ class Decision:
         turns: Expected number of remaining turns.
         inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
-        iou: Overlap claimed for the end: the least within the error of the resin's gel point, dimensionless.
+        iou: Overlap claimed for the end: the least within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
         doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
             as its print makes them, with at most the dose of the plan, and no overlap is expected.
@@ -131,6 +131,8 @@ class LiveState:
             to the first of them.
         values: The last estimate of the parameters, (7,); None before the first.
         clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
+        level: Mean level of the last images, [row, column]; None before the first turn.
+        sunk: Shift of what is cured towards lower rows since it was first seen [pixels].
         images: Digest of the last images.
         doubt: Why images no longer decide; empty where they do.
     """
@@ -145,6 +147,8 @@ class LiveState:
     committed: tuple[np.ndarray, ...] = ()
     values: np.ndarray | None = None
     clear: np.ndarray | None = None
+    level: np.ndarray | None = None
+    sunk: float = 0.0
     images: str = ""
     doubt: str = ""
 
@@ -153,7 +157,8 @@ class LiveState:
 class _Turn:
     """A turn that is over: its number, turns left, the state before it, and light shown, pending and committed now."""
 
-    # clear: level of images before anything cured; cured: share of the planned print's darkening that is seen now
+    # clear: level of images before anything cured, and level: now; sunk: as in a state; cured: share of the planned
+    # print's darkening that is seen now
 
     turn: int
     left: int
@@ -162,6 +167,8 @@ class _Turn:
     pending: DeviceArray
     committed: tuple[np.ndarray, ...]
     clear: np.ndarray | None
+    level: np.ndarray | None
+    sunk: float
     cured: float
     images: str
 
@@ -225,7 +232,7 @@ class LiveLoop:
         """
         at, seen, laps = self._after(state, frames), state.seen, _Laps()
         repeated = at.images and at.images == state.images
-        doubt = state.doubt or ("the camera repeats its images" if repeated else "")
+        doubt = state.doubt or ("the camera repeats its images" if repeated else self.trust.of_place(at.sunk))
         try:
             if doubt:
                 decision = self._by_plan(at, doubt)
@@ -243,7 +250,7 @@ class LiveLoop:
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, _values(decision, state.values), at.clear, at.images,
+                          at.committed, _values(decision, state.values), at.clear, at.level, at.sunk, at.images,
                           decision.doubt)  # fmt: skip
         return after, decision
 
@@ -255,12 +262,16 @@ class LiveLoop:
         pending = combine(fade, had, made, light, had.device.empty(had.shape))
         shown = added(self.field(state.shown), light)
         level, clear, share = mean_level(frames, self.tomograph.camera.shape), state.clear, 0.0
+        moved = state.sunk
         if level is not None:
+            if clear is not None and state.level is not None:
+                moved += sunk(clear - state.level, clear - level)
             share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
             if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
                 clear = level
-        return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
-                     digest(some(frames)))  # fmt: skip
+        left, seen = max(state.turns - 1, 0), digest(some(frames))
+        last = state.level if level is None else level
+        return _Turn(state.turn + 1, left, state, shown, pending, tuple(committed), clear, last, moved, share, seen)
 
     def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
         """An array on the device of the plan; the last few read-only arrays are kept there."""
@@ -374,7 +385,7 @@ class LiveLoop:
         plan = self.replanner.replan(
             calibrated, delivered, self.field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
-            wanted=self._wanted(float(found.values[6])),
+            wanted=self._wanted(float(found.values[6])), error=min(total(found.std) / total(found.delivered), 1.0),
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
@@ -395,7 +406,7 @@ class LiveLoop:
         gain, inhibitor = self._first_look(*(picked(field, some) for field in (even, seen, deviation)))
         start = np.array(self.prior.mean if before.values is None else before.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        return self.estimator.estimate(acted, seen, scaled(deviation, sqrt(ALIKE)), self.prior, start=start)
+        return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, common=COMMON)
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the rest."""
@@ -408,7 +419,8 @@ class LiveLoop:
         return Decision(
             at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
             1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.least),
-            f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
+            f"overlap {plan.expected.iou:.4f} likely, {plan.kept.iou:.4f} without",
+            dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
     def _deviation(self, told: OpticalDepths, seen: Reconstruction) -> DeviceArray:

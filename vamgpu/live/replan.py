@@ -101,7 +101,7 @@ class Replanned:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A task: delivered dose, the plan's light of a turn, and allowed numbers of turns, in order."""
+    """A task: delivered dose, the plan's light of a turn, allowed numbers of turns in order, error of the dose."""
 
     state: OptimizerState
     target: DeviceArray
@@ -109,6 +109,7 @@ class _Task:
     given: DeviceArray
     light: DeviceArray
     counts: Sequence[int]
+    error: float
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class Replanner:
 
     def replan(
         self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
-        evaluations: float, deviation: Any = 0.0, wanted: Any = None,
+        evaluations: float, deviation: Any = 0.0, wanted: Any = None, error: float = 0.0,
     ) -> Replanned:  # fmt: skip
         """The best light for the rest of a print within the given evaluations.
 
@@ -175,6 +176,7 @@ class Replanner:
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
             wanted: Dose that the whole print was meant to have, [x, y, z]; the plan's light is first corrected by
                 what is left of it. None to begin with the plan as it is.
+            error: Relative error of the dose, which `Forecast.least` counts in.
 
         Returns:
             The light found, or the plan's own if its surface is not farther off.
@@ -189,7 +191,7 @@ class Replanner:
         state.most_evaluations = positive("evaluations", evaluations)
         given = finite(operator.domain, delivered, operator.device, "the delivered dose")
         light = finite(operator.range, plan, operator.device, "the plan's light")
-        task, dose = _Task(state, target, border, given, light, counts), state.volume()
+        task, dose = _Task(state, target, border, given, light, counts, error), state.volume()
         state.expose(light, dose)
         kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
@@ -308,8 +310,8 @@ class Replanner:
     def _forecast(self, task: _Task, turns: int, dose: DeviceArray) -> Forecast:
         assert self.threshold is not None
         parts = Parts(dose, task.target, 0.5, None)
-        overlaps = []
-        for level in (self.threshold, *self.thresholds):
+        overlaps, levels = [], (self.threshold, *self.thresholds)
+        for level in (self.threshold, min(levels) * (1.0 - task.error), max(levels) * (1.0 + task.error)):
             (_, excess), (missing, printed) = above(parts, float(np.float32(level)))[0].tolist()
             overlaps.append(printed / (missing + printed + excess))
         return Forecast(turns, task.state.window(dose)[0], overlaps[0], min(overlaps))
