@@ -226,9 +226,9 @@ def _linked(
     camera = None
     if machines.camera is not None and images:
         speed, section = float(planned.schedule.speed), planned.rig.setup.camera
-        known = {} if section is None else {"exposure": section.exposure}
+        exposure = 0.01 if section is None else section.exposure
         lit = lambda: board.now.light  # noqa: E731
-        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lit, speed, **known))
+        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lit, speed, exposure=exposure))
     task = task_of(planned, record.path)
     return held.enter_context(LiveLink(live, task, planned, versions, machines.clock, board, camera))
 

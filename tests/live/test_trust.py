@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter, shift
 from small_print import PLANNED, overlap, printer, setup
 
 from vamgpu.live import Decision
+from vamgpu.live.alike import alike
 from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
 from vamgpu.live.prior import NAMES
 from vamgpu.live.record import LiveRecord
@@ -260,9 +261,8 @@ def test_deviations_are_true_in_sixty_prints() -> None:
 
 
 def test_neighbors_that_err_alike_count_as_one() -> None:
-    estimator = setup()[0].loop(*setup()[1:]).estimator
-    used = np.arange(int(np.prod(estimator.operator.domain.shape)))
-    white = np.random.default_rng(5).standard_normal(estimator.operator.domain.shape)
+    voxels = np.indices((24, 24, 16)).reshape(3, -1)
+    white = np.random.default_rng(5).standard_normal((24, 24, 16))
     smooth = gaussian_filter(white, 1.0)
-    assert estimator._alike(used, white.ravel()) == pytest.approx(1.0, abs=0.5)
-    assert 15.0 < estimator._alike(used, smooth.ravel()) < 50.0, "(4π)^1.5 = 45 in the whole space, fewer in blocks"
+    assert alike(voxels, white.ravel()) == pytest.approx(1.0, abs=0.5)
+    assert 15.0 < alike(voxels, smooth.ravel()) < 50.0, "(4π)^1.5 = 45 in the whole space, fewer in blocks"

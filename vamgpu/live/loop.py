@@ -274,7 +274,14 @@ class LiveLoop:
         return _Turn(state.turn + 1, left, state, shown, pending, tuple(committed), clear, last, moved, share, seen)
 
     def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
-        """An array on the device of the plan; the last few read-only arrays are kept there."""
+        """An array on the device of the plan; the last few read-only arrays are kept there.
+
+        Args:
+            values: Light or a field, [i, j, z].
+
+        Returns:
+            The array, [i, j, z] on the device.
+        """
         device, kept = self.estimator.operator.device, self._kept_fields
         if isinstance(values, DeviceArray) or values.flags.writeable:
             return here(device, values)
@@ -320,7 +327,7 @@ class LiveLoop:
         """The states, with the decisions of `replay`.
 
         Args:
-            turns: As for `replay`.
+            turns: As for `replay`, [angle, row, column] each.
             showed: As for `replay`.
 
         Yields:
@@ -406,7 +413,7 @@ class LiveLoop:
         gain, inhibitor = self._first_look(*(picked(field, some) for field in (even, seen, deviation)))
         start = np.array(self.prior.mean if before.values is None else before.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, common=COMMON)
+        return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, correlated=True, common=COMMON)
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the rest."""

@@ -322,6 +322,9 @@ class LiveRecord:
     def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
         """Go through the print once more with a loop.
 
+        Args:
+            loop: The loop of `loop`, before its first turn.
+
         Yields:
             The state and the repeated decision after each turn.
 
@@ -335,7 +338,13 @@ class LiveRecord:
         return (self.frames(each["turn"]) for each in told)
 
     def frames(self, turn: int) -> np.ndarray:
-        """Frames of a turn, [angle, row, column].
+        """Frames of a turn.
+
+        Args:
+            turn: Number of the turn, from 1.
+
+        Returns:
+            Gray levels, [angle, row, column].
 
         Raises:
             StorageError: The file is missing or damaged.

@@ -136,7 +136,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled so that it is midway between
             outside and inside. None leaves them as they are.
-        thresholds: Further doses that it may be, as for `CuringResin.solid_doses`.
+        thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
