@@ -1,6 +1,6 @@
 #include "partial.h"
 
-// Where limits are looked for, and what a voxel counts.
+// Dose at which limits are searched, and weight of a voxel.
 #define DOSE (2.0f * LOAD(held + at) + LOAD(scaled_dual + at))
 #define NEAR (disc_distance(i, j, n_i, n_j) <= reach * reach)
 #define COUNTED (NEAR ? (Vector)(1.0f) : select((Vector)(rim), ZERO, INSIDE))
@@ -10,8 +10,7 @@
 FIELD_KERNEL find_levels(ARRAY held, ARRAY scaled_dual, ARRAY target, float least, float leak, float reach, float rim,
                           __global float *restrict below, __global float *restrict shorts,
                           __global float *restrict above, __global float *restrict over, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector few[VECTORS], lacking[VECTORS], many[VECTORS], leaking[VECTORS];
     EACH_VECTOR few[v] = lacking[v] = many[v] = leaking[v] = ZERO;
     EACH_VECTOR_AT {

@@ -1,8 +1,8 @@
 """Steps of ADMM on dose and light; see `vamgpu.methods.two_levels`.
 
-Source: J. Eckstein, D. P. Bertsekas, Math. Program. 55 (1992) 293. Inside is a target of at least one half. Farther
-than ``reach`` samples from the axis voids count ``rim`` of the others: nobody judges them, but they are to stay dark.
-What is of the part there counts nothing. Limits are looked for at 2·held + scaled_dual.
+Source: J. Eckstein, D. P. Bertsekas, Math. Program. 55 (1992) 293. A voxel is inside if its target is at least one
+half. Farther than ``reach`` samples from the axis, voids have the weight ``rim``: they are not judged, but should stay
+dark. Parts of the target there have no weight. Limits are searched at 2·held + scaled_dual.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def clip_light(
 ) -> None:
     """pull += base·(the light clipped to 0…white, over-relaxed by ``relax``, minus the reflected light).
 
-    Light is driven to both ends by push times its distance from their middle; scaled_dual is updated.
+    Light is driven to both limits by push times its distance from their middle; scaled_dual is updated.
     """
     bright = 2.0 * light + scaled_dual
     driven = bright + push * (bright - 0.5 * white)

@@ -1,4 +1,4 @@
-"""Warp siblings of `admm`; a thread owns four lanes of z of one sample, or of a column of `ROWS` of them."""
+"""Warp version of `admm`; a thread owns four lanes of z of one sample, or of a column of `ROWS` of them."""
 
 from __future__ import annotations
 

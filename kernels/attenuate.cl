@@ -1,6 +1,6 @@
 #include "common.h"
 
-// One pose: directions, pitches along x, y, r and s, the radius of the resin; lengths in mm.
+// One angle: directions, pitches along x, y, r and s, the radius of the resin; lengths in mm.
 typedef struct {
     float cosine, sine, dx, dy, dr, step, radius;
 } View;
@@ -70,7 +70,7 @@ FIELD_KERNEL expose(__global const float *restrict path, __global const float *r
             const float r = y * view.cosine - x * view.sine, s = -(x * view.cosine + y * view.sine);
             const float square = view.radius * view.radius, u = r / view.dr + 0.5f * (n_r - 1);
             const size_t at = slab + SAMPLE(row, column, n_y);
-            // x² + y² rather than r² + s²: whether a voxel is resin must not depend on how a pose is rounded
+            // x² + y² rather than r² + s²: whether a voxel is resin must not depend on the rounding of an angle
             if (!(x * x + y * y <= square && u >= 0.0f && u <= n_r - 1)) {
                 EACH_VECTOR {
                     STORE(visible + at, (Vector)(0.0f));

@@ -1,8 +1,8 @@
-"""Light of one pose through a cylinder of resin whose absorbing species is depleted.
+"""Light of one angle through a cylinder of resin whose absorbing species is depleted.
 
-Rays run across the light at r and along it at s = −(x·cosθ + y·sinθ), from the side of the projector. Rays sum up the
-species on their way first; a voxel then finds its ray's sum and both colors' light there. Source: Beer-Lambert, paper
-"Reactive Transport Simulation", where extinction follows the depletion of o-Cl-HABI.
+Rays run across the light at r and along it at s = −(x·cosθ + y·sinθ), from the side of the projector. First, rays sum
+the species along their way; then each voxel looks up its ray's sum and the light of both colors. Source: Beer-Lambert,
+paper "Reactive Transport Simulation", where extinction follows the depletion of o-Cl-HABI.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Extinction = Annotated[np.ndarray, Table("float32", ("2", "2"))]  # color: μ [1
 def column_density(species: Volume, open: Open, pose: Pose, path: PathOut) -> None:
     """path[r, s, z] = ∫ of the species along the ray from where it enters the cylinder to s = s·step − radius.
 
-    Middles of steps interpolate between the columns of voxels around them that are open.
+    Middles of steps interpolate between the open columns of voxels around them.
     """
     cosine, sine, dx, dy, dr, step, radius, _ = (float(v) for v in pose)
     n_x, n_y, _ = species.shape
@@ -51,7 +51,7 @@ def expose(
     path: Path, visible_light: Sinogram, ultraviolet_light: Sinogram, angle: Integer, pose: Pose,
     extinction: Extinction, visible: VolumeOut, ultraviolet: VolumeOut,
 ) -> None:  # fmt: skip
-    """Irradiance of both colors in every voxel at one pose: light · exp(−μ·length − ε·path), dark outside the resin.
+    """Irradiance of both colors in every voxel at one angle: light · exp(−μ·length − ε·path), dark outside the resin.
 
     Light is interpolated between columns of pixels, path between rays and along them.
     """

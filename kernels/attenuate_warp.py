@@ -1,4 +1,4 @@
-"""Warp siblings of `attenuate`; a thread owns four lanes of z of one ray, or of one voxel."""
+"""Warp version of `attenuate`; a thread owns four lanes of z of one ray, or of one voxel."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 #include "common.h"
 
-// Whole vectors of what an item, which has all lanes of a slab, and the slabs on either side hold; where taps reach
-// farther, or neighbors have a lane each, one lane after the other.
+// Whole vectors: an item has all lanes of a slab and uses the slabs on either side. If taps reach farther, or each
+// neighbor has one lane, lanes are processed one after another.
 FIELD_KERNEL blur_slices(__global const float *restrict source, __global const float *restrict taps,
                          __global float *restrict blurred, int n_i, int n_j, int n_z, int n_tap) {
     const int i = ITEM_MAJOR;

@@ -1,4 +1,4 @@
-"""Warp sibling of `blur`."""
+"""Warp version of `blur`."""
 
 from __future__ import annotations
 

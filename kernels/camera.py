@@ -1,4 +1,4 @@
-"""Light that a print took by a camera's images, and the images that a field would make."""
+"""Light absorbed by a print, from a camera's images, and the images that a field would make."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramInOut, Sin
 
 Images = Annotated[np.ndarray, Table("float32", ("angle", "z", "r"))]
 Open = Annotated[np.ndarray, Table("float32", ("shot", "z", "r"))]
-"""Gray levels through the vial before the print, of one image or of as many as there are angles."""
+"""Gray levels through the vial before the print, for one image or for every angle."""
 Reached = Annotated[np.ndarray, Table("float32", ("r",))]
-"""Share of a column's light that gets in: operators count rays times this, 0 beyond the vial."""
+"""Share of a column's light that enters: operators multiply rays by it; 0 beyond the vial."""
 Numbers = Annotated[np.ndarray, Table("int32", ("z",))]
 
 FAINTEST = 2.0
-"""Standard deviations of its noise that a pixel must be bright, or it is not counted."""
+"""Least brightness of a valid pixel, in standard deviations of its noise."""
 FAINT = 1e-6
-"""Least share of light whose logarithm is taken."""
+"""Least share of light whose logarithm is computed."""
 SPREAD = np.uint32(2654435769)
-"""Factors of seeds, so that near ones draw unlike numbers."""
+"""Factors of seeds; near seeds then give different numbers."""
 
 CPU, GPU = Tiling(major=1, minor=0), Tiling(major=1, minor=1)
 
@@ -51,14 +51,14 @@ def dim_light(path: Sinogram, reached: Reached, dark: SinogramOut) -> None:
 
 @kernel(over="depth", cpu=CPU, gpu=GPU)
 def take_bias(dark: Sinogram, linear: Sinogram, reached: Reached, depth: SinogramInOut) -> None:
-    """depth −= −reached·ln(1 − dark) − linear, the excess of images of a field over the sum along its rays."""
+    """depth −= −reached·ln(1 − dark) − linear, the excess of depths in images over the sum along the rays."""
     lit = reached[:, None] > 0.0
     depth -= np.where(lit, -reached[:, None] * np.log(np.maximum(1.0 - dark, FAINT)) - linear, 0.0)
 
 
 @kernel(over="noise", cpu=CPU, gpu=GPU)
 def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: SinogramOut) -> None:
-    """Normal numbers of variance 1 / weight, 0 where that is 0; the same on every device, whatever its layout.
+    """Normal numbers of variance 1 / weight, 0 where that is 0; the same on every device and for every layout.
 
     slices: 0, 1, 2, …
     Source: hash by M. E. O'Neill (PCG-RXS-M-XS-32), G. E. P. Box & M. E. Muller, Ann. Math. Stat. 29 (1958) 610.
@@ -74,7 +74,7 @@ def draw_noise(weight: Sinogram, slices: Numbers, seed: Integer, noise: Sinogram
 
 
 def hashed(number: np.ndarray) -> np.ndarray:
-    """Each uint32 as another one."""
+    """Each uint32 mapped to another one."""
     state = number * np.uint32(747796405) + np.uint32(2891336453)
     word = ((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737)
     return (word >> np.uint32(22)) ^ word

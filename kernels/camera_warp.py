@@ -1,4 +1,4 @@
-"""Warp siblings of `camera`; a thread owns four lanes of z of one pixel's column."""
+"""Warp version of `camera`; a thread owns four lanes of z of one pixel's column."""
 
 from __future__ import annotations
 

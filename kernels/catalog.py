@@ -1,4 +1,4 @@
-"""Every declared kernel, read off the files beside this one; ``python -m vamgpu.kernels.catalog`` writes README.md."""
+"""Every declared kernel, read from the files beside this one; ``python -m vamgpu.kernels.catalog`` writes README.md."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ RECORD = FOLDER.parent / "profiling" / "records" / "kernels-h200.json"
 ERROR = 1e-3
 """Largest error of a kernel that counts as tested there: the share of counts that the contract tests allow."""
 TABLE = "| kernel | computes | files | one item | read | written | tested on |"
-"""Head of the generated part of README.md, which is all that follows."""
+"""Head of the generated part of README.md, which extends to its end."""
 
 
 def concepts() -> tuple[str, ...]:
-    """Names of the concepts: files with an OpenCL sibling."""
+    """Names of the concepts: files with an OpenCL version."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.cl")))
 
 
@@ -36,9 +36,9 @@ def kernels() -> tuple[Kernel, ...]:
 
 
 def bytes_per_item(kernel: Kernel, *, written: bool) -> str:
-    """Bytes read or written for an element of ``kernel.over``, every array once; axes stand for their lengths.
+    """Bytes read or written per element of ``kernel.over``; arrays count once, an axis's name means its length.
 
-    Tables that have no axis in common with ``over``, or only some of its axes, stand by name.
+    Tables that share no axis with ``over``, or only some of its axes, are listed by name.
     """
     items = _axes(kernel.arguments[kernel.over])
     terms: dict[str, int] = {}

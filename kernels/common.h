@@ -8,8 +8,8 @@
 #define PASTE(a, b) PASTE_(a, b)
 typedef PASTE(float, WIDTH) Vector;
 
-// An item is made of vectors already: without the hint compilers for CPUs pack several items into lanes, which takes most
-// of their time, and runs items in step that have unlike work.
+// An item already consists of vectors: without the hint, compilers for CPUs pack several items into lanes, which takes
+// most of their time, and run items with different work in step.
 #define FIELD_KERNEL __kernel __attribute__((vec_type_hint(Vector))) void
 
 #define EACH_VECTOR UNROLL for (int v = 0; v < VECTORS; v++)
@@ -23,22 +23,22 @@ typedef PASTE(float, WIDTH) Vector;
 #define ITEM_SLAB ((int)get_global_id(2) * TILE_SLABS)
 #define ITEM_LANE ((int)(get_global_id(0) % THREADS) * WIDTH * VECTORS)
 #define ITEM_Z (ITEM_SLAB * LANES + ITEM_LANE)      // its first slice
-#define ITEM_LANES (WIDTH * VECTORS)                // and how many there are
+#define ITEM_LANES (WIDTH * VECTORS)                // and their number
 
-// Where sample (major, minor) of this item's slab and lanes lies in a field with n_major x n_minor samples.
+// Position of sample (major, minor) of this item's slab and lanes in a field with n_major x n_minor samples.
 static inline size_t slab_offset(int n_major, int n_minor) {
     return (size_t)ITEM_SLAB * n_major * n_minor * LANES + ITEM_LANE;
 }
 #define SAMPLE(major, minor, n_minor) (((size_t)(major) * (n_minor) + (minor)) * LANES)
 
-// The samples along minor, of n, that this item computes: TILE_MINOR of them, or all where that is 0.
+// The samples along minor, of n, that this item computes: TILE_MINOR of them, or all if that is 0.
 #define MINOR_BEGIN (TILE_MINOR ? ITEM_MINOR * TILE_MINOR : 0)
 #define MINOR_END(n) (TILE_MINOR ? min(MINOR_BEGIN + TILE_MINOR, n) : n)
 #define EACH_MINOR(k, n) for (int k = MINOR_BEGIN, k##_end = MINOR_END(n); k < k##_end; k++)
 
 #endif
 
-// Where slice z of sample (major, minor) lies in a field with n_major x n_minor samples and slabs of `lanes` slices.
+// Position of slice z of sample (major, minor) in a field with n_major x n_minor samples and slabs of `lanes` slices.
 static inline size_t slice_offset(int major, int minor, int z, int n_major, int n_minor, int lanes) {
     return (((size_t)(z / lanes) * n_major + major) * n_minor + minor) * lanes + z % lanes;
 }

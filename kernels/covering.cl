@@ -44,10 +44,8 @@ FIELD_KERNEL level_cover(ARRAY rows, float reach, __global float *cover, SIZES) 
 #ifdef COMPILE_cover_scale
 FIELD_KERNEL cover_scale(ARRAY paid, ARRAY cost, ARRAY cover, float keep, __global float *restrict highs, SIZES,
                          int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    Vector high[VECTORS];
-    EACH_VECTOR high[v] = ZERO;
+    OWN_PART;
+    SUMS(high);
     EACH_VECTOR_AT {
         const Vector lack = keep * LOAD(paid + at) - LOAD(cost + at), covered = LOAD(cover + at);
         const Lanes reached = covered > ZERO;

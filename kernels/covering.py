@@ -1,9 +1,9 @@
-"""Prices of a dose, raised until no pixel gains: what certifies that no light has a wider process window.
+"""Dual variables of a dose, raised until no pixel gains: a certificate that no light has a wider process window.
 
-Where the prices of all limits cost every pixel at least what they pay it, they bound the window of any light. Prices of
-a run that has not ended pay some pixels too much. A cover is what these prices are raised by: light on the pixels that
-are paid too much, exposed, so that it costs them most. Light grows where the cover is short, and the cover is
-scaled to the pixel where it is shortest.
+If the dual variables of all limits cost every pixel at least what they pay it, they bound the window of any light.
+The dual variables of an unfinished run pay some pixels too much. A cover raises them: light on the pixels that are paid
+too much is exposed, and its dose costs these pixels most. Light grows where the cover is too low, and the cover is
+scaled until it suffices for all pixels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def divide_prices(
 ) -> None:
     """paid = inside·lower in the part, 0 outside; cost = inside·upper in the part, outside·lower outside.
 
-    Prices below 0 count as 0; see `vamgpu.kernels.pdhg.dual_step` for lower and upper.
+    Dual variables below 0 count as 0; see `vamgpu.kernels.pdhg.dual_step` for lower and upper.
     """
     part = target >= 0.5
     paid[...] = np.where(part, inside * np.maximum(lower, 0.0), 0.0)

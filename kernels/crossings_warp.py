@@ -1,4 +1,4 @@
-"""Where the rays of columns of voxels cross a triangle, in whole numbers, in Warp; see `voxelize`."""
+"""Crossings of the rays of voxel columns with a triangle, in whole numbers, in Warp; see `voxelize`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def at(e: Edge, x: int, y: int):
 
 @wp.func
 def most(e: Edge, corner: wp.int64, unit: int):
-    """The edge's largest value in the square of one column."""
+    """The edge function's largest value in the square of one column."""
     return corner + (wp.max(e.along_x, wp.int64(0)) + wp.max(e.along_y, wp.int64(0))) * wp.int64(unit)
 
 

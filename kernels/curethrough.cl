@@ -29,7 +29,7 @@ PACK_KERNEL expose_slices(__global const uchar *restrict levels, __global const 
     __global float *own = state + row, *rests = state + plane + row;
     Real peak = (Real)0.0f;
     int x = x_begin;
-    for (; x + PACKS * PACK <= x_end; x += PACKS * PACK) {  // a cache line of levels at a time, doses in registers
+    for (; x + PACKS * PACK <= x_end; x += PACKS * PACK) {  // one cache line of levels at a time, doses in registers
         Real dose[PACKS], rest[PACKS];
         UNROLL for (int v = 0; v < PACKS; v++) {
             dose[v] = load_real(own, x + v * PACK, n_x);

@@ -1,11 +1,11 @@
-"""Dose that light leaves behind while a print rises; for gray levels that keep it inside the part, see `levels`.
+"""Dose that light leaves while a print rises; for gray levels that keep it inside the part, see `levels`.
 
 Slices are counted in the order of exposure, slice n from ζ = n to n + 1 (ζ in slice heights from the platform), and the
-dose Ω at ζ = n is what slices n, n + 1, … leave there. It follows from the last slice to the first (Pritchard et al.
-2019, eq. S14): Ω ← Ω + light[level] − decay·Ω, decay = 1 − 10^−η. Everything a column needs from later slices is its
-state, so a stack passes in blocks of at most 32 slices, the last block first.
+dose Ω at ζ = n is what slices n, n + 1, … leave there. It is computed from the last slice to the first (Pritchard et
+al. 2019, eq. S14): Ω ← Ω + light[level] − decay·Ω, decay = 1 − 10^−η. A column's state contains all that it needs from
+later slices; a stack therefore passes in blocks of at most 32 slices, the last block first.
 
-A sum over thousands of slices loses digits in float32. So the state keeps beside Ω what the last addition rounded off.
+A sum over thousands of slices loses digits in float32; the state keeps the rounding error of the last sum beside Ω.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ import numpy as np
 from vamgpu.kernels.signature import Integer, Real, Table, kernel
 
 BITS = 32
-"""Slices in a block: one word holds which of them are solid at a pixel."""
+"""Slices in a block: the bits of one word tell which of them are solid at a pixel."""
 
 Slices = Annotated[np.ndarray, Table("uint8", ("slice", "y", "x"))]
 Words = Annotated[np.ndarray, Table("uint32", ("word", "y", "x"))]
-"""Bit k of word j: slice 32·j + k is solid. Words follow each other in a ring: word j stands at j modulo its length."""
+"""Bit k of word j: slice 32·j + k is solid. Words are stored in a ring buffer: word j is at j modulo its length."""
 WordsOut = Annotated[np.ndarray, Table("uint32", ("word", "y", "x"), writes=True)]
 Light = Annotated[np.ndarray, Table("float32", ("256",))]
 Pair = Annotated[np.ndarray, Table("float32", ("2", "y", "x"), writes=True, updates=True)]
 Kept = Annotated[np.ndarray, Table("float32", ("kept", "y", "x"), writes=True)]
 Peaks = Annotated[np.ndarray, Table("float32", ("y", "strip"), writes=True)]
 Counts = Annotated[np.ndarray, Table("int32", ("y", "strip"), writes=True)]
-"""One number for each work item: a strip of neighbors along x, all of one width but the last."""
+"""One number for each work item: a strip of neighbors along x; all strips except the last have the same width."""
 
 
 def in_strips(values: np.ndarray, out: np.ndarray, fold: np.ufunc) -> None:
@@ -41,7 +41,7 @@ def in_strips(values: np.ndarray, out: np.ndarray, fold: np.ufunc) -> None:
 
 
 def add(state: np.ndarray, change: np.ndarray) -> None:
-    """Ω += change, and keep what the sum rounds off (W. Kahan's summation)."""
+    """Ω += change, and keep the rounding error of the sum (W. Kahan's summation)."""
     change = change + state[1]
     total = state[0] + change
     state[1] = change - (total - state[0])
@@ -50,7 +50,7 @@ def add(state: np.ndarray, change: np.ndarray) -> None:
 
 @kernel(over="solid")
 def pack_slices(levels: Slices, threshold: Integer, block: Integer, words: WordsOut, solid: Counts) -> None:
-    """Bit k of the block's word: whether slice k reaches the threshold; solid = how many bits are set in a strip."""
+    """Bit k of the block's word: whether slice k reaches the threshold; solid = number of set bits in a strip."""
     above = levels >= threshold
     bits = np.arange(len(levels), dtype=np.uint32)[:, None, None]
     words[block % len(words)] = np.bitwise_or.reduce(above.astype(np.uint32) << bits, axis=0)
@@ -63,8 +63,8 @@ def expose_slices(
 ) -> None:
     """Ω of a block's slices, and the state of the next block.
 
-    light: dose that a slice of each level adds.  doses: of the first ``kept`` slices, (Ω beyond the slice + part · what
-    it changes) · fade, which is Ω between borders.  peaks: greatest Ω at a border.
+    light: dose that a slice of each level adds. doses: of the first ``kept`` slices, (Ω beyond the slice + part · its
+    change) · fade, which is Ω between borders. peaks: greatest Ω at a border.
     """
     peak = np.zeros(levels.shape[1:])
     for n in range(len(levels) - 1, -1, -1):
@@ -81,10 +81,10 @@ def judge_slices(
     levels: Slices, words: Words, block: Integer, light: Light, decay: Real, scale: Real, layered: Integer,
     critical: Real, state: Pair, heights: Pair, peaks: Peaks,
 ) -> None:  # fmt: skip
-    """heights += cured height of the void, and uncured height of the part, in slices, between borders too.
+    """heights += cured height of the void, and uncured height of the part, in slices, also between borders.
 
-    scale: slices over which light fades e-fold, over minus one.  layered: dose at the border belongs to the slice whole
-    and fades towards the platform; else it builds up from border to border.
+    scale: minus the number of slices over which light falls by a factor e. layered: the dose at the border belongs to
+    the whole slice and decays towards the platform; otherwise it builds up from border to border.
     """
     peak = np.zeros(levels.shape[1:])
     for n in range(len(levels) - 1, -1, -1):

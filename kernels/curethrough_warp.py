@@ -1,4 +1,4 @@
-"""Warp siblings of `curethrough`; a thread owns a strip of pixels, on a GPU of one."""
+"""Warp version of `curethrough`; a thread owns a strip of pixels, which on a GPU is one pixel."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.func
 def added(dose: float, rest: float, change: float):
-    """Ω after a change, and what the sum rounded off."""
+    """Ω after a change, and the rounding error of the sum."""
     whole = change + rest
     total = dose + whole
     return wp.vec2(total, whole - (total - dose))

@@ -1,7 +1,7 @@
 // Samples of a curve at vectors of doses.
 #include "partial.h"
 
-// Samples at a vector of doses, and their rise from one to the next; a straight line needs no looking up.
+// Samples at a vector of doses, and their increase from one to the next; a straight line needs no table.
 static inline Vector look_up(Vector dose, __global const float *restrict samples, int n_sample, float start,
                              float density, Vector *slope) {
     const Vector position = (dose - start) * density;

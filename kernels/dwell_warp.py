@@ -1,4 +1,4 @@
-"""Warp siblings of `dwell`."""
+"""Warp version of `dwell`."""
 
 from __future__ import annotations
 

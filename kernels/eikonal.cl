@@ -2,7 +2,7 @@
 
 #define OUTER 1.35120719f       // Yoshida's shares of a step
 #define INNER -1.70241438f
-#define SHORTEN 5               // Newton steps that find where a ray crosses the border
+#define SHORTEN 5               // Newton steps for finding where a ray crosses the border
 #define NEVER -1e30f
 
 typedef struct { Triple place, heading; Medium here; } Ray;
@@ -32,7 +32,7 @@ static inline Ray advance(FIELD, Ray ray, Real h, int scheme) {
 
 typedef struct { Real optical, length; } Way;
 
-// Optical path and length of a step, by the cubic through values and slopes at both ends.
+// Optical path and length of a step, from the cubic through values and slopes at both ends.
 static inline Way way_of(Ray ray, Ray end, Real h) {
     const Real first = inner(ray.here.pull, ray.heading), last = inner(end.here.pull, end.heading);
     const Real n0 = sqrt(ray.here.square), n1 = sqrt(end.here.square);
@@ -40,14 +40,14 @@ static inline Way way_of(Ray ray, Ray end, Real h) {
                  h * fma(h * (1.0f / 12.0f), first / n0 - last / n1, 0.5f * (n0 + n1))};
 }
 
-// What rounding leaves of hundreds of small steps is carried along.
+// The rounding errors of hundreds of small steps are carried along.
 static inline void add(Real *total, Real *rest, Real value, Whole live) {
     const Real wanted = value - *rest, sum = *total + wanted;
     *rest = live ? (sum - *total) - wanted : *rest;
     *total = live ? sum : *total;
 }
 
-// How far outside the region rays are, on the way out only, and its growth per t.
+// Distance of rays outside the region, only on the way out, and its growth per t.
 static inline Real outside(__global const float *region, Ray ray, Real *growth) {
     const Triple weighted = {region[0] * ray.place.x, region[1] * ray.place.y, region[2] * ray.place.z};
     const Real place[3] = {ray.place.x, ray.place.y, ray.place.z};
@@ -78,7 +78,7 @@ static inline void put_triple(Triple value, __global float *to, size_t stride, i
     put(value.z, to + 2, stride, last);
 }
 
-// last: of the rays that follow the first; lanes beyond repeat it.
+// last: number of rays that follow the first; lanes beyond repeat the last ray.
 static inline void run(FIELD, __global const float *starts, __global const float *region, float step, int steps, int scheme,
                        int every, __global float *ends, __global float *path, __global float *times, int n_row, int last) {
     const size_t stride = (size_t)3 * n_row;

@@ -17,7 +17,7 @@ from vamgpu.kernels.signature import Integer, Real, Table, kernel
 Starts = Annotated[np.ndarray, Table("float32", ("ray", "6"))]
 """Place and heading."""
 Region = Annotated[np.ndarray, Table("float32", ("10",))]
-"""A ray has left where a·x² + b·y² + c·z² > q or it is outside a box: a, b, c, q, low corner, high corner."""
+"""A ray has left if a·x² + b·y² + c·z² > q or if it is outside a box: a, b, c, q, low corner, high corner."""
 Ends = Annotated[np.ndarray, Table("float32", ("ray", "8"), writes=True)]
 """Place, heading, optical path, length."""
 Path = Annotated[np.ndarray, Table("float32", ("ray", "row", "3"), writes=True)]
@@ -26,7 +26,7 @@ Times = Annotated[np.ndarray, Table("float32", ("ray",), writes=True)]
 OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 LEAPS: dict[int, tuple[float, ...]] = {1: (1.0,), 2: (OUTER, 1.0 - 2.0 * OUTER, OUTER)}
 SHORTEN = 5
-"""Newton steps that find where a ray crosses the border of the region."""
+"""Newton steps for finding where a ray crosses the border of the region."""
 
 
 @kernel(over="times")
@@ -92,7 +92,7 @@ def march(
 
 
 class State:
-    """Where rays are: place, heading, ½∇n² and n² there, optical path and length so far."""
+    """State of rays: place, heading, ½∇n² and n² there, optical path and length so far."""
 
     place: np.ndarray
     heading: np.ndarray
@@ -120,7 +120,7 @@ class State:
             getattr(self, name)[index] = getattr(few, name)
 
     def advanced(self, look: Look, step: np.ndarray, scheme: int) -> State:
-        """After one step; the paths by the cubic through values and slopes at both ends, of fourth order."""
+        """State after one step; paths follow from the cubic through values and slopes at both ends, of fourth order."""
         end, h = self.part(np.arange(len(self.place))), step[:, None]
         if scheme == 0:
             a = self.pull
@@ -142,7 +142,7 @@ class State:
 
 
 def _outside(state: State, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance outside the region, below zero inside, on the way out only; and its growth per t."""
+    """Distance outside the region (below zero inside), only on the way out, and its growth per t."""
     place, heading = state.place, state.heading
     round_value = (place**2) @ region[:3] - region[3]
     values = np.concatenate([round_value[:, None], region[4:7] - place, place - region[7:10]], axis=1)

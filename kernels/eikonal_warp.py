@@ -1,4 +1,4 @@
-"""Warp siblings of `eikonal`; a thread marches one ray."""
+"""Warp version of `eikonal`; a thread marches one ray."""
 
 from __future__ import annotations
 
@@ -110,9 +110,9 @@ def run(
         if beyond[0] > 0.0:
             left = 1
         else:
-            wanted = way_of(ray, end, step) - rest
-            total = way + wanted
-            rest = (total - way) - wanted
+            increment = way_of(ray, end, step) - rest
+            total = way + increment
+            rest = (total - way) - increment
             way = total
             ray = end
             taken += 1

@@ -1,6 +1,6 @@
 """Filtering of sinograms along r by a symmetric table of taps, plain and as the preconditioner of a step.
 
-A step that filters as it goes needs no array for the filtered gradient.
+A step that filters at the same time needs no array for the filtered gradient.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def filtered_step(
 ) -> None:  # fmt: skip
     """One accelerated step that keeps light ≥ 0: new = max(0, ahead − step·filtered gradient), 0 where it is held.
 
-    Light is held where ahead ≤ 0 and the gradient asks for no more (`apply_penalty` leaves 0 there).
+    Light is held if ahead ≤ 0 and the gradient does not increase it (`apply_penalty` leaves 0 there).
     Then ahead = new + momentum·(new − light) and light = new. Source: Y. Nesterov, Soviet Math. Dokl. 27 (1983) 372.
     """
     new = np.maximum(0.0, ahead - step * convolve(gradient, taps, stride))

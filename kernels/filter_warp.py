@@ -1,4 +1,4 @@
-"""Warp siblings of `filter`."""
+"""Warp version of `filter`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels that go to another level where the dose of all of them comes nearer to what a part asks for."""
+"""Pixels that change to another level if this brings the sum of all doses closer to a part's requirements."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def price_flips(
 ) -> None:
     """Growth of the squared error of a voxel's dose by ``step`` more or less light, squared, over the step.
 
-    side: above 0 in the part, whose dose must be from ``least`` to ``most``; below 0 in a void, which must get at most
-    ``leak``; 0 where any dose is allowed. The sum of these along a pixel's light, weighted by its dose in each voxel,
-    is the change of the error if the pixel is flipped, as if every voxel that it lights got the step.
+    side: above 0 in the part, whose dose must be from ``least`` to ``most``; below 0 in a void, whose dose must be at
+    most ``leak``; 0 if any dose is allowed. The sum of these along a pixel's light, weighted by its dose in each voxel,
+    is the change of the error if the pixel is flipped, assuming that every voxel that it lights gets the step.
     """
 
     def off(given: np.ndarray) -> np.ndarray:
@@ -36,7 +36,7 @@ def price_flips(
 def flip_pixels(brighter: Array, darker: Array, step: Array, light: ArrayInOut, change: ArrayOut) -> None:
     """Flip each pixel if that lowers the error: lit ones (light > 0) with darker < 0, others with brighter < 0.
 
-    step: difference of a pixel's light on and off; 0 for pixels that stay. change: difference of light.
+    step: difference between a pixel's light on and off; 0 for pixels that must not change. change: difference of light.
     """
     lit = light > 0
     change[...] = np.where(lit, np.where(darker < 0, -step, 0.0), np.where(brighter < 0, step, 0.0))
@@ -48,9 +48,9 @@ def step_pixels(
     brighter: Array, darker: Array, worth: Real, seed: Integer, first: Integer, step: Real, most: Real,
     light: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Step some of the pixels whose step lowers the error: light ± step, within 0 and most.
+    """Change some of the pixels to light ± step, from 0 to most, if this lowers the error.
 
-    worth: gain (the lesser of both prices below 0) above which all pixels are stepped; others are stepped with a
+    worth: gain (minus the smaller of both error changes) above which all pixels change; others change with a
     probability of their gain over it. seed: of the random choice. first: number of the first slice.
     """
     gain = -np.minimum(brighter, darker)

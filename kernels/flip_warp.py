@@ -1,4 +1,4 @@
-"""Warp siblings of `flip`; a thread owns four lanes of z."""
+"""Warp version of `flip`; a thread owns four lanes of z."""
 
 from __future__ import annotations
 

@@ -46,12 +46,12 @@ FIELD_KERNEL back_footprint(__global const float *restrict sinogram, __global co
         }
     }
 #else
-    // An item owns 2 x 2 voxels, which share most of the columns that light them.
+    // An item owns 2 x 2 voxels, which are lit mostly by the same columns.
     const Place at = place();
     DECLARE_KEPT;
     const float inverse_sigma = sigma > 0.0f ? 1.0f / sigma : 0.0f;
     const int row = at.major * 2, column = at.minor * 2;
-    const int widest = taps + (int)(1.4143f * ratio) + 1;       // columns of a tile, at most
+    const int widest = taps + (int)(1.4143f * ratio) + 1;       // greatest number of columns of a tile
     const int at_once = clamp(samples / max(widest, 8), 1, TURNS);
     Vector sum[TILE_SLABS][4];
     UNROLL for (int s = 0; s < TILE_SLABS; s++) UNROLL for (int i = 0; i < 4; i++) sum[s][i] = (Vector)(0.0f);
@@ -123,11 +123,11 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
             __global float *out = sinogram + slab * to_slab + turned_row(&k, fold, angle);
             for (int r = 0; r < n_r * VECTORS; r++) *(__global Vector *)(out + r * WIDTH) = (Vector)(0.0f);
         }
-    // An item owns whole poses, so that voxels may add to any column of them.
+    // An item owns whole angles; voxels may therefore add to any column of them.
     Notes notes;
     for (int block = angles.x; block < angles.y; block += ANGLES) for (int skip = 0; skip < taps; skip += TAPS) {
         const int count = min(ANGLES, angles.y - block), width = min(TAPS, taps - skip);
-        // Footprints are those of a quarter of the grid at all poses, as in the other direction, rounded the same.
+        // Footprints are those of a quarter of the grid at all angles, rounded as in the other direction.
         for (int quarter = 0; quarter < folds; quarter++) for (int row = 0; row < x_end; row++)
         for (int column = 0; column < y_end; column += WIDTH) {
             const int first_pose = block + quarter * (n_angle / 4);
@@ -153,7 +153,7 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
         }
     }
 #else
-    // An item owns four neighbouring columns of one pose, whose rays share most of the cells that they meet in a plane.
+    // An item owns four neighbouring columns of one angle, whose rays meet mostly the same cells in a plane.
     const Place at = place();
     DECLARE_KEPT;
     const float inverse_sigma = sigma > 0.0f ? 1.0f / sigma : 0.0f;
@@ -180,8 +180,8 @@ FIELD_KERNEL forward_footprint(__global const float *restrict volume, __global c
             const int slot = samples_before(windows, turn) + k;
             const int2 cell = span.along_y ? (int2)(window.x + k, plane) : (int2)(plane, window.x + k);
             const float x = cell.x - 0.5f * (n_x - 1), y = cell.y - 0.5f * (n_y - 1);
-            // Loaded here, not before the loop: Intel's compiler for processors keeps a negated float across a barrier for
-            // the last item of a group alone, and moves the direction's minus out of the loop.
+            // Loaded here, not before the loop: Intel's compiler for processors keeps a negated float across a barrier
+            // only for the last item of a group, and moves the direction's minus sign out of the loop.
             const float3 direction = vload3(angle, directions);
             float u;
             const Foot foot = footprint(light, n_across, n_along, n_r, direction, x, y, bent, ratio, strength, fill, sigma, &u);

@@ -1,5 +1,6 @@
-// What one pixel's light means to a voxel: three boxes convolved with a Gaussian, in closed form (see footprint.py).
-#ifdef __NV_CL_C_VERSION           // right to two units in the last place there, and not everywhere
+// Light of one pixel in a voxel: three boxes convolved with a Gaussian, in closed form (see footprint.py).
+#ifdef DIVIDE
+#elif defined(__NV_CL_C_VERSION)    // right to two units in the last place there, but not everywhere
 #define DIVIDE native_divide
 #else
 #define DIVIDE(a, b) ((a) / (b))
@@ -13,7 +14,7 @@
 
 // Third integral of a Gaussian about 0; with sigma 0, of a point.
 static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
-    const Real above = fmax(x, 0.0f);
+    const Real above = fmax(x, (Real)(0.0f));
     if (sigma == 0.0f) return 0.5f * above * above;
     const Real t = fabs(x) * inverse_sigma;
     Real series = fma(t, (Real)(7.122526186e-05f), (Real)(2.423642034e-04f));
@@ -30,8 +31,8 @@ static inline Real third_integral(Real x, float sigma, float inverse_sigma) {
     return x > 0.0f ? 0.5f * fma(x, x, (Real)(square)) - tail : tail;
 }
 
-// A voxel seen by the columns: half sum and half difference of its two boxes, what entries are divided by, its reach.
-// Boxes of a square voxel are a and b wide; that of its way while it is lit, c, and the widest of the three stays.
+// A voxel as seen by the columns: half sum and half difference of its two boxes, the divisor of entries, its reach.
+// Boxes of a square voxel are a and b wide; c is that of its motion while it is lit. The widest of the three is kept.
 typedef struct {
     Real outer, inner, gain, reach;
 } Foot;
@@ -39,7 +40,7 @@ typedef struct {
 static inline Foot foot_of(Real a, Real b, Real c, Real strength, float fill, float sigma) {
     const Real narrow = fmin(a, b), side = fmax(a, b), next = fmin(side, c);
     const Real merged = c > 0.0f ? sqrt(fma(narrow, narrow, next * next)) : narrow;
-    const float least = THINNEST + BLURRED * sigma;
+    const Real least = (Real)(THINNEST + BLURRED * sigma);
     const Real thin = fmax(fmin(fmax(side, c), merged), least);
     const Real wide = sqrt(fmax(c * c + (a * a + b * b) - thin * thin, least * least));
     Foot foot;
@@ -50,7 +51,7 @@ static inline Foot foot_of(Real a, Real b, Real c, Real strength, float fill, fl
     return foot;
 }
 
-// Columns that a voxel moves by while it is lit, from the gradient of the column across and along the light.
+// Columns by which a voxel moves while it is lit, from the gradient of the column across and along the light.
 static inline float swept(float2 gradient, float3 direction, float x, float y) {
     const float across = fma(y, direction.x, -x * direction.y), along = fma(-x, direction.x, -y * direction.y);
     return fabs(gradient.x * along - gradient.y * across) * direction.z;
@@ -62,12 +63,12 @@ static inline Real edge(const Foot *foot, Real x, float sigma, float inverse_sig
          - (third_integral(x + foot->inner, sigma, inverse_sigma) + third_integral(x - foot->inner, sigma, inverse_sigma));
 }
 
-// How much of a share counts: all but near the end of its reach.
+// Weight of a share: 1 except near the end of its reach.
 static inline Real faded(const Foot *foot, Real distance, float sigma) {
     return clamp((foot->reach - fabs(distance)) * (1.0f / (FADE * sigma + SHARP)), (Real)(0.0f), (Real)(1.0f));
 }
 
-// Column of the light, its strength, and the gradient of the column across and along the light, at a voxel of one pose.
+// Column of the light, its strength, and the gradient of the column across and along the light, at a voxel.
 static inline float4 look_up(__global const float4 *restrict light, int n_across, int n_along, float2 direction,
                              float x, float y) {
     const float across = fma(y, direction.x, -x * direction.y) + 0.5f * (n_across - 1);

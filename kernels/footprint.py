@@ -1,14 +1,13 @@
-"""Forward and back projection with exact footprints: an entry is the mean, over a voxel's box, of a pixel's light.
+"""Forward and back projection with exact footprints: an entry is the light of a pixel averaged over a voxel's box.
 
 A pixel lights a box of ``fill`` columns, blurred by a Gaussian of ``sigma`` columns. A voxel, seen along the light, is
 a trapezoid: its square's two edges, laid along the gradient of the column map, are two boxes of widths a and b. The
 mean of the light over the voxel is therefore the convolution of three boxes with a Gaussian, which has a closed form: a
-sum of the third integral of the Gaussian over the eight corners of the boxes. Straight light is the map
-whose gradient is the same everywhere; bent light looks column, strength and gradient up in a map of one pose, made
-once.
+sum of the third integral of the Gaussian over the eight corners of the boxes. Straight light is a map with the same
+gradient everywhere; for bent light, column, strength and gradient come from a map of one angle, which is made once.
 
-While the vial turns, the voxel's column moves steadily: one more box, of width c. The widest of a, b and c stays, and a
-box of the variance of the other two takes their place.
+While the vial turns, the voxel's column moves steadily: one more box, of width c. The widest of a, b and c is kept, and
+one box with the variance of the other two replaces them.
 
 Lengths are in voxels, columns count from 0.
 """
@@ -23,25 +22,25 @@ from vamgpu.kernels.project import middle
 from vamgpu.kernels.signature import Integer, Real, Sinogram, SinogramOut, Table, Tiling, Volume, VolumeOut, kernel
 
 Directions = Annotated[np.ndarray, Table("float32", ("angle", "3"))]
-"""cosθ, sinθ, and the arc [rad] of the turn during which the pose is lit."""
+"""cosθ, sinθ, and the arc [rad] of the turn during which the angle is lit."""
 Map = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
-"""Column of the light, its strength, and the columns a voxel across and along it, samples one voxel apart."""
+"""Column of the light, its strength, and the columns per voxel across and along it, samples one voxel apart."""
 Edges = Annotated[np.ndarray, Table("float32", ("r", "8"))]
 """p, cos d, sin d, slack of the two chords between which a column's light falls."""
 
 TAIL, FAR = 2.75, 4.0
-"""σ beyond the boxes, and from the middle at least, beyond which the light, about 1e-4 of a pixel's, is left out."""
+"""Least distance in σ, beyond the boxes and from the middle, at which light (about 1e-4 of a pixel's) is cut off."""
 FADE = 0.25
-"""σ over which a share fades before its end, so that rounding does not decide whether it counts."""
+"""Range in σ over which a share fades out; rounding then does not decide whether it counts."""
 SHARP = 1e-3
-"""Columns over which a share without blur fades, where it is nothing anyway."""
+"""Range in columns over which a share without blur fades out, where it is 0 anyway."""
 THINNEST, BLURRED = 0.05, 0.2
-"""Columns + share of sigma: a narrower side of the trapezoid is widened to this, the other narrowed to keep variance.
+"""Columns + share of sigma: a trapezoid's narrower side is widened to this, the other narrowed for the same variance.
 
-The corners' sum cancels where a side is thin, the more so the wider the blur that hides how thin it is. In float32
+The sum over the corners cancels if a side is thin; a wider blur hides the thinness and makes this worse. In float32
 shares are off by 2e-5 of the greatest, and widening costs 2e-3 of it with a point spread, 2e-2 at an edge without."""
 GPU = {"SAMPLES": 128, "KEPT": 1024, "TURNS": 16}
-"""Samples whose shares a tile, and a group, keeps at a time; poses or planes that they are of, at most."""
+"""Samples whose shares a tile, and a group, keeps at a time; greatest number of angles or planes they are from."""
 TAIL_SERIES = (9.973836443e-02, 2.202380776e-02, 3.491863407e-03, 2.423642034e-04, 7.122526186e-05)
 """Third integral of the unit Gaussian's tail: 0.25 / (1 + Σ c_k t^k)^16, fitted to the closed form to 3.1e-7."""
 
@@ -62,7 +61,7 @@ def sides(a: np.ndarray, b: np.ndarray, sigma: float) -> tuple[np.ndarray, np.nd
 
 
 def exposed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two boxes for three: the widest, and one of the variance of the other two; a and b themselves where c is 0."""
+    """Two boxes in place of three: the widest, and one with the variance of the others; a and b if c is 0."""
     wide, thin = np.maximum(a, b), np.minimum(a, b)
     widest = np.maximum(wide, c)
     other = np.hypot(thin, np.minimum(wide, c))
@@ -92,7 +91,7 @@ def _matrix(
     shape: tuple[int, ...], columns: int, direction: np.ndarray, light: np.ndarray, bent: int, ratio: float,
     strength: float, fill: float, sigma: float, radius: float,
 ) -> Any:  # fmt: skip
-    """Shares of columns in the voxels of a plane at one pose, sparse (columns, nx · ny)."""
+    """Shares of columns in the voxels of a plane at one angle, sparse (columns, nx · ny)."""
     from scipy.sparse import csr_array
 
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
@@ -132,8 +131,8 @@ def forward_footprint(
 ) -> None:  # fmt: skip
     """The transpose of `back_footprint`: every voxel adds to the columns that light it.
 
-    edges bound where a column's light falls, so that a GPU can gather along the ray instead: ``cells`` of a plane, at
-    most, for four neighboring columns.
+    edges bound the range of a column's light; a GPU can then gather along the ray instead: ``cells`` is the greatest
+    number of cells of a plane for four neighboring columns.
     """
     columns, slices = sinogram.shape[1:]
     for angle, direction in enumerate(directions):
@@ -151,11 +150,11 @@ def back_footprint(
     sinogram: Sinogram, directions: Directions, light: Map, bent: Integer, ratio: Real, strength: Real, fill: Real,
     sigma: Real, radius: Real, taps: Integer, volume: VolumeOut,
 ) -> None:  # fmt: skip
-    """volume[x, y, z] = Σ over poses and columns of the mean over the voxel of the column's light × the sinogram there.
+    """volume[x, y, z] = Σ over angles and columns of the column's light, averaged over the voxel, × the sinogram there.
 
-    bent: 0 for straight light, of ``ratio`` columns a voxel and of ``strength`` everywhere; 1 for light that is looked
-    up in ``light``, of at most ``ratio`` columns a voxel.  fill, sigma: of a pixel and of its point spread [columns].
-    Voxels beyond ``radius`` voxels from the axis get nothing.  taps: columns that light a voxel, at most.
+    bent: 0 for straight light, with ``ratio`` columns per voxel and ``strength`` everywhere; 1 for light from the table
+    ``light``, with at most ``ratio`` columns per voxel. fill, sigma: of a pixel and of its point spread [columns].
+    Voxels beyond ``radius`` voxels from the axis get nothing. taps: greatest number of columns that light a voxel.
     """
     volume[...] = 0.0
     for angle, direction in enumerate(directions):

@@ -6,17 +6,17 @@ typedef Vector Real;            // a footprint for each of WIDTH neighbouring vo
 #define LANE_NUMBERS (Vector)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #include "footprint.h"
 
-// Footprints cost more than the lanes they serve, so WIDTH neighbouring voxels of a row get theirs at once, for a block of
-// poses; each is then applied to every slab and, where a quarter turn maps grid and poses onto themselves, to all four
-// quarters (folds).
+// Footprints take longer than the lanes that use them. Therefore WIDTH neighbouring voxels of a row compute theirs at
+// once, for a block of angles; each is then applied to every slab and, if a quarter turn maps grid and angles onto
+// themselves, to all four quarters (folds).
 typedef struct {
     int first[ANGLES][WIDTH];               // column
-    int taps[ANGLES];                       // columns from there on that light any of the voxels
+    int taps[ANGLES];                       // number of columns from there on that light any of the voxels
     float weight[ANGLES][TAPS][WIDTH];
     bool lit[WIDTH];
 } Notes;
 
-// The poses, the light and the pixels' shape, as every item needs them.
+// The angles, the light and the pixels' shape, in the form that every item needs.
 typedef struct {
     __global const float *directions;
     __global const float4 *light;
@@ -52,7 +52,7 @@ static inline float greatest(Real value) {
     return most;
 }
 
-// Notes columns [skip, skip + taps) of those that light voxels (row, column..), at `count` poses; false if none is lit.
+// Stores columns [skip, skip + taps) of those that light voxels (row, column..), at `count` angles; false if none.
 static inline bool note(const Scene *k, Notes *notes, int angle, int count, int row, int column, int skip, int taps) {
     const float x = row - 0.5f * (k->n_x - 1), y = column - 0.5f * (k->n_y - 1);
     const float inverse_sigma = k->sigma > 0.0f ? 1.0f / k->sigma : 0.0f;
@@ -79,7 +79,7 @@ static inline bool note(const Scene *k, Notes *notes, int angle, int count, int 
     return true;
 }
 
-// A turn by 90 degrees takes pose a to a + n_angle / 4 and voxel (x, y) to (-y, x), where the poses are evenly spread.
+// A turn by 90 degrees maps angle a to a + n_angle / 4 and voxel (x, y) to (-y, x), if the angles are evenly spaced.
 static inline int folds_of(const Scene *k) {
     if (k->n_angle % 4 || k->n_x != k->n_y || k->n_x % 2) return 1;
     const int quarter = k->n_angle / 4;
@@ -97,7 +97,7 @@ static inline int turned_voxel(const Scene *k, int fold, int x, int y) {
 static inline size_t turned_row(const Scene *k, int fold, int angle) {
     return (size_t)((angle + fold * (k->n_angle / 4)) % k->n_angle) * k->n_r * LANES;
 }
-// The share [x, y) of `count` things that item `index` of `items` takes.
+// The share [x, y) of `count` things for item `index` of `items`.
 static inline int2 part_of(int index, int items, int count) {
     return (int2)((int)((long)index * count / items), (int)((long)(index + 1) * count / items));
 }

@@ -1,14 +1,14 @@
-// Footprints on a GPU: those of a tile of four samples, found by the items that share it.
+// Footprints on a GPU: those of a tile of four samples, computed by the items that share it.
 typedef float Real;
 #include "footprint.h"
 
-// Items that differ in z alone share a tile of samples and follow each other in a group. Footprints cost more than the lanes
-// they serve, so these items work out those of the next poses (or planes) together, and all read them from local memory.
+// Items that differ only in z share a tile of samples and follow each other in a group. Footprints take longer than the
+// lanes that use them: these items therefore compute those of the next angles (or planes) together in local memory.
 #define MEMBERS (THREADS * (int)get_local_size(2))
 #define TILES ((int)(get_local_size(0) / THREADS * get_local_size(1)))
 typedef struct {
     int slab, major, minor, lane;       // what the item computes
-    int tile, member;                   // its tile in the group, and which of those that share it the item is
+    int tile, member;                   // its tile in the group, and which of the items that share the tile it is
 } Place;
 
 static inline Place place(void) {
@@ -24,7 +24,7 @@ static inline Place place(void) {
     return at;
 }
 
-// Whether the items of a tile run in step, so that they wait for each other alone: on NVIDIA's, 32 do.
+// Whether the items of a tile run in lockstep, as 32 do on NVIDIA's GPUs; they then wait only for each other.
 #ifdef __NV_CL_C_VERSION
 #define ALONE (MEMBERS == 32)
 #else
@@ -40,12 +40,12 @@ static inline void meet(void) {
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// Where an item's lane of slab ``s`` begins in a field; the surplus slabs of the last item repeat the last one there is.
+// Start of an item's lane of slab ``s`` in a field; the surplus slabs of the last item repeat the last slab.
 static inline size_t lane_of(Place at, int s, int n_major, int n_minor, int n_z) {
     return (size_t)min(at.slab + s, (n_z - 1) / LANES) * n_major * n_minor * LANES + at.lane;
 }
 
-// Column, strength and footprint of one voxel at one pose.
+// Column, strength and footprint of one voxel at one angle.
 static inline Foot footprint(__global const float4 *restrict light, int n_across, int n_along, int n_r, float3 direction,
                              float x, float y, int bent, float ratio, float strength, float fill, float sigma, float *u) {
     float4 ray = (float4)((y * direction.x - x * direction.y) * ratio + 0.5f * (n_r - 1), strength, ratio, 0.0f);
@@ -55,7 +55,7 @@ static inline Foot footprint(__global const float4 *restrict light, int n_across
                    swept(ray.zw, direction, x, y), ray.y, fill, sigma);
 }
 
-// Adds ``count`` samples, each fetched while the one before it is added. ``shares`` and ``indices`` have room for one more.
+// Adds ``count`` samples; each is fetched while the previous one is added. ``shares`` and ``indices`` have one more.
 static inline void gather(Vector sum[TILE_SLABS][4], __global const float *from[TILE_SLABS], __local float4 *shares,
                           __local int *indices, int count) {
     if (count == 0) return;
@@ -86,7 +86,7 @@ static inline void gather(Vector sum[TILE_SLABS][4], __global const float *from[
     }
 }
 
-// The samples that a tile keeps at a time; of each turn (a pose or plane) the first and how many there are.
+// The samples that a tile keeps at a time; for each turn (an angle or plane), the first and their number.
 // Together less than the 32 KB that every GPU has.
 #define MOST_TILES 64               // of a group as declared, 8 x 8 or 16 x 4
 #define DECLARE_KEPT \
@@ -98,7 +98,7 @@ static inline void gather(Vector sum[TILE_SLABS][4], __global const float *from[
     __local int *indices = kept_indices + at.tile * (samples + 1); \
     __local int2 *windows = kept_windows + at.tile * TURNS
 
-// Samples of the turns before one.
+// Number of samples of the turns before one.
 static inline int samples_before(__local const int2 *windows, int turn) {
     int count = 0;
     for (int before = 0; before < turn; before++) count += windows[before].y;
@@ -113,7 +113,7 @@ static inline Span span_of_four(__global const float8 *restrict edges, int r, in
     return span;
 }
 
-// Cells of a plane, at most.
+// Greatest number of cells of a plane.
 static inline int most_cells(const Span *span) {
     const float gap = span->to.x - span->from.x, change = span->to.y - span->from.y;
     return (int)fmin(fmax(fabs(gap), fabs(gap + (span->planes - 1) * change)) + 2.0f * span->slack, 1e6f) + 1;

@@ -1,6 +1,6 @@
-"""Warp siblings of `footprint`: tiles of 2 × 2 voxels, or of four columns of a pose (see `tile_warp`).
+"""Warp version of `footprint`: tiles of 2 × 2 voxels, or of four columns of an angle (see `tile_warp`).
 
-Footprints cost more than the lanes they serve: the members of a tile work out those of the next poses, or planes,
+Footprints take longer than the lanes that use them: the members of a tile compute those of the next angles, or planes,
 together.
 """
 
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.light_warp import cells_of, sampled, span_of
-from vamgpu.kernels.tile_warp import TURNS, Tile, gathered, meet, number, samples_before, share, tile_of, write_four
-from vamgpu.kernels.wide_warp import Flat
+from vamgpu.kernels.light_warp import Span, cells_of, sampled, span_of
+from vamgpu.kernels.tile_warp import TURNS, Tile, gathered, meet, no_sums, number, samples_before, share, tile_of
+from vamgpu.kernels.wide_warp import Flat, write_four
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -20,6 +20,7 @@ FADE = 0.25
 SHARP = 1.0e-3
 THINNEST = 0.05
 BLURRED = 0.2
+BEYOND = 1.0e6  # columns; more than any pattern has
 
 Ray: type = wp.types.vector(length=5, dtype=float)
 """Column; half sum and half difference of the boxes; gain; reach."""
@@ -58,10 +59,13 @@ def edge(x: float, outer: float, inner: float, sigma: float, inverse_sigma: floa
 
 @wp.func
 def footprint(
-    light: wp.array3d[float], n_r: int, c: float, s: float, arc: float, x: float, y: float, bent: int, ratio: float,
-    strength: float, fill: float, sigma: float,
+    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
+    ratio: float, strength: float, fill: float, sigma: float, radius: float,
 ):  # fmt: skip
-    """Column and footprint of one voxel at one pose."""
+    """Column and footprint of one voxel at one pose; voxels outside the radius reach nothing."""
+    if x * x + y * y > radius * radius:
+        return Ray(0.0, 1.0, 0.0, 0.0, -BEYOND)
+    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
     across = y * c - x * s
     along = -x * c - y * s
     u = across * ratio + 0.5 * float(n_r - 1)
@@ -78,7 +82,7 @@ def footprint(
     b = wp.abs(by_across * c - by_along * s)
     moved = wp.abs(by_across * along - by_along * across) * arc
     thin = wp.min(a, b)
-    if moved > 0.0:  # the widest of three boxes stays, the other two are merged
+    if moved > 0.0:  # the widest of three boxes is kept, the other two are merged
         side = wp.max(a, b)
         other = wp.min(side, moved)
         thin = wp.min(wp.max(side, moved), wp.sqrt(thin * thin + other * other))
@@ -91,19 +95,9 @@ def footprint(
 
 
 @wp.func
-def footprint_at(
-    light: wp.array3d[float], n_r: int, directions: wp.array2d[float], pose: int, x: float, y: float, bent: int,
-    ratio: float, strength: float, fill: float, sigma: float,
-):  # fmt: skip
-    """The footprint of a voxel at a pose."""
-    c, s, arc = directions[pose, 0], directions[pose, 1], directions[pose, 2]
-    return footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
-
-
-@wp.func
-def faded(distance: float, reach: float, fade: float):
+def faded(distance: float, reach: float, sigma: float):
     """The part of a share that counts: all but near the end of its reach."""
-    return wp.clamp((reach - wp.abs(distance)) * fade, 0.0, 1.0)
+    return wp.clamp((reach - wp.abs(distance)) * (1.0 / (FADE * sigma + SHARP)), 0.0, 1.0)
 
 
 @wp.func
@@ -112,8 +106,58 @@ def voxel(x: int, n: int):
 
 
 @wp.func
+def inverse_of(sigma: float):
+    """1/σ, or 0 without blur."""
+    return wp.where(sigma > 0.0, 1.0 / wp.max(sigma, 1.0e-9), 0.0)
+
+
+@wp.func
+def share_columns(
+    slot: int, i: int, sample: int, lanes: int, count: int, ray: Ray, first: int, fill: float, sigma: float
+):  # fmt: skip
+    """Store the shares of a tile's voxel i in so many columns; the first is a sample of the sinogram."""
+    inverse_sigma = inverse_of(sigma)
+    distance = ray[0] - float(first)
+    above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+    for k in range(count):
+        below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+        weight = faded(distance, ray[4], sigma) * ray[3] * wp.max(above - below, 0.0)
+        share(slot + k, i, wp.vec4(weight, 0.0, 0.0, 0.0))
+        if i == 0:
+            number(slot + k, True, (sample + k) * lanes)
+        distance -= 1.0
+        above = below
+        if fill != 1.0:
+            above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+
+
+@wp.func
+def four_shares(ray: Ray, first: int, fill: float, sigma: float):
+    """A voxel's shares of four columns."""
+    inverse_sigma = inverse_of(sigma)
+    above = edge(ray[0] - float(first) + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+    shares = wp.vec4(0.0)
+    for column in range(4):
+        distance = ray[0] - float(first + column)
+        below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+        shares[column] = faded(distance, ray[4], sigma) * ray[3] * wp.max(above - below, 0.0)
+        above = below
+        if fill != 1.0:
+            above = edge(distance - 1.0 + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+    return shares
+
+
+@wp.func
+def most_cells(span: Span):
+    """Cells of a plane, at most."""
+    gap = span.high[0] - span.low[0]
+    change = (span.high[1] - span.low[1]) * float(span.planes - 1)
+    return wp.max(wp.abs(gap), wp.abs(gap + change)) + 2.0 * span.slack
+
+
+@wp.func
 def find_window(at: Tile, turn: int, skip: int, widest: int, n_r: int):
-    """The columns of a pose that light the four voxels of a tile, from so many skipped on."""
+    """The columns of an angle that light the four voxels of a tile, after ``skip`` of them."""
     first = int(1000000)
     final = int(-1)
     for i in range(4):
@@ -136,26 +180,20 @@ def back_footprint(
     at = tile_of(volume.shape[0], lanes, 4, 16, (n_x + 1) // 2, (n_y + 1) // 2, wp.vec4i(i0, i1, i2, i3))
     row = 2 * at.major
     column = 2 * at.minor
-    inverse_sigma = wp.where(sigma > 0.0, 1.0 / wp.max(sigma, 1.0e-9), 0.0)
-    fade = 1.0 / (FADE * sigma + SHARP)
-    t0 = wp.mat44(0.0)
-    t1 = wp.mat44(0.0)
-    t2 = wp.mat44(0.0)
-    t3 = wp.mat44(0.0)
+    t0, t1, t2, t3 = no_sums()
     widest = taps + int(1.4143 * ratio) + 1  # columns of a tile, at most
     at_once = wp.clamp(at.samples // wp.max(widest, 8), 1, TURNS)
     for first_pose in range(0, n_angle, at_once):
         turns = wp.min(at_once, n_angle - first_pose)
         for skip in range(0, widest, at.samples):
             meet(at.members)
-            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the samples to come
+            for work in range(at.member, 4 * turns, at.members):  # columns of each voxel, among the following samples
                 pose = first_pose + work // 4
                 x = voxel(row + work % 4 // 2, n_x)
                 y = voxel(column + work % 2, n_y)
-                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
-                is_lit = x * x + y * y <= radius * radius
-                number(at.slots + 2 * work, True, wp.where(is_lit, int(wp.ceil(ray[0] - ray[4])), 1000000))
-                number(at.slots + 2 * work + 1, True, wp.where(is_lit, int(wp.floor(ray[0] + ray[4])), -1000000))
+                ray = footprint(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
+                number(at.slots + 2 * work, True, int(wp.ceil(ray[0] - ray[4])))
+                number(at.slots + 2 * work + 1, True, int(wp.floor(ray[0] + ray[4])))
             meet(at.members)
             for turn in range(at.member, turns, at.members):
                 find_window(at, turn, skip, widest, n_r)
@@ -169,20 +207,8 @@ def back_footprint(
                 pose = first_pose + turn
                 x = voxel(row + i // 2, n_x)
                 y = voxel(column + i % 2, n_y)
-                ray = footprint_at(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma)
-                gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
-                distance = ray[0] - float(first)
-                above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                for k in range(count):
-                    below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                    weight = faded(distance, ray[4], fade) * gain * wp.max(above - below, 0.0)
-                    share(slot + k, i, wp.vec4(weight, 0.0, 0.0, 0.0))
-                    if i == 0:
-                        number(slot + k, True, (pose * n_r + first + k) * lanes)
-                    distance -= 1.0
-                    above = below
-                    if fill != 1.0:
-                        above = edge(distance + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
+                ray = footprint(light, n_r, directions, pose, x, y, bent, ratio, strength, fill, sigma, radius)
+                share_columns(slot, i, pose * n_r + first, lanes, count, ray, first, fill, sigma)
             meet(at.members)
             count = samples_before(at.windows, turns)
             t0, t1, t2, t3 = gathered(t0, t1, t2, t3, sinogram, at, count)
@@ -204,22 +230,12 @@ def forward_footprint(
     at = tile_of(volume.shape[0], lanes, 8, 8, n_angle, (n_r + 3) // 4, wp.vec4i(i0, i1, i2, i3))
     angle = wp.min(at.major, n_angle - 1)
     r = 4 * at.minor
-    inverse_sigma = wp.where(sigma > 0.0, 1.0 / wp.max(sigma, 1.0e-9), 0.0)
-    fade = 1.0 / (FADE * sigma + SHARP)
-    t0 = wp.mat44(0.0)
-    t1 = wp.mat44(0.0)
-    t2 = wp.mat44(0.0)
-    t3 = wp.mat44(0.0)
-    c = directions[angle, 0]
-    s = directions[angle, 1]
-    arc = directions[angle, 2]
-    span = span_of(edges, wp.min(r, n_r - 1), wp.min(r + 3, n_r - 1), wp.vec4(c, s, 0.0, 0.0), n_x, n_y)
+    t0, t1, t2, t3 = no_sums()
+    pose = wp.vec4(directions[angle, 0], directions[angle, 1], 0.0, 0.0)
+    span = span_of(edges, wp.min(r, n_r - 1), wp.min(r + 3, n_r - 1), pose, n_x, n_y)
     most = int(cells)
     if 32 % at.members == 0:  # no other tile waits for this one
-        gap = span.high[0] - span.low[0]
-        change = (span.high[1] - span.low[1]) * float(span.planes - 1)
-        gap = wp.max(wp.abs(gap), wp.abs(gap + change))
-        most = int(wp.min(gap + 2.0 * span.slack, float(cells))) + 1
+        most = int(wp.min(most_cells(span), float(cells))) + 1
     across = wp.min(most, at.samples)
     at_once = wp.clamp(at.samples // across, 1, TURNS)
     for first_plane in range(0, wp.max(n_x, n_y), at_once):
@@ -242,18 +258,8 @@ def forward_footprint(
                     j = wp.where(span.along_y == 1, plane, cell)
                     x = voxel(i, n_x)
                     y = voxel(j, n_y)
-                    ray = footprint(light, n_r, c, s, arc, x, y, bent, ratio, strength, fill, sigma)
-                    gain = wp.where(x * x + y * y <= radius * radius, ray[3], 0.0)
-                    above = edge(ray[0] - float(r) + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                    shares = wp.vec4(0.0)
-                    for column in range(4):
-                        distance = ray[0] - float(r + column)
-                        below = edge(distance - 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                        shares[column] = faded(distance, ray[4], fade) * gain * wp.max(above - below, 0.0)
-                        above = below
-                        if fill != 1.0:
-                            above = edge(distance - 1.0 + 0.5 * fill, ray[1], ray[2], sigma, inverse_sigma)
-                    share(slot, -2, shares)
+                    ray = footprint(light, n_r, directions, angle, x, y, bent, ratio, strength, fill, sigma, radius)
+                    share(slot, -2, four_shares(ray, r, fill, sigma))
                     number(slot, True, (i * n_y + j) * lanes)
             meet(at.members)
             count = samples_before(at.windows, turns)

@@ -1,4 +1,4 @@
-// Fourier transforms of samples: of a few in registers, by passes, by direct sums, and by the items of a group.
+// Fourier transforms of samples: a few in registers, by passes, by direct sums, and by the items of a group.
 #define BAND 16
 #define TURN(value, c, s) (value) = (c) * (value) + sign * (s) * turned(value)
 #define SWAP(a, b) { const Vector held = a; a = b; b = held; }
@@ -102,7 +102,7 @@ static inline void of_few(Vector *g, int count, float sign) {
 }
 
 #ifdef AT_ONCE
-// The radix of the next pass of a transform: the greatest factor that is small enough, else the least of all.
+// The radix of the next pass of a transform: the greatest factor that is small enough, else the least factor.
 static inline int radix_of(int n) {
     int radix = FACTOR;
     while (n % radix) radix--;
@@ -110,7 +110,7 @@ static inline int radix_of(int n) {
     return radix;
 }
 
-// Where samples lie, `step` apart from a first one on.
+// Positions of samples, `step` apart from a first one on.
 static inline void places_of(int *places, int count, int sample, int step, __global const int *place, int ring) {
     int within = sample % place[1], beyond = sample / place[1];
     for (int r = 0; r < count; r++) {
@@ -123,7 +123,7 @@ static inline void places_of(int *places, int count, int sample, int step, __glo
 #define PUT(at, value)                                                                                                 \
     if (last) STORE(to + SAMPLE(0, write[at], 0), value);                                                              \
     else far[at] = value;
-// A pass of one radix: what it takes is `apart` from the next, what it makes `done`.
+// A pass of one radix: its inputs are `apart` from each other, its outputs `done`.
 #define PASS(radix)                                                                                                    \
     case radix:                                                                                                        \
         for (int inner = 0; inner < done; inner++) {                                                                   \
@@ -139,7 +139,7 @@ static inline void places_of(int *places, int count, int sample, int step, __glo
         }                                                                                                              \
         break;
 
-// The transform of `radix` values, pass by pass from the source, or from `near`, to the sink; `wide` waves make one.
+// The transform of `radix` values, pass by pass from the source, or from `near`, to the sink; `wide` waves form one.
 static inline void passes(ARRAY from, const int *read, Vector *near, Vector *far, __global float *to, const int *write,
                           int v, int first, int radix, __global const float2 *wave, int wide, float sign) {
     for (int done = 1, part = 1; done < radix; done *= part, first = 0) {
@@ -203,7 +203,7 @@ static inline void direct_sums(ARRAY from, __global float *to, __global const in
 }
 
 #ifdef GPU
-// Samples of a ring, `step` apart from a first one on: their place, and how far the next one is.
+// Samples of a ring, `step` apart from a first one on: their position, and the distance to the next.
 static inline int2 row_of(__global const int *place, int sample, int step) {
     return (int2)(place[0] + sample % place[1] * place[2] + sample / place[1] * place[3],
                   step % place[1] * place[2] + step / place[1] * place[3]) * THREADS;
@@ -214,7 +214,7 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
         const float2 turn = wave[number];                                                                              \
         TURN(value, turn.x, turn.y);                                                                                   \
     }
-// Of up to FACTOR samples, which stay in registers.
+// For up to FACTOR samples, which stay in registers.
 #define FEW(count)                                                                                                     \
     case count: {                                                                                                      \
         Vector g[count];                                                                                               \
@@ -227,12 +227,12 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
 
 #ifdef FIRST
 #define RADIX (FIRST * SECOND * THIRD * LAST)
-// Lanes that are held at once, and the items of a group that share one of them.
+// Number of lanes held at a time, and of the items of a group that share one of them.
 #define FIT(lanes) (RADIX * (lanes) <= HELD)
 #define WIDE (FIT(THREADS) ? THREADS : FIT(THREADS / 2) ? THREADS / 2 : FIT(THREADS / 4) ? THREADS / 4 : 1)
 #define SLOTS ((int)get_local_size(0) / WIDE)
 #define SLOT ((int)get_local_id(0) / WIDE)
-// Of COUNT samples, BEYOND apart, that the passes before have BEFORE of: in place.
+// For COUNT samples, BEYOND apart; the earlier passes have made BEFORE of them: in place.
 #define PASS_ON(COUNT, BEFORE, BEYOND)                                                                                 \
     if (COUNT > 1) {                                                                                                   \
         for (int task = SLOT; task < RADIX / COUNT; task += SLOTS) {                                                   \
@@ -247,9 +247,9 @@ static inline int2 row_of(__global const int *place, int sample, int step) {
         barrier(CLK_LOCAL_MEM_FENCE);                                                                                  \
     }
 
-// The transform of RADIX samples, from `given`, `read` apart, to `found`, `write` apart, by the items of a group, which
-// take FIRST at once, pass on what they made in local memory, of which `own` is an item's lane, and so on to LAST. Numbers
-// of waves: turn_of_one, a RADIX-th of a turn; turn_of_inner, for each sample, what passes before left to turn it by.
+// The transform of RADIX samples, from `given`, `read` apart, to `found`, `write` apart, by the items of a group. They
+// compute FIRST values, exchange results through local memory, of which `own` is an item's lane, and so on to LAST.
+// Twiddle factors: turn_of_one, a RADIX-th of a turn; turn_of_inner, for each sample, the rest from earlier passes.
 static inline void by_group(__global const Vector *given, int read, __global Vector *found, int write, __local Vector *own,
                             __global const float2 *wave, int turn_of_one, int turn_of_inner, float sign) {
     const int rest = RADIX / FIRST;

@@ -10,7 +10,7 @@ from vamgpu.kernels.signature import ArrayOut, Field, Table, Tiling, kernel
 
 Source = Annotated[np.ndarray, Field(("u", "v", "z"))]
 First = Annotated[np.ndarray, Table("int32", ("row",))]
-"""Where the entries of (i, block, j) begin, and where the last one's end: blocks of columns that stay in a cache."""
+"""Where the entries of (i, block, j) begin, and where the last one's end: blocks of columns fit a cache."""
 Entries = Annotated[np.ndarray, Table("float32", ("entry", "2"))]
 """Column u·n_v + v and weight."""
 

@@ -1,4 +1,4 @@
-"""Warp sibling of `gather`; a thread owns four lanes of one row."""
+"""Warp version of `gather`; a thread owns four lanes of one row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Warp sibling of `gauss`."""
+"""Warp version of `gauss`."""
 
 from __future__ import annotations
 

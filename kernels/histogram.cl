@@ -1,7 +1,7 @@
 #include "common.h"
 
 #ifdef LANES
-// Half-integers below 2048 square exactly in float32, so every device counts the same columns.
+// Half-integers below 2048 have exact squares in float32; every device therefore counts the same columns.
 static inline bool counted(int i, int j, int n_i, int n_j, float radius) {
     const float x = i - 0.5f * (n_i - 1), y = j - 0.5f * (n_j - 1);
     return x * x + y * y <= radius * radius;
@@ -73,7 +73,7 @@ FIELD_KERNEL survey(__global const float *restrict dose, __global const float *r
         for (int j = 0; j < n_j; j++) {
             if (!counted(i, j, n_i, n_j, radius)) continue;
             const size_t at = SAMPLE(i, j, n_j);
-            for (int k = 0; k < ITEM_LANES; k++) {     // padding is surveyed too, but never written
+            for (int k = 0; k < ITEM_LANES; k++) {     // padding is read too, but never written
                 const float value = dose[at + k];
                 const bool in = target[at + k] >= level, out = !in && target[at + k] >= NO_CLASS;
                 least[0][k] = fmin(least[0][k], out ? value : INFINITY);
@@ -94,7 +94,7 @@ FIELD_KERNEL survey(__global const float *restrict dose, __global const float *r
 #endif
 
 #ifdef COMPILE_fold_survey
-// One item a number; those of a sum carry the rounding error along (Kahan).
+// One item per number; sums carry their rounding error along (Kahan).
 __kernel void fold_survey(__global const float *restrict parts, __global float *restrict statistics,
                           int n_strip, int n_z, int n_slice) {
     const int which = get_global_id(0), class = get_global_id(1), slice = get_global_id(2);

@@ -1,8 +1,8 @@
 """Histograms and extremes of a field, split into two classes by a second field, for the whole or slice by slice.
 
-Every work item counts its own rows and slices into a table of its own, so no two count into one; a fold
-adds the tables. Class 1 ("in") holds the samples where ``target`` reaches ``level``, class 0 ("out") all others but
-those below ``level`` and `NO_CLASS`; only columns within ``radius`` samples of the axis through the middle are counted.
+Every work item counts its own rows and slices into its own table, without conflicts; a fold adds the tables. Class 1
+("in") has the samples whose ``target`` is at least ``level``, class 0 ("out") all others except those below ``level``
+and `NO_CLASS`; only columns within ``radius`` samples of the axis through the middle are counted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from vamgpu.kernels.project import middle
 from vamgpu.kernels.signature import Array, Real, Table, Tiling, kernel
 
 Ranges = Annotated[np.ndarray, Table("float32", ("slice", "2", "3"))]
-"""Low, high, bins per unit of each class; one slice serves all."""
+"""Low, high, bins per unit of each class; one slice for all, or one per slice."""
 Partial = Annotated[np.ndarray, Table("uint32", ("strip", "z", "2", "bin"))]
 PartialOut = Annotated[np.ndarray, Table("uint32", ("strip", "z", "2", "bin"), writes=True)]
 CountsOut = Annotated[np.ndarray, Table("uint32", ("slice", "2", "bin"), writes=True)]
@@ -53,14 +53,14 @@ def tally(dose: Array, target: Array, ranges: Ranges, level: Real, radius: Real,
 
 @kernel(over="counts")
 def fold_counts(partial: Partial, counts: CountsOut) -> None:
-    """counts[slice] = Σ partial over strips, and over all z where there is but one slice."""
+    """counts[slice] = Σ partial over strips, and over all z if there is only one slice."""
     each = partial.sum(axis=0)
     counts[...] = each if counts.shape[0] == each.shape[0] else each.sum(axis=0)
 
 
 @kernel(over="dose", cpu=ROWS, gpu=GPU)
 def survey(dose: Array, target: Array, level: Real, radius: Real, parts: PartsOut) -> None:
-    """parts[·, z, class] = least, greatest and sum of dose; +∞, −∞, 0 where a class is empty."""
+    """parts[·, z, class] = least, greatest and sum of dose; +∞, −∞, 0 for an empty class."""
     parts[...] = np.array([np.inf, -np.inf, 0.0])
     for which, member in enumerate(_members(target, level, radius)):
         for z in range(dose.shape[2]):
@@ -71,7 +71,7 @@ def survey(dose: Array, target: Array, level: Real, radius: Real, parts: PartsOu
 
 @kernel(over="statistics")
 def fold_survey(parts: Parts, statistics: StatisticsOut) -> None:
-    """statistics[slice, class] = least, greatest and sum over strips, and over all z where there is but one slice."""
+    """statistics[slice, class] = least, greatest and sum over strips, and over all z if there is only one slice."""
     axes = (0,) if statistics.shape[0] == parts.shape[1] else (0, 1)
     statistics[..., 0] = parts[..., 0].min(axis=axes)
     statistics[..., 1] = parts[..., 1].max(axis=axes)

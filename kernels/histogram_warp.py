@@ -1,4 +1,4 @@
-"""Warp siblings of `histogram`; a thread owns four lanes of z of a strip of rows."""
+"""Warp version of `histogram`; a thread owns four lanes of z of a strip of rows."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-// n² and half its gradient at the places of a pack of rays: `look`, which takes what FIELD declares and LOOK names.
-// Splines are looked up for four rays together, four coefficients of each being neighbors in memory: a Row.
+// n² and half its gradient at the positions of a pack of rays: `look`, whose arguments are declared by FIELD and named
+// by LOOK. Splines are evaluated for four rays together; four coefficients of each are neighbors in memory: a Row.
 #include "packs.h"
 #ifdef CPU
 #define QUADS 4
@@ -34,7 +34,7 @@ static inline Medium look(FIELD, Triple at) {
     return (Medium){{slope * weighted.x, slope * weighted.y, slope * weighted.z}, square};
 }
 #else
-// The cells that positions, counted in cells, fall into, and how far into them.
+// The cells of positions, counted in cells, and the positions within them.
 static inline Whole cell_of(Real position, int corners, Real *into) {
     const Whole cell = TO_WHOLE(clamp(position, (Real)0.0f, (Real)(float)(corners - 4)));
     *into = clamp(position - TO_REAL(cell), (Real)-2.0f, (Real)3.0f);
@@ -59,7 +59,7 @@ static inline Row row_at(__global const float *const *cells, size_t beyond) {
     return (float16)(vload4(0, cells[0] + beyond), vload4(0, cells[1] + beyond), vload4(0, cells[2] + beyond),
                      vload4(0, cells[3] + beyond));
 }
-// The weight of each of four rays, four times over.
+// The weight of each of four rays, repeated four times.
 static inline Row spread(Real w, int quad) {
     return quad == 0 ? w.s0000111122223333 : quad == 1 ? w.s4444555566667777
          : quad == 2 ? w.s88889999aaaabbbb : w.sccccddddeeeeffff;

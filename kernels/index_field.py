@@ -1,4 +1,4 @@
-"""Squared refractive index and half its gradient at places: rational formulas, and cubic B-splines."""
+"""Squared refractive index and half its gradient at given positions: rational formulas, and cubic B-splines."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Formula = Annotated[np.ndarray, Table("float32", ("12",))]
 """n² = P(s) / Q(s), s = a·x² + b·y² + c·z²: a, b, c, P from the constant to the cube, Q likewise, and a spare."""
 Plane = Annotated[np.ndarray, Table("float32", ("i", "j"))]
 Volume = Annotated[np.ndarray, Table("float32", ("i", "j", "k"))]
-"""Coefficients of the cubic B-splines of n², one more on every side than there are cells' corners."""
+"""Coefficients of the cubic B-splines of n², one more on every side than the corners of cells."""
 Corner = Annotated[np.ndarray, Table("float32", ("4",))]
-"""Place of the first corner of the first cell, and cells per length."""
+"""Position of the first corner of the first cell, and cells per length."""
 
 Look = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Places (rays, 3) → ½∇n² (rays, 3) and n² (rays,)."""
+"""Positions (rays, 3) → ½∇n² (rays, 3) and n² (rays,)."""
 
 
 def formula_at(formula: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

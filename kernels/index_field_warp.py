@@ -1,4 +1,4 @@
-"""Squared refractive index and half its gradient in Warp; kernels name the kind, so compilers drop the rest."""
+"""Squared refractive index and half its gradient in Warp; kernels name the kind, and compilers drop the other kinds."""
 
 from __future__ import annotations
 

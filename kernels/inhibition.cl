@@ -1,11 +1,11 @@
 #include "partial.h"
 
 #define OUT __global float *
-#define MOST 40  // steps of Newton's method at most
+#define MOST 40  // greatest number of steps of Newton's method
 
 #if defined(COMPILE_inhibition_step) || defined(COMPILE_inhibition_adjoint)
 
-// How far A decays while v arrives: see the definition.
+// Decay of A while v arrives: see the definition.
 static inline Vector depletion_substep(Vector a, Vector b, Vector v, float alpha, float floor) {
     Vector h = fmax(v / (a + b + floor), (v - a - b / alpha) / floor);
     for (int n = 0; n < MOST; n++) {
@@ -70,7 +70,7 @@ FIELD_KERNEL inhibition_adjoint(ARRAY visible, ARRAY ultraviolet, float visible_
 #endif
 
 #if defined(COMPILE_take_poses) || defined(COMPILE_put_poses)
-// Rows of a part and of the whole turn lie in slabs of unlike size.
+// Rows of a part and of the whole turn lie in slabs of different size.
 #define EACH_ROW(n_i, n_j)                                                                                             \
     const size_t near = slab_offset(n_i, n_j), far = slab_offset(n_angle, n_r);                                        \
     EACH_SAMPLE EACH_VECTOR

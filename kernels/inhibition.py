@@ -1,13 +1,13 @@
-"""Photoinhibition of every voxel by a short run of poses, in closed form, and its exact adjoint.
+"""Photoinhibition of every voxel by a short run of angles, in closed form, and its exact adjoint.
 
 Concentrations are shares of [A]₀, exposures shares of the induction. A step is split symmetrically (Strang): half the
 ultraviolet, half the pairing, all of the visible light, half the pairing, half the ultraviolet. Each piece is solved
-exactly, so nothing goes below 0, [B] + 2[C] changes by what the visible light takes of B alone, and
-X − [A] − [B]/α rises by the visible exposure to rounding.
+exactly: nothing goes below 0, [B] + 2[C] changes only by the B that visible light consumes, and X − [A] − [B]/α rises
+by the visible exposure, up to rounding.
 
-Eqs 5-6 of the paper on binary photoinhibition are not smooth where [A] + [B] = 0: there radicals share themselves out
-between A, B and a floor ε, the monomer. d[A]/dv = −[A]/([A] + [B] + ε), d[B]/dv = −α[B]/(…), and X, what goes to the
-monomer, rises by ε/(…). ε → 0 gives eqs 5-6, with X the exposure after the event.
+Eqs 5-6 of the paper on binary photoinhibition are not smooth where [A] + [B] = 0. In this model, radicals are divided
+among A, B and a floor ε, the monomer: d[A]/dv = −[A]/([A] + [B] + ε), d[B]/dv = −α[B]/(…), and X, the monomer's share,
+rises by ε/(…). ε → 0 gives eqs 5-6, with X the exposure after the event.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from vamgpu.kernels.signature import Array, ArrayInOut, ArrayOut, Field, Integer
 CPU = Tiling(major=1, minor=0)
 GPU = Tiling(major=1, minor=1)
 MOST = 40
-"""Steps of Newton's method at most."""
+"""Greatest number of steps of Newton's method."""
 
 Part = Annotated[np.ndarray, Field(("pose", "r", "z"))]
 
 
 def depletion_substep(a: np.ndarray, b: np.ndarray, v: np.ndarray, alpha: float, floor: float) -> np.ndarray:
-    """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: how far A decays to e^−h while v arrives.
+    """h with a(1 − e^−h) + b(1 − e^−αh)/α + floor·h = v: A decays to e^−h while v arrives.
 
-    Both bounds it starts from lie below the root of this concave function, so Newton's method rises to it.
+    Both initial bounds lie below the root of this concave function; Newton's method therefore rises to it.
     """
     h = np.maximum(v / (a + b + floor), (v - a - b / alpha) / floor)
     for _ in range(MOST):
@@ -50,8 +50,8 @@ def inhibition_step(
     """The state after a step; the arrays of the end may be those of the beginning.
 
     visible, ultraviolet: exposures.  The share of A's induction that arrives is visible_gain·visible +
-    cross_gain·ultraviolet, and ultraviolet splits the share 1 − exp(−ultraviolet_gain·ultraviolet) of C.
-    pairing: k₂·[A]₀·time.
+    cross_gain·ultraviolet; ultraviolet light splits the share 1 − exp(−ultraviolet_gain·ultraviolet) of C. pairing:
+    k₂·[A]₀·time.
     """
     v = visible_gain * visible + cross_gain * ultraviolet
     kept = np.exp(-0.5 * ultraviolet_gain * ultraviolet)
@@ -75,9 +75,9 @@ def inhibition_adjoint(
     a_slope: ArrayInOut, b_slope: ArrayInOut, c_slope: ArrayInOut,
     visible_slope: ArrayInOut, ultraviolet_slope: ArrayInOut,
 ) -> None:  # fmt: skip
-    """Derivatives by the state after a step become those by the state before it, a, b and c.
+    """Derivatives by the state after a step (a, b and c) become those by the state before it.
 
-    Those by the exposures are added to visible_slope and ultraviolet_slope; that by X stays what it is.
+    Derivatives by the exposures are added to visible_slope and ultraviolet_slope; the derivative by X does not change.
     """
     v = visible_gain * visible + cross_gain * ultraviolet
     kept = np.exp(-0.5 * ultraviolet_gain * ultraviolet)
@@ -111,11 +111,11 @@ def take_poses(
     first: Integer,
     part: Annotated[np.ndarray, Field(("pose", "r", "z"), writes=True)],
 ) -> None:
-    """part = light from pose ``first`` on."""
+    """part = light from angle ``first`` on."""
     part[...] = light[int(first) : int(first) + len(part)]
 
 
 @kernel(over="part", cpu=CPU, gpu=GPU)
 def put_poses(part: Part, first: Integer, light: SinogramOut) -> None:
-    """light from pose ``first`` on = part; the other poses stay as they are."""
+    """light from angle ``first`` on = part; the other angles do not change."""
     light[int(first) : int(first) + len(part)] = part

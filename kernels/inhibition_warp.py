@@ -1,4 +1,4 @@
-"""Warp siblings of `inhibition`; a thread owns four lanes of z of one sample."""
+"""Warp version of `inhibition`; a thread owns four lanes of z of one sample."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@
 #define EACH_LANE(M) M(0)
 #endif
 
-#define DEPLETED 1e-6f      // share of the scale below which A + B counts as nothing
-#define FLOOR 1e-12f        // share of the scale that A + B is kept above where it divides
+#define DEPLETED 1e-6f      // share of the scale below which A + B counts as 0
+#define FLOOR 1e-12f        // lower limit of A + B as a divisor, as a share of the scale
 #define MOST 20000          // steps within one interval
 #define NEVER -1.0f
 #define UNSETTLED -2.0f
@@ -25,7 +25,7 @@ static inline State chosen(Whole mask, State yes, State no) {
     return (State){mask ? yes.a : no.a, mask ? yes.b : no.b, mask ? yes.c : no.c};
 }
 
-// A + B, kept off 0, and the share of A in it.
+// A + B, with a lower limit, and the share of A in it.
 static inline Real share_of(State y, Terms terms, Real *whole) {
     *whole = fmax(y.a + y.b, FLOOR * terms.scale);
     return clamp(y.a / *whole, (Real)0.0f, (Real)1.0f);
@@ -39,7 +39,7 @@ static inline State change_of(State y, Terms terms) {
     return (State){-terms.a * share, fma(-terms.b, rest, 2.0f * (made - paired)), paired - made};
 }
 
-// How long A + B, and of order 0 also C, would last at their present rates.
+// Time that A + B, and for order 0 also C, would last at their present rates.
 static inline Real reach_of(State y, State change, Terms terms) {
     const Real fall = -(change.a + change.b), whole = y.a + y.b - 0.5f * DEPLETED * terms.scale;
     const Real reach = fall > 0.0f ? whole / (fall > 0.0f ? fall : (Real)1.0f) : (Real)LONG;
@@ -78,14 +78,14 @@ static inline State stepped(State y, State change, Terms terms, Real h, Real *er
     return sum(sum(k4, (Real)1.0f, k3), (Real)2.0f, k1);
 }
 
-// What rounding leaves of hundreds of small steps is carried along: [C] may be large and change little.
+// The rounding errors of hundreds of small steps are carried along: [C] may be large and change little.
 static inline Real added(Real total, Real change, Real *rest) {
     const Real wanted = change - *rest, sum = total + wanted;
     *rest = (sum - total) - wanted;
     return sum;
 }
 
-// Traces below 0 are removed; what B lacks is taken from C, and the reverse.
+// Traces below 0 are removed; missing B is taken from C, and the reverse.
 static inline State settled(State y, State end, Terms terms) {
     const Whole used = terms.steady & (end.c <= DEPLETED * terms.scale) & (end.c < y.c);
     const Real moved = used ? end.c : fmin(end.c, (Real)0.0f), b = end.b + 2.0f * moved, below = fmin(b, (Real)0.0f);

@@ -3,8 +3,8 @@
 d[A]/dt = −a·[A]/([A] + [B]),  d[B]/dt = −b·[B]/([A] + [B]) + 2p − 2k₂[B]²,  d[C]/dt = −p + k₂[B]², with a = k_A·I_vis,
 b = k_B·I_vis and p = k_C·I_UV, either as it is (order 0, while there is C) or times [C]/[C]_ref (order 1).
 Each item takes its own steps, of the Rosenbrock method Rodas3 (order 3, stiffly accurate; Sandu et al., Atmospheric
-Environment 31, 3459, 1997), with the Jacobian in closed form: linear invariants are kept to rounding, so
-[B] + 2[C] + (k_B/k_A)·[A] falls by k_B times the visible dose exactly.
+Environment 31, 3459, 1997), with the Jacobian in closed form. Linear invariants are kept up to rounding; [B] + 2[C] +
+(k_B/k_A)·[A] therefore falls by k_B times the visible dose exactly.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Path = Annotated[np.ndarray, Table("float32", ("item", "row", "4"), writes=True)
 Times = Annotated[np.ndarray, Table("float32", ("item",), writes=True)]
 
 DEPLETED = 1e-6
-"""Share of the scale below which [A] + [B] counts as nothing."""
+"""Share of the scale below which [A] + [B] counts as 0."""
 MOST = 20000
-"""Steps within one interval before an item counts as one that does not settle."""
+"""Steps within one interval after which an item counts as one that does not converge."""
 FLOOR = 1e-12
-"""Share of the scale that [A] + [B] is kept above where it divides."""
+"""Lower limit of [A] + [B] as a divisor, as a share of the scale."""
 NEVER, UNSETTLED = -1.0, -2.0
 SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0
 
@@ -41,12 +41,12 @@ def inhibit(
     before: Before, rates: Rates, light: Light, lengths: Lengths, first: Integer, count: Integer, every: Integer,
     tolerance: Real, after: After, path: Path, times: Times,
 ) -> None:  # fmt: skip
-    """Advance items through ``count`` intervals of constant light, from ``first`` on; after the last comes the first.
+    """Advance items through ``count`` intervals of constant light, from ``first`` on, cyclically.
 
-    Items come in equal runs of one resin each: item i has resin i·resins // items, and source i % sources of light.
-    path[i, k] is the state after k·every intervals.  times: when [A] + [B] reached 1e-6 of the scale, after which A
-    and B stay 0 and C and the dose stay as they are; −1 where it did not, −2 where the steps did not settle.
-    tolerance: of a step, in the scale.
+    Items are in equal runs of one resin each: item i has resin i·resins // items, and source i % sources of light.
+    path[i, k] is the state after k·every intervals. times: when [A] + [B] reached 1e-6 of the scale, after which A and
+    B stay 0 and C and the dose do not change; −1 if it did not, −2 if the steps did not converge. tolerance: of a step,
+    in the scale.
     """
     items, intervals = len(before), len(lengths)
     own = rates[np.arange(items) * len(rates) // items]
@@ -76,7 +76,7 @@ def inhibit(
 
 
 class _Terms(NamedTuple):
-    """Rates that act on each item during a step: those at the present light, and [C]_ref or 0."""
+    """Rates of each item during a step: those in the present light, and [C]_ref or 0."""
 
     a: np.ndarray
     b: np.ndarray
@@ -90,7 +90,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(state: np.ndarray, own: np.ndarray, lit: np.ndarray) -> _Terms:
-    """Rates for a step from ``state``. Of order 0 without C what pairs up is split at once, and no more than that."""
+    """Rates for a step from ``state``. For order 0 without C, recombined B is split again at once, but no more."""
     p, k2, reference = own[:, 2] * lit[:, 1], own[:, 3], own[:, 5]
     steady = reference == 0.0
     slides = steady & (state[:, 2] <= 0.0) & (p >= k2 * state[:, 1] ** 2)
@@ -100,7 +100,7 @@ def _terms(state: np.ndarray, own: np.ndarray, lit: np.ndarray) -> _Terms:
 
 
 def _shares(state: np.ndarray, terms: _Terms) -> tuple[np.ndarray, np.ndarray]:
-    """[A] + [B], kept off 0, and the share of A in it."""
+    """[A] + [B], with a lower limit, and the share of A in it."""
     whole = np.maximum(state[:, 0] + state[:, 1], FLOOR * terms.scale)
     return whole, np.clip(state[:, 0] / whole, 0.0, 1.0)
 
@@ -115,7 +115,7 @@ def _change(state: np.ndarray, terms: _Terms) -> np.ndarray:
 
 
 def _reach(state: np.ndarray, change: np.ndarray, terms: _Terms) -> np.ndarray:
-    """Time that [A] + [B], and of order 0 also [C], would last at their present rates."""
+    """Time that [A] + [B], and for order 0 also [C], would last at their present rates."""
     fall = -(change[:, 0] + change[:, 1])
     whole = state[:, 0] + state[:, 1] - 0.5 * DEPLETED * terms.scale
     reach = np.where(fall > 0.0, whole / np.where(fall > 0.0, fall, 1.0), np.inf)
@@ -146,7 +146,7 @@ def _rodas3(state: np.ndarray, change: np.ndarray, terms: _Terms, h: np.ndarray)
 
 
 def _settled(state: np.ndarray, end: np.ndarray, terms: _Terms) -> np.ndarray:
-    """The end of a step with traces below 0 removed; what B lacks is taken from C, and the reverse."""
+    """The end of a step with traces below 0 removed; missing B is taken from C, and the reverse."""
     a, b, c = np.maximum(end[:, 0], 0.0), end[:, 1], end[:, 2]
     used = terms.steady & (c <= DEPLETED * terms.scale) & (c < state[:, 2])
     moved = np.where(used, c, np.minimum(c, 0.0))
@@ -158,7 +158,7 @@ def _settled(state: np.ndarray, end: np.ndarray, terms: _Terms) -> np.ndarray:
 def _interval(
     state: np.ndarray, own: np.ndarray, lit: np.ndarray, length: float, trial: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """States after an interval or at their event, the time that took, step sizes to go on with, and who failed."""
+    """States after an interval or at their event, the time until then, next step sizes, and failed items."""
     state, trial, spent = state.copy(), trial.copy(), np.zeros(len(state))
     live = np.arange(len(state)) if length > 0.0 else np.arange(0)
     for _ in range(MOST):

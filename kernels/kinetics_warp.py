@@ -1,8 +1,10 @@
-"""Warp sibling of `kinetics`: one thread an item."""
+"""Warp version of `kinetics`: one thread per item."""
 
 from __future__ import annotations
 
 import warp as wp
+
+from vamgpu.kernels.curethrough_warp import added
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -40,7 +42,7 @@ class Matrix:
 @wp.struct
 class State:
     y: wp.vec3
-    rest: wp.vec3  # what rounding lost of the last step
+    rest: wp.vec3  # rounding error of the last step
     trial: float
     taken: float
 
@@ -115,8 +117,13 @@ def settled(y: wp.vec3, end: wp.vec3, terms: Terms):
 
 
 @wp.func
+def is_depleted(y: wp.vec3, scale: float):
+    return y[0] + y[1] <= DEPLETED * scale
+
+
+@wp.func
 def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, y: wp.vec3):
-    """The terms of a resin under light, where the state is y."""
+    """The terms of a resin under light, in the state y."""
     terms = Terms()
     terms.scale = rates[resin, 4]
     terms.a = rates[resin, 0] * visible
@@ -137,13 +144,13 @@ def terms_of(rates: wp.array2d[float], resin: int, visible: float, made: float, 
 
 @wp.func
 def tried(state: State, terms: Terms, left: float, tolerance: float):
-    """The state after a step, or as it was where the step was too long: the next is as long as the error lets it be."""
+    """The state after a step, or the same if the step was too long; the error determines the next step."""
     y = state.y
     change = change_of(y, terms)
     h = wp.min(wp.min(state.trial, left), reach_of(y, change, terms))
     step = stepped(y, change, terms, h)
-    wanted = wp.vec3(step[0], step[1], step[2]) - state.rest
-    end = y + wanted
+    increment = wp.vec3(step[0], step[1], step[2]) - state.rest
+    end = y + increment
     error = step[3] / (tolerance * terms.scale)
     low = -tolerance * terms.scale
     grown = wp.clamp(0.9 / wp.cbrt(wp.max(error, 1.0e-6)), 0.2, 4.0)
@@ -153,18 +160,34 @@ def tried(state: State, terms: Terms, left: float, tolerance: float):
     longer = h * grown
     if h < state.trial:
         longer = wp.max(longer, state.trial)
-    rest = (end - y) - wanted
+    rest = (end - y) - increment
     if end[0] < 0.0 or end[1] < 0.0 or end[2] <= DEPLETED * terms.scale:
         rest = wp.vec3(0.0, 0.0, 0.0)
     return State(settled(y, end, terms), rest, longer, h)
 
 
 @wp.func
-def record(path: wp.array3d[float], item: int, row: int, y: wp.vec3, dose: float):
-    path[item, row, 0] = y[0]
-    path[item, row, 1] = y[1]
-    path[item, row, 2] = y[2]
-    path[item, row, 3] = dose
+def lit_for(
+    state: State, rates: wp.array2d[float], resin: int, visible: float, made: float, length: float, tolerance: float
+):  # fmt: skip
+    """The state after an interval of light, and what is left of it where the resin depletes or steps run out."""
+    left = float(length)
+    n = int(0)
+    while left > 0.0 and n < MOST:
+        state = tried(state, terms_of(rates, resin, visible, made, state.y), left, tolerance)
+        left -= state.taken
+        if is_depleted(state.y, rates[resin, 4]):
+            break
+        n += 1
+    return state, left
+
+
+@wp.func
+def record(rows: wp.array2d[float], row: int, y: wp.vec3, dose: float):
+    rows[row, 0] = y[0]
+    rows[row, 1] = y[1]
+    rows[row, 2] = y[2]
+    rows[row, 3] = dose
 
 
 @wp.kernel
@@ -179,16 +202,14 @@ def inhibit(
     source = item % n_source
     scale = rates[resin, 4]
     y = wp.vec3(before[item, 0], before[item, 1], before[item, 2])
-    dose = float(before[item, 3])
-    dose_rest = float(0.0)
-    clock = float(0.0)
-    clock_rest = float(0.0)
+    dose = wp.vec2(before[item, 3], 0.0)  # and what rounding lost of it
+    clock = wp.vec2(0.0, 0.0)
     event = float(NEVER)
-    if y[0] + y[1] <= DEPLETED * scale:
+    if is_depleted(y, scale):
         y = wp.vec3(0.0, 0.0, y[2])
         event = float(0.0)
     state = State(y, wp.vec3(0.0, 0.0, 0.0), LONG, 0.0)
-    record(path, item, 0, y, dose)
+    record(path[item], 0, y, dose[0])
     row = int(1)
     due = int(every)
     k = int(0)
@@ -196,40 +217,24 @@ def inhibit(
         now = (first + k) % n_interval
         length = lengths[now]
         visible = light[source, now, 0]
-        made = rates[resin, 2] * light[source, now, 1]
-        left = float(length)
-        n = int(0)
-        while left > 0.0 and event == NEVER and n < MOST:
-            terms = terms_of(rates, resin, visible, made, state.y)
-            state = tried(state, terms, left, tolerance)
-            left = left - state.taken
-            if state.y[0] + state.y[1] <= DEPLETED * scale:
-                state.y = wp.vec3(0.0, 0.0, state.y[2])
-                event = clock + (length - left)
-            n += 1
-        if left > 0.0 and event == NEVER:
+        state, left = lit_for(state, rates, resin, visible, rates[resin, 2] * light[source, now, 1], length, tolerance)
+        if is_depleted(state.y, scale):
+            state.y = wp.vec3(0.0, 0.0, state.y[2])
+            event = clock[0] + (length - left)
+        elif left > 0.0:
             event = float(UNSETTLED)
         spent = float(length)
         if event != NEVER:
-            spent = wp.max(event - clock, 0.0)
-        lit = visible * spent - dose_rest
-        total = dose + lit
-        dose_rest = (total - dose) - lit
-        dose = total
-        passed = length - clock_rest
-        later = clock + passed
-        clock_rest = (later - clock) - passed
-        clock = later
+            spent = wp.max(event - clock[0], 0.0)
+        dose = added(dose[0], dose[1], visible * spent)
+        clock = added(clock[0], clock[1], length)
         k += 1
         if k == due and row < n_row:
-            record(path, item, row, state.y, dose)
+            record(path[item], row, state.y, dose[0])
             row += 1
             due += every
     while row < n_row:
-        record(path, item, row, state.y, dose)
+        record(path[item], row, state.y, dose[0])
         row += 1
-    after[item, 0] = state.y[0]
-    after[item, 1] = state.y[1]
-    after[item, 2] = state.y[2]
-    after[item, 3] = dose
+    record(after, item, state.y, dose[0])
     times[item] = event

@@ -1,4 +1,4 @@
-"""Warp siblings of `lanes`."""
+"""Warp version of `lanes`."""
 
 from __future__ import annotations
 

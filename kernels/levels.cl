@@ -8,7 +8,7 @@
 
 typedef struct { Whole to_void, to_solid; } Ahead;
 
-// Slices before the block that are like its first, should that be void or solid.
+// Number of slices before the block that equal its first slice, if that is void or solid.
 static inline Ahead look_ahead(__global const uint *words, int block, int platform, size_t row, size_t plane, int x,
                                int n_x, int n_word) {
     if (block == 0) return (Ahead){(Whole)BEYOND, (Whole)(platform ? BEYOND : 0)};
@@ -28,18 +28,18 @@ static inline Ahead look_ahead(__global const uint *words, int block, int platfo
     return (Ahead){run & ~solid, run & solid};
 }
 
-// An entry of a table for each pixel; neighbors mostly want the same one.
+// An entry of a table for each pixel; neighbors mostly need the same one.
 static inline Real looked_up(__global const float *table, Whole at) {
     if (ALL(at == LANE0(at))) return (Real)table[LANE0(at)];
     return GATHER(Real, table, at);
 }
 
-// The level whose light is nearest to the light wanted, and that light; not below it in a void before a back side.
+// The level whose light is nearest to the required light, and that light; in a void before a back side, not below it.
 static inline Whole choose(Real wanted, __global const float *light, __global const float *edges,
                            __global const uchar *first, float bins, int n_bin, float spread, Real shift, Whole solid,
                            Whole run, Real *shown) {
     const float low = light[0], full = light[255];
-    // a dose that decays stays a rounding error above level 0: no search is needed
+    // a decaying dose stays a rounding error above level 0: no search is needed
     const float least = spread > 0.0f ? low : edges[0], most = spread > 0.0f ? full : edges[254];
     Whole level = wanted >= most ? (Whole)255 : (Whole)0;
     *shown = wanted >= most ? (Real)full : (Real)low;
@@ -73,7 +73,7 @@ PACK_KERNEL correct_slices(__global const uint *restrict words, int block, __glo
     STRIP
     __global const uint *here = words + (block % n_word) * plane + row;
     Whole lost = (Whole)0;
-    // Slices lie far apart in memory: what belongs to one cache line is gathered before it goes there.
+    // Slices are far apart in memory: values for one cache line are collected before they are written.
     Bytes own[BITS * PACKS];
     for (int x_line = x_begin; x_line < x_end; x_line += PACKS * PACK) {
         for (int v = 0; v < PACKS && x_line + v * PACK < x_end; v++) {

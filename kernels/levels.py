@@ -1,4 +1,4 @@
-"""Gray levels that keep the dose of a rising print inside the part; what doses are, see `curethrough`."""
+"""Gray levels that keep the dose of a rising print inside the part; for doses, see `curethrough`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vamgpu.kernels.curethrough import BITS, Counts, Light, Words, add, in_strip
 from vamgpu.kernels.signature import Integer, Real, Table, kernel
 
 BEYOND = 1 << 20
-"""Slices to an edge that is out of sight."""
+"""Number of slices to an edge that is out of sight."""
 NEVER = 1e30
 START_X, START_Y = 0.7548776662466927, 0.5698402909980532
 """Powers of the inverse plastic number: their multiples fill the unit square evenly (M. Roberts' R2 sequence)."""
@@ -20,12 +20,12 @@ First = Annotated[np.ndarray, Table("uint8", ("bin",))]
 Inner = Annotated[np.ndarray, Table("float32", ("below", "above"))]
 Back = Annotated[np.ndarray, Table("float32", ("void",))]
 State = Annotated[np.ndarray, Table("float32", ("4", "y", "x"), writes=True, updates=True)]
-"""Ω, what rounding took off it, the least Ω of the void, and slices of the feature so far."""
+"""Ω, its rounding error, the least Ω of the void, and slices of the feature so far."""
 Flaws = Annotated[np.ndarray, Table("int32", ("2", "y", "x"), writes=True, updates=True)]
 
 
 def ahead(words: np.ndarray, block: int, platform: int) -> tuple[np.ndarray, np.ndarray]:
-    """Slices before a block that are like its first, should that be void, or solid; `BEYOND` if out of sight."""
+    """Slices before a block that equal its first slice, if that is void, or solid; `BEYOND` if out of sight."""
     shape = words.shape[1:]
     if block == 0:
         return np.full(shape, BEYOND), np.full(shape, BEYOND if platform else 0)
@@ -51,11 +51,11 @@ def correct_slices(
     """levels = those that bring Ω to its target at every border as far as light can, each from the Ω of later slices.
 
     inner: target of Ω inside a feature, by slices since its back side and slices until its front.  back: target in the
-    void behind a feature, by slices until its back side. The last entries hold for all slices beyond.  edges: light
-    midway between a level and the next; first: least level in each of evenly spaced bins of light, ``bins`` to a unit.
+    void behind a feature, by slices until its back side. The last entries hold for all slices beyond. edges: light
+    midway between a level and the next; first: least level in each of evenly spaced bins of light, ``bins`` per unit.
     flaws[0] counts features whose back side has less than ``reached``, flaws[1] voids that never fell to ``opened``;
-    missed sums the former.  spread: light by which neighbors aim higher or lower, 0 rounds.  platform: what begins with
-    the first slice ends at the platform, so nothing above it can be cured through.
+    missed sums the former. spread: light by which neighbors aim higher or lower; 0 rounds. platform: a feature that
+    begins with the first slice ends at the platform, and nothing above it can be cured through.
     """
     to_void, to_solid = ahead(words, block, platform)
     word = words[block % len(words)]
@@ -78,11 +78,11 @@ def correct_slices(
         flaws[1] += starts & (lowest > opened)
         place = np.minimum(done.astype(int), inner.shape[0] - 1), np.minimum(runs[n], inner.shape[1] - 1)
         target = np.where(solid, inner[place], back[np.minimum(runs[n], len(back) - 1)])
-        wanted = target - dose + decay * dose
-        between = (wanted > light[0]) & (wanted < light[255])
-        aim = np.where(between, wanted + shift, wanted)
+        required = target - dose + decay * dose
+        between = (required > light[0]) & (required < light[255])
+        aim = np.where(between, required + shift, required)
         level = np.searchsorted(edges[:255], aim, side="left")
-        level += between & ~solid & (runs[n] > 0) & (light[level] < wanted) & (level < 255)
+        level += between & ~solid & (runs[n] > 0) & (light[level] < required) & (level < 255)
         levels[n] = level
         add(state, light[level] - decay * dose)
         state[2] = np.where(solid, NEVER, np.minimum(np.minimum(lowest, dose), state[0]))

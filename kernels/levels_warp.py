@@ -1,4 +1,4 @@
-"""Warp sibling of `levels`; a thread owns a strip of pixels, on a GPU of one."""
+"""Warp version of `levels`; a thread owns a strip of pixels, which on a GPU is one pixel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ START_Y = 0.5698402909980532
 
 @wp.func
 def run_ahead(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, solid: int):
-    """Slices before a block that are like its first, which is void or solid."""
+    """Number of slices before a block that equal its first slice, which is void or solid."""
     if block > 0:
         n_word = words.shape[0]
         run = int(0)
@@ -40,7 +40,7 @@ def run_ahead(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x
 
 @wp.func
 def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: int, n: int, solid: int):
-    """Slices before slice n of a block that are like it."""
+    """Number of slices before slice n of a block that equal it."""
     word = words[block % words.shape[0], y, x]
     k = n - 1
     while k >= 0 and bit_of(word, k) == solid:
@@ -52,24 +52,43 @@ def run_of(words: wp.array3d[wp.uint32], block: int, platform: int, y: int, x: i
 
 @wp.func
 def level_of(
-    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, wanted: float,
+    light: wp.array[float], edges: wp.array[float], first: wp.array[wp.uint8], bins: float, required: float,
     shift: float, run: int,
 ):  # fmt: skip
-    """The level whose light is nearest to that wanted, shifted; in a void that others precede, one that suffices."""
+    """The level of light nearest to the required light, shifted; in a void before other slices, a sufficient one."""
     low = light[0]
     full = light[255]
     level = int(0)
-    if wanted >= full:
+    if required >= full:
         level = int(255)
-    elif wanted > low:
-        aim = wanted + shift
+    elif required > low:
+        aim = required + shift
         place = int((wp.clamp(aim, low, full) - low) * bins)
         level = int(first[wp.clamp(place, 0, first.shape[0] - 1)])
         while level < 255 and aim > edges[level]:
             level += 1
-        if run > 0 and level < 255 and light[level] < wanted:
+        if run > 0 and level < 255 and light[level] < required:
             level += 1
     return level
+
+
+@wp.func
+def count_flaws(flaws: wp.array3d[int], y: int, x: int, dose: float, lowest: float, reached: float, opened: float):
+    """Count what a part that begins finds: 1 if the void below did not reach it, and a void that did not open."""
+    if lowest > opened:
+        flaws[1, y, x] = flaws[1, y, x] + 1
+    if dose < reached:
+        flaws[0, y, x] = flaws[0, y, x] + 1
+        return 1
+    return 0
+
+
+@wp.func
+def target_of(inner: wp.array2d[float], back: wp.array[float], solid: int, done: int, run: int):
+    """The dose of a slice by the solid slices before and after it, or by the void ones after it."""
+    if solid == 1:
+        return inner[wp.min(done, inner.shape[0] - 1), wp.min(run, inner.shape[1] - 1)]
+    return back[wp.min(run, back.shape[0] - 1)]
 
 
 @wp.kernel
@@ -102,18 +121,9 @@ def correct_slices(
             else:
                 run = run_of(words, block, platform, y, x, n, solid)
             was = solid
-            target = float(0.0)
-            if solid == 1:
-                if done == 0:
-                    if dose < reached:
-                        flaws[0, y, x] = flaws[0, y, x] + 1
-                        lost += 1
-                    if lowest > opened:
-                        flaws[1, y, x] = flaws[1, y, x] + 1
-                target = inner[wp.min(done, n_below - 1), wp.min(run, n_above - 1)]
-            else:
-                target = back[wp.min(run, n_void - 1)]
-            wanted = target - dose + decay * dose
+            if solid == 1 and done == 0:
+                lost += count_flaws(flaws, y, x, dose, lowest, reached, opened)
+            wanted = target_of(inner, back, solid, done, run) - dose + decay * dose
             level = level_of(light, edges, first, bins, wanted, shift, wp.where(solid == 0, run, 0))
             levels[n, y, x] = wp.uint8(level)
             before = dose

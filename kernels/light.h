@@ -1,4 +1,4 @@
-// The light of one pose at a voxel: looked up in a table of that pose, and bounded by the chords of a column.
+// The light of one angle at a voxel: from a table of that angle, with bounds from the chords of a column.
 #include "common.h"
 
 // A table of n_across x n_along samples, linear between them and beyond its edge.
@@ -11,18 +11,18 @@ static inline float4 sampled(__global const float4 *restrict table, int n_across
     return near + a * (far - near);
 }
 
-// Half-integers below 2048 square exactly in float32, so every device agrees on each voxel.
+// Half-integers below 2048 have exact squares in float32; every device therefore agrees on each voxel.
 static inline bool within(float x, float y, float radius) { return x * x + y * y <= radius * radius; }
 
 // The cells of plane `plane` between which one column's light may fall, from the chords on either side of it.
 typedef struct {
     bool along_y;               // planes are of constant y
     int planes, cells;
-    float2 from, to;            // crossing with plane 0 and drift per plane of either chord
+    float2 from, to;            // crossing with plane 0, and shift per plane, of either chord
     float slack;
 } Span;
 
-// Where a chord (p, cos d, sin d) turned to one pose crosses plane 0, and how far it drifts from plane to plane.
+// Where a chord (p, cos d, sin d), rotated to one angle, crosses plane 0, and its shift from plane to plane.
 static inline float2 line(float4 chord, float4 pose, bool along_y, float planes_middle, float cells_middle) {
     const float c = pose.x * chord.y - pose.y * chord.z, s = pose.y * chord.y + pose.x * chord.z;
     const float p = chord.x - pose.z * chord.y - pose.w * chord.z;        // the chord is y c - x s = p

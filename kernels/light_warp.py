@@ -1,4 +1,4 @@
-"""The light of one pose at a voxel in Warp: from a table of that pose, and bounded by the chords of a column."""
+"""The light of one angle at a voxel in Warp: from a table of that angle, with bounds from the chords of a column."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def node(table: wp.array3d[float], i: int, j: int) -> wp.vec4:  # type: ignore[e
 
 @wp.func
 def sampled(table: wp.array3d[float], across: float, along: float):
-    """Linear between the samples and beyond the edge, at a place counted in samples from the middle of the table."""
+    """Linear between the samples and beyond the edge, at a position counted in samples from the middle of the table."""
     u = across + 0.5 * float(table.shape[0] - 1)
     v = along + 0.5 * float(table.shape[1] - 1)
     i = wp.clamp(int(u), 0, table.shape[0] - 2)
@@ -37,14 +37,14 @@ class Span:
     along_y: int  # planes are of constant y
     planes: int
     cells: int  # of a plane
-    low: wp.vec2  # crossing with plane 0 and drift per plane
+    low: wp.vec2  # crossing with plane 0, and shift per plane
     high: wp.vec2
     slack: float
 
 
 @wp.func
 def line(edges: wp.array2d[float], r: int, side: int, pose: wp.vec4, along_y: int, planes: int, cells: int):
-    """Where a chord (p, cos d, sin d) turned to one pose crosses plane 0, and how far it drifts from plane to plane."""
+    """Where a chord (p, cos d, sin d), rotated to one angle, crosses plane 0, and its shift from plane to plane."""
     c = pose[0] * edges[r, side + 1] - pose[1] * edges[r, side + 2]
     s = pose[1] * edges[r, side + 1] + pose[0] * edges[r, side + 2]
     p = edges[r, side] - pose[2] * edges[r, side + 1] - pose[3] * edges[r, side + 2]

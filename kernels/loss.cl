@@ -3,10 +3,8 @@
 #ifdef COMPILE_dark_loss
 FIELD_KERNEL dark_loss(__global float *dose, __global const float *restrict weight, float most,
                        __global float *restrict parts, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    OWN_PART;
+    SUMS(sum);
     EACH_VECTOR_AT {
         const Vector over = fmax(LOAD(dose + at) - most, ZERO), slope = weight[j] * over;
         STORE(dose + at, slope);
@@ -16,8 +14,8 @@ FIELD_KERNEL dark_loss(__global float *dose, __global const float *restrict weig
 }
 #else
 
-// What a loss is, PARAMETERS and their NAMES: it takes a vector of doses, target fractions and weights (1 where there are
-// none), returns the losses, and leaves the derivatives in place of the doses.
+// A loss declares PARAMETERS and their NAMES. It takes a vector of doses, target fractions and weights (1 if there are
+// none), returns the losses, and overwrites the doses with the derivatives.
 #ifdef COMPILE_band_loss
 #define PARAMETERS                                                                                                     \
     __global const float *restrict response, float start, float density, float low, float high, float slack_low,       \
@@ -72,10 +70,8 @@ static inline Vector loss_of(Vector *dose, Vector f, Vector weight, int n_sample
 
 static inline void evaluate(__global float *dose, ARRAY target, ARRAY weight, int weighted, int binary, float reach,
                             __global float *restrict parts, SIZES, int n_sample, int n_part, PARAMETERS) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    OWN_PART;
+    SUMS(sum);
     EACH_VECTOR_AT {
         if (disc_distance(i, j, n_i, n_j) > reach * reach) {
             STORE(dose + at, ZERO);

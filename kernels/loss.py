@@ -1,9 +1,9 @@
 """Losses of a dose, voxel by voxel, and their derivatives.
 
 `band_loss` measures how far a dose lies outside the band that the target sets. Source: the band constraint Lp norm,
-C. C. Li et al., Additive Manufacturing (2024) 104447. With wide bands and the identity as response it is the
-two-threshold loss. `sampled_loss` takes any loss of a dose, given by samples of it. `ramp_loss` is the two-threshold
-loss whose thresholds ramp across the surface of the part, `dark_loss` that of resin where there is no part.
+C. C. Li et al., Additive Manufacturing (2024) 104447. With wide bands and the identity as response, it is the
+two-threshold loss. `sampled_loss` computes any loss of a dose, given by samples of it. `ramp_loss` is the two-threshold
+loss whose thresholds ramp across the surface of the part; `dark_loss` is that of resin outside the part.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Weights = Annotated[np.ndarray, Table("float32", ("j",))]
 
 
 def look_up(dose: np.ndarray, samples: np.ndarray, start: float, density: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples at a dose, a line between two of them and beyond the ends, and their rise from one to the next."""
+    """Samples at a dose, interpolated linearly and continued beyond the ends, and the increase to the next."""
     position = (dose - start) * density
     cell = np.clip(np.floor(position).astype(int), 0, len(samples) - 2)
     rise = samples[cell + 1] - samples[cell]
@@ -33,11 +33,11 @@ def band_loss(
     low: Real, high: Real, slack_low: Real, slack_high: Real, gain_low: Real, gain_high: Real, power: Real, ridge: Real,
     binary: Integer, reach: Real, parts: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·e^p with e = max(0, |M − c| − ε), and + ridge·M²; dose becomes the derivative of that by dose.
+    """Σ parts = Σ w·e^p + ridge·M² with e = max(0, |M − c| − ε); dose is overwritten by the derivative by dose.
 
-    M = response(dose), sampled from ``start`` on with ``density`` samples per unit and straight beyond its ends.
-    c = low + (high − low)·f; ε and the gain in w go from their low to their high value likewise. f is the target, or
-    with ``binary`` whether it is at least one half. w = gain · weight (where ``weighted``), and 0 farther than
+    M = response(dose), sampled from ``start`` on with ``density`` samples per unit, and straight beyond its ends. c =
+    low + (high − low)·f; ε and the gain in w vary from their low to their high value in the same way. f is the target,
+    or with ``binary`` whether it is at least one half. w = gain · weight (if ``weighted``), and 0 farther than
     ``reach`` samples from the axis.
     """
     f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
@@ -59,10 +59,10 @@ def sampled_loss(
     dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outer: Response, inner: Response, start: Real,
     density: Real, binary: Integer, reach: Real, parts: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose becomes the derivative of that by dose.
+    """Σ parts = Σ w·((1 − f)·outer(dose) + f·inner(dose)); dose is overwritten by the derivative by dose.
 
-    Both are sampled as a response is. f is the target, or with ``binary`` whether it is at least one half; w = weight
-    where ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
+    Both are sampled like a response. f is the target, or with ``binary`` whether it is at least one half; w = weight if
+    ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
     """
     f = np.where(target >= 0.5, 1.0, 0.0) if binary else target
     near = disc(dose.shape[0], dose.shape[1], reach)[:, :, None]
@@ -78,11 +78,11 @@ def ramp_loss(
     dose: ArrayInOut, target: Array, weight: Array, weighted: Integer, outside: Real, inside: Real, most: Real,
     reach: Real, parts: Parts,
 ) -> None:  # fmt: skip
-    """Σ parts = Σ w·e²/2; dose becomes the derivative of that by dose.
+    """Σ parts = Σ w·e²/2; dose is overwritten by the derivative by dose.
 
-    target: 0 a width outside the surface, 1 a width inside it, a line between. The threshold is t = outside + (inside −
-    outside)·target; from a target of one half on a dose errs by e where it is below t or above ``most``, else where it
-    is above t. w = weight where ``weighted``, else 1, and 0 farther than ``reach`` samples from the axis.
+    target: 0 one width outside the surface, 1 one width inside it, linear between. The threshold is t = outside +
+        (inside − outside)·target. For a target of at least one half, e is the amount by which a dose is below t or
+        above ``most``; otherwise by which it is above t. w = weight if ``weighted``, else 1, and 0 beyond ``reach``.
     """
     threshold = outside + (inside - outside) * target
     error = np.where(
@@ -99,7 +99,7 @@ def ramp_loss(
 
 @kernel(over="dose", cpu=CPU, gpu=GPU)
 def dark_loss(dose: ArrayInOut, weight: Weights, most: Real, parts: Parts) -> None:
-    """Σ parts = Σ w·e²/2 with e = max(0, dose − most); dose becomes the derivative of that by dose.
+    """Σ parts = Σ w·e²/2 with e = max(0, dose − most); dose is overwritten by the derivative by dose.
 
     weight: w of each row of samples.
     """

@@ -1,4 +1,4 @@
-"""Warp siblings of `loss`."""
+"""Warp version of `loss`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.struct
 class Band:
-    """Arguments of `band_loss` that say what the loss is."""
+    """Arguments of `band_loss` that define the loss."""
 
     response: wp.array[float]
     start: float
@@ -32,7 +32,7 @@ class Band:
 
 @wp.struct
 class Sampled:
-    """Arguments of `sampled_loss` that say what the loss is."""
+    """Arguments of `sampled_loss` that define the loss."""
 
     outer: wp.array[float]
     inner: wp.array[float]
@@ -43,7 +43,7 @@ class Sampled:
 
 @wp.struct
 class Ramp:
-    """Arguments of `ramp_loss` that say what the loss is."""
+    """Arguments of `ramp_loss` that define the loss."""
 
     outside: float
     inside: float
@@ -109,7 +109,7 @@ def evaluate(
     dose: Vectors, target: Vectors, weight: Vectors, weighted: int, binary: int, reach: float,
     parts: wp.array[float], slab: int, tile: int, j: int, lane: int, n_i: int, n_j: int, n_z: int, loss: Any,
 ):  # fmt: skip
-    """Losses of a thread's samples as its part, and their derivatives in place of the doses."""
+    """Sum of the losses of a thread's samples as its partial result, and their derivatives in place of the doses."""
     count = real_lanes(slab, lane, dose.shape[3], n_z)
     result = float(0.0)
     for i in range(tile * ROWS, wp.min(tile * ROWS + ROWS, n_i)):

@@ -1,4 +1,4 @@
-"""Warp siblings of `mask`."""
+"""Warp version of `mask`."""
 
 from __future__ import annotations
 

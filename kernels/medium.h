@@ -18,7 +18,7 @@ typedef struct {
 typedef struct {
     float3 position, heading;
     float3 pull;                // half the gradient of the squared index there
-    float3 missing;             // what rounding took from the position: hundreds of steps would add it up
+    float3 missing;             // rounding error of the position, which would add up over hundreds of steps
     float light;
 } Ray;
 
@@ -26,7 +26,7 @@ static inline float4 at_node(const Medium m, int i, int j, int k) {
     return m.samples[((size_t)i * m.n_q + j) * m.n_s + k];
 }
 
-// Gradient and extinction between the samples; adds the share of insert to opacity.
+// Interpolated gradient and extinction; adds the share of insert to opacity.
 static inline float4 mixed(float4 node, float weight, float *opacity) {
     if (node.w < 0.0f) {
         const float insert = floor(-node.w), rest = -node.w - insert;
@@ -78,7 +78,7 @@ static inline void clip(float origin, float heading, float high, float *near, fl
     *far = fmin(*far, fmax(first, second));
 }
 
-// Turns a start of the laboratory into the resin's coordinates and moves it to the edge of the medium.
+// Rotates a start from fixed coordinates into the resin's and moves it to the edge of the medium.
 static bool enter(const Medium m, const float8 start, float2 direction, float top, Ray *ray) {
     const float c = direction.x, s = direction.y;
     const float x = 0.5f * (m.n_p - 2 * MARGIN - 1) - start.s0 * s - start.s1 * c;
@@ -95,14 +95,14 @@ static bool enter(const Medium m, const float8 start, float2 direction, float to
     return near < far && ray->light > 0.0f;
 }
 
-// One step; gives its middle and what it leaves there, and says whether the ray goes on.
+// One step; returns its middle and the light it leaves there, and whether the ray continues.
 static bool advance(const Medium m, Ray *ray, float top, float step, int kind, float3 *middle, float *weight) {
     const float3 here = ray->position, heading = ray->heading;
     float3 way = step * heading, turned = heading;
     if (kind & BENDS) {
         const float3 a = step * ray->pull;
         const float3 b = step * bend(m, here + step * (0.5f * heading + 0.125f * a));
-        ray->pull = bend(m, here + step * (heading + 0.5f * b));   // serves as the next step's first
+        ray->pull = bend(m, here + step * (heading + 0.5f * b));   // serves as the next step's first value
         way = step * (heading + (a + 2.0f * b) / 6.0f);
         turned = heading + (a + 4.0f * b + step * ray->pull) / 6.0f;
     }

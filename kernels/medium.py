@@ -4,9 +4,9 @@ The medium has a refractive index, an extinction and opaque inserts, all of whic
 
 d²R/dt² = ½∇n² with dt = ds/n, stepped by the Runge-Kutta-Nyström rule of fourth order of A. Sharma, D. Kumar &
 A. Ghatak, Appl. Opt. 21 (1982) 984; the field at the predicted end of a step, which is a third-order distance from the
-true end, also begins the next step. Lengths are in voxels and indices relative to the bath, so the parameter of a ray
-is its length where the index is that of the bath. What light loses in a step goes to the voxels around the middle of
-the step, by their bilinear or trilinear weights.
+true end, also begins the next step. Lengths are in voxels and indices relative to the bath; the parameter of a ray is
+then its length where the index is that of the bath. Light lost in a step goes to the voxels around the middle of the
+step, by their bilinear or trilinear weights.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from vamgpu.kernels.signature import Table
 Medium = Annotated[np.ndarray, Table("float32", ("p", "q", "s", "4"))]
 """½∇(n/n_bath)² [1/voxel] and extinction e [1/voxel]; two samples of bath beyond each face, or s = 1.
 
-Where an insert stands, −(k + e/(1 + e)) in place of e: k, 1 to `WHOLE`, is how much of it."""
+In an insert, −(k + e/(1 + e)) in place of e: k, 1 to `WHOLE`, is the share of insert."""
 Starts = Annotated[np.ndarray, Table("float32", ("ray", "8"))]
 """Across, along [voxels from the axis], height [index of the slice]; direction across, along, up; weight; unused."""
 Directions = Annotated[np.ndarray, Table("float32", ("angle", "2"))]  # cosθ, sinθ
 
 BENDS, ABSORBS, BLOCKS = 1, 2, 4
-"""Bits of ``kind``: which of the three the medium does."""
+"""Bits of ``kind``: which of the three fields the medium has."""
 
 MARGIN = 2  # samples of bath around the voxels
 SOLID = 0.397  # interpolated share of insert that stops light: walls that touch by their edges leak from 0.44 on
-WHOLE = 64.0  # what a sample says that is all insert
-DARK = 28.0  # from this on a voxel gets no light
+WHOLE = 64.0  # value of a sample that is all insert
+DARK = 28.0  # share of insert from which a voxel gets no light
 
 
 def march(
     medium: np.ndarray, starts: np.ndarray, directions: np.ndarray, top: float, step: float, most: int, kind: int,
     left: np.ndarray,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:  # fmt: skip
-    """Rays under way (a flat index over angle and ray), the middles of their steps (index of x, y, z), and weights.
+    """Rays that still travel (flat index over angle and ray), middles of their steps (index of x, y, z), weights.
 
-    Sets ``left`` to −1 for rays still under way after ``most`` steps.
+    Sets ``left`` to −1 for rays that still travel after ``most`` steps.
     """
     high = np.array([medium.shape[0] - MARGIN - 1.0, medium.shape[1] - MARGIN - 1.0, top])
     position, heading, light, inside = enter(medium, starts, directions, high)
@@ -71,7 +71,7 @@ def march(
 def enter(
     medium: np.ndarray, starts: np.ndarray, directions: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where the rays of every pose enter the medium, their headings and weights, and which do: (angle · ray, …)."""
+    """Where rays of every angle enter the medium, their headings, weights, and which do: (angle · ray, …)."""
     c, s = directions[:, 0, None], directions[:, 1, None]
     middle = 0.5 * (np.array(medium.shape[:2]) - 2 * MARGIN - 1)
     level = np.ones_like(c)

@@ -25,7 +25,7 @@ class Ray:
     position: wp.vec3
     heading: wp.vec3
     pull: wp.vec3  # half the gradient of the squared index there
-    missing: wp.vec3  # what rounding took from the position: hundreds of steps would add it up
+    missing: wp.vec3  # rounding error of the position, which would add up over hundreds of steps
     light: float
     on: int
     middle: wp.vec3  # of its last step
@@ -44,7 +44,7 @@ def at_node(medium: Samples, i: int, j: int, k: int) -> wp.vec4:  # type: ignore
 
 @wp.func
 def look_up(medium: Samples, position: wp.vec3):
-    """Gradient and extinction between the samples; the share of insert is the fifth."""
+    """Interpolated gradient and extinction; the share of insert is the fifth value."""
     n_p = medium.shape[0]
     n_q = medium.shape[1]
     n_s = medium.shape[2]
@@ -102,7 +102,7 @@ def enter(
     medium: Samples, starts: wp.array2d[float], index: int, directions: wp.array2d[float], angle: int,
     top: float,
 ):  # fmt: skip
-    """The ray of a start, from the laboratory's into the resin's coordinates, moved to the edge of the medium."""
+    """The ray of a start, rotated from fixed coordinates into the resin's and moved to the edge of the medium."""
     c = directions[angle, 0]
     s = directions[angle, 1]
     across = starts[index, 0]
@@ -138,7 +138,7 @@ def advance(medium: Samples, ray: Ray, top: float, step: float, kind: int):
     if (kind & BENDS) != 0:
         a = step * pull
         b = step * bend(medium, here + step * (0.5 * heading + 0.125 * a))
-        pull = bend(medium, here + step * (heading + 0.5 * b))  # serves as the next step's first
+        pull = bend(medium, here + step * (heading + 0.5 * b))  # serves as the next step's first value
         way = step * (heading + (a + 2.0 * b) / 6.0)
         turned = heading + (a + 4.0 * b + step * pull) / 6.0
     way -= ray.missing

@@ -12,13 +12,13 @@ static inline float overlap(float distance, float reach, float inverse) {
     return clamp(reach - fabs(distance), 0.0f, 1.0f) * inverse;
 }
 
-// Height in rows of slices that stand so many rows apart: whole multiples of that share out every row evenly.
+// Height in rows of slices that are a given number of rows apart: whole multiples of that divide every row evenly.
 static inline float even(float stretch) { return stretch * fmax(1.0f, floor(1.0f / stretch + 0.5f)); }
 
-// Where among the rows slice `z` stands; the same sum in both directions.
+// Position of slice `z` among the rows; the same sum in both directions.
 static inline float row_of(float4 ray, int z, float z0, float row0) { return fma(z - z0, ray.w, ray.z + row0); }
 
-// Where sample `index` of a column of the source lies: neighbors in z sit in one slab, or in the next.
+// Position of sample `index` of a column of the source: neighbors in z are in one slab, or in the next.
 static inline size_t along_z(int index, size_t slab, int lanes) {
     const int which = index / lanes;
     return which * slab + (index - which * lanes);
@@ -26,7 +26,7 @@ static inline size_t along_z(int index, size_t slab, int lanes) {
 
 #ifdef CPU
 #define BUFFER 96
-// What lies beyond the buffered samples reads the zero on either side of them.
+// Reads beyond the buffered samples return the zero on either side of them.
 #define BUFFERED(index) clamp((index) - from + 1, 0, count + 1)
 
 // Samples `from` .. `from + count` of a column of the source, into the nearest cache.

@@ -1,7 +1,7 @@
-"""Forward and back projection of light that moves along the axis on its way: cones, inclined light, a wobbling axis.
+"""Forward and back projection of light that also moves along the axis: cones, inclined light, a wobbling axis.
 
-As in `footprint`, a table of one pose says which ray lights a point of the laboratory. Here it also says at which row:
-an offset, and rows per slice. Each pose has its own place of the axis. The two directions are exact transposes.
+As in `footprint`, a table of one angle tells which ray lights a point in fixed coordinates. Here it also gives the row:
+an offset, and rows per slice. Each angle has its own position of the axis. The two directions are exact transposes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vamgpu.kernels.project import middle
 from vamgpu.kernels.signature import Field, Integer, Real, SinogramOut, Table, Tiling, VolumeOut, kernel
 
 Poses = Annotated[np.ndarray, Table("float32", ("angle", "4"))]
-"""cos θ, sin θ, and the place (X, Y) of the axis in the laboratory, in voxels."""
+"""cos θ, sin θ, and the position (X, Y) of the axis in fixed coordinates, in voxels."""
 Rays = Annotated[np.ndarray, Table("float32", ("across", "along", "4"))]
 """Column index, weight, row index of the slice z = 0, rows per slice; samples one voxel apart."""
 Images = Annotated[np.ndarray, Field(("angle", "r", "row"))]
@@ -24,15 +24,15 @@ Slices = Annotated[np.ndarray, Field(("x", "y", "slice"))]
 
 
 def even(stretch: np.ndarray) -> np.ndarray:
-    """Height in rows of slices that stand ``stretch`` rows apart: the multiple of it next to one, or more.
+    """Height in rows of slices that are ``stretch`` rows apart: the multiple of it closest to one, or more.
 
-    Slices as high as whole multiples of their distance share out every row evenly, whatever that distance is.
+    Slices whose height is a whole multiple of their distance divide every row evenly, for any distance.
     """
     return stretch * np.maximum(1.0, np.floor(1.0 / stretch + 0.5))
 
 
 def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """(nx, ny, 4): the map at every voxel of a plane, continued in straight lines beyond its edge."""
+    """(nx, ny, 4): the map at every voxel of a plane, continued linearly beyond its edge."""
     x, y = (np.arange(n) - middle(n) for n in shape[:2])
     c, s, shift_x, shift_y = pose
     across = y[None, :] * c - x[:, None] * s + shift_x + middle(light.shape[0])
@@ -46,7 +46,7 @@ def _looked_up(shape: tuple[int, ...], pose: np.ndarray, light: np.ndarray) -> n
 
 
 def _taps(position: np.ndarray, width: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(index, share) of the samples that something ``width`` samples wide overlaps; share 0 beyond ``count``."""
+    """(index, share) of the samples that an interval ``width`` samples wide overlaps; share 0 beyond ``count``."""
     reach = 0.5 * (1.0 + width)
     first = np.ceil(position - reach).astype(int)
     for tap in range(int(np.ceil(2 * reach.max()))):
@@ -58,7 +58,7 @@ def _taps(position: np.ndarray, width: np.ndarray, count: int) -> Iterator[tuple
 def _struck(
     volume: tuple[int, ...], sinogram: tuple[int, ...], pose: np.ndarray, light: np.ndarray, size: tuple[float, float]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """(column, row, weight), each (nx, ny, nz), of every pixel that reaches the voxels at one pose."""
+    """(column, row, weight), each (nx, ny, nz), of every pixel that reaches the voxels at one angle."""
     width, radius = size
     x, y, z = (np.arange(n) - middle(n) for n in volume)
     u, strength, lift, stretch = np.moveaxis(_looked_up(volume, pose, light), -1, 0)[..., None]
@@ -74,7 +74,7 @@ def forward_oblique(
     volume: Slices, poses: Poses, light: Rays, edges: Edges, width: Real, radius: Real, lanes: Integer,
     sinogram: SinogramOut,
 ) -> None:  # fmt: skip
-    """The transpose of `back_oblique`. edges bound where a column's light falls; lanes: of the volume's layout."""
+    """The transpose of `back_oblique`. edges bound the range of a column's light; lanes: of the volume's layout."""
     sinogram[...] = 0.0
     for angle, pose in enumerate(poses):
         size = (width, radius)
@@ -86,10 +86,10 @@ def forward_oblique(
 def back_oblique(
     sinogram: Images, poses: Poses, light: Rays, width: Real, radius: Real, lanes: Integer, volume: VolumeOut,
 ) -> None:  # fmt: skip
-    """volume[x, y, z] = Σ over poses of the strength of the light there × the pixels around the ray that brings it.
+    """volume[x, y, z] = Σ over angles of the strength of the light there × the pixels around the ray that lights it.
 
-    A voxel is ``width`` ≥ 1 columns wide and `even` rows high and takes of each what they overlap. Voxels beyond
-    ``radius`` voxels from the axis get nothing.  lanes: of the sinogram's layout (0 where it is plain).
+    A voxel is ``width`` ≥ 1 columns wide and `even` rows high, and pixels count by their overlap with it. Voxels beyond
+    ``radius`` voxels from the axis get nothing. lanes: of the sinogram's layout (0 if it is plain).
     """
     volume[...] = 0.0
     for angle, pose in enumerate(poses):

@@ -1,4 +1,4 @@
-"""Warp siblings of `oblique`; a thread owns four lanes of one sample."""
+"""Warp version of `oblique`; a thread owns four lanes of one sample."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 @wp.func
 def overlap(distance: float, reach: float, inverse: float):
-    """The part of a voxel, 2 reach - 1 = 1 / inverse columns wide, in a column that far from it."""
+    """The part of a voxel, 2 reach - 1 = 1 / inverse columns wide, in a column at that distance from it."""
     return wp.clamp(reach - wp.abs(distance), 0.0, 1.0) * inverse
 
 
@@ -29,13 +29,13 @@ def pose_of(poses: wp.array2d[float], angle: int):
 
 @wp.func
 def even(stretch: float):
-    """Height in rows of slices that stand so many rows apart: whole multiples of that share out every row evenly."""
+    """Height in rows of slices a number of rows apart: whole multiples of that divide every row evenly."""
     return stretch * wp.max(1.0, wp.floor(1.0 / stretch + 0.5))
 
 
 @wp.func
 def row_of(ray: wp.vec4, z: float, row0: float):
-    """Where among the rows a slice stands, z counted from the middle; the same sum in both directions."""
+    """Position of a slice among the rows, z counted from the middle; the same sum in both directions."""
     return z * ray[3] + (ray[2] + row0)
 
 

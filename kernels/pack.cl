@@ -3,7 +3,7 @@
 #define START_R 0.7548776662466927f
 #define START_Z 0.5698402909980532f
 
-// How frames lie against the beam: whole pixels and parts of one, and mirrored or not.
+// Placement of frames on the beam: whole pixels, fractions of one, and flips.
 typedef struct {
     int shift_r, shift_z;
     float part_r, part_z;
@@ -15,7 +15,7 @@ typedef struct {
 static inline int row_of(const Placement p, int z, int n_z) { return p.flip_z ? z : n_z - 1 - z; }
 static inline int column_of(const Placement p, int r, int n_r) { return p.flip_r ? n_r - 1 - r : r; }
 
-// How bright the mirror at (row, column) is when full-on; a table of one says that all are alike.
+// Brightness of the full-on mirror at (row, column); a table with one value means that all are equal.
 static inline float brightness(__global const float *flat, int row, int column, int n_flat_row, int n_flat_column) {
     return flat[n_flat_row > 1 || n_flat_column > 1 ? row * n_flat_column + column : 0];
 }
@@ -26,7 +26,7 @@ static inline float sample(__global const float *sinogram, int angle, int r, int
     return sinogram[slice_offset(angle, r, z, n_angle, n_r, LANES)];
 }
 
-// What frame pixel (r, z) is to show.
+// The light for frame pixel (r, z).
 static inline float wanted(__global const float *sinogram, const Placement p, int angle, int r, int z,
                            int n_angle, int n_r, int n_z) {
     const int near_r = r - p.shift_r, near_z = z - p.shift_z;
@@ -48,7 +48,7 @@ static inline float wanted(__global const float *sinogram, const Placement p, in
 #define ADD(counter, amount) atomic_add(counter, amount)
 #endif
 
-// A group counts for itself first: on a CPU it is one item, on a GPU its items meet at the barriers.
+// A group first counts for itself: on a CPU it is one item, on a GPU its items meet at the barriers.
 FIELD_KERNEL count_light(__global const float *restrict sinogram, __global const float *restrict flat,
                          int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,
                          int drop, int prefix, __global int *restrict counts,
@@ -78,7 +78,7 @@ FIELD_KERNEL count_light(__global const float *restrict sinogram, __global const
 #ifdef COMPILE_quantize
 #define EACH_LANE for (int k = 0; k < ITEM_LANES; k++)
 
-// An item owns its pixels at every angle, so that errors can be carried from one to the next.
+// An item owns its pixels at every angle; errors can then be carried from one angle to the next.
 FIELD_KERNEL quantize(__global const float *restrict sinogram, __global const float *restrict flat,
                       __global const float *restrict curve, __global const float *restrict bounds, float gain,
                       int shift_r, int shift_z, float part_r, float part_z, int flip_r, int flip_z,

@@ -1,6 +1,6 @@
-"""Light to frames and back: count values, choose gray levels, fold bits, and compute what the mirrors show.
+"""Light to frames and back: count values, choose gray levels, fold bits, and compute the light of the mirrors.
 
-A frame is an image ``[row, column]`` of one pose: row 0 shows the largest z and column 0 the smallest r, before flips.
+A frame is an image ``[row, column]`` of one angle: row 0 shows the largest z and column 0 the smallest r, before flips.
 A frame may be displaced by ``shift`` whole pixels plus a ``part`` of one. Frame pixel (r, z) then shows the light of
 (r − shift, z − shift), averaged over the beam pixels that it covers. Light displaced over an edge is lost.
 """
@@ -22,7 +22,7 @@ Images = Annotated[np.ndarray, Table("uint8", ("angle", "z", "r"))]
 ImagesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "r"), writes=True)]
 Bytes = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"))]
 BytesOut = Annotated[np.ndarray, Table("uint8", ("angle", "z", "byte"), writes=True)]
-Flat = Annotated[np.ndarray, Table("float32", ("flat_row", "flat_column"))]  # one by one where the field is flat
+Flat = Annotated[np.ndarray, Table("float32", ("flat_row", "flat_column"))]  # one by one if the field is flat
 Curve = Annotated[np.ndarray, Table("float32", ("level",))]
 Bounds = Annotated[np.ndarray, Table("float32", ("256",))]
 Counts = Annotated[np.ndarray, Table("int32", ("1024",), writes=True, updates=True)]
@@ -64,14 +64,14 @@ def count_light(
     sinogram: Sinogram, flat: Flat, shift_r: Integer, shift_z: Integer, part_r: Real, part_z: Real, flip_r: Integer,
     flip_z: Integer, drop: Integer, prefix: Integer, counts: Counts,
 ) -> None:  # fmt: skip
-    """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix and then b.
+    """counts[b] += frame pixels whose light, as the bits of a float32, starts with prefix followed by b.
 
-    drop: bits right of b's ten. Positive floats sort like their bits, so three rounds find a quantile to its last bit;
-    dark pixels are left out, and what is not finite lands in bins 1020 to 1023 of the first round.
+    drop: number of bits to the right of b's ten. Positive floats sort like their bits; three rounds find a quantile
+        to its last bit. Dark pixels are left out; values that are not finite are in bins 1020 to 1023 of round one.
     """
-    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
+    required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) / flat
     with np.errstate(over="ignore"):
-        bits = np.abs(wanted[~(wanted <= 0)]).astype(np.float32).view(np.uint32)
+        bits = np.abs(required[~(required <= 0)]).astype(np.float32).view(np.uint32)
     bits = bits[bits >> (drop + 10) == prefix]
     counts += np.bincount((bits >> drop) & (BINS - 1), minlength=BINS).astype(counts.dtype)
 
@@ -83,17 +83,17 @@ def quantize(
 ) -> None:  # fmt: skip
     """images = the level whose light ``curve[level]`` is nearest to gain · light / flat.
 
-    bounds: what light must exceed to leave each level for the next, midway between the two; `NEVER` after the last.
-    carry: 0 rounds. Otherwise what a pixel shows too much or too little at one angle it makes up for at the next, and
-    carry is the largest step between levels. Dose is a sum over angles, so errors at one pixel cancel there, and pixels
-    need not wait for each other. Neighbors start with different errors so that they do not flash in step. Light below
-    black or above full-on is out of reach and never made up for.
+    bounds: light above which each level is replaced by the next, midway between the two; `NEVER` after the last. carry:
+    0 rounds. Otherwise a pixel's excess or deficit at one angle is compensated at the next; carry is the largest step
+    between levels. Dose is a sum over angles: errors at one pixel cancel there, and pixels are independent of each
+    other. Neighbors start with different errors, which keeps them from flashing in step. Light below black or above
+    full-on cannot be shown and is not compensated.
     """
-    wanted = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
-    wanted = np.clip(wanted, curve[0], curve[-1])
+    required = frames(moved(sinogram, (shift_r, part_r), (shift_z, part_z), -1), flip_r, flip_z) * gain / flat
+    required = np.clip(required, curve[0], curve[-1])
     rows, columns = np.meshgrid(*(np.arange(n) for n in images.shape[1:]), indexing="ij")
     error = carry * ((rows * START_Z + columns * START_R) % 1.0 - 0.5)
-    for frame, light in zip(images, wanted, strict=True):
+    for frame, light in zip(images, required, strict=True):
         frame[...] = np.searchsorted(bounds, light + error, side="left")
         if carry > 0:
             error = light + error - curve[frame]
@@ -101,7 +101,7 @@ def quantize(
 
 @kernel(over="folded")
 def fold_bits(images: Images, folded: BytesOut) -> None:
-    """Eight columns of 0 and 1 a byte, the leftmost in the highest bit; columns beyond the last are 0."""
+    """Eight columns of 0 and 1 per byte, the leftmost in the highest bit; columns beyond the last are 0."""
     folded[...] = np.packbits(images, axis=-1)
 
 
@@ -110,9 +110,9 @@ def unpack(
     images: Bytes, flat: Flat, curve: Curve, bits: Integer, scale: Real, shift_r: Integer, shift_z: Integer,
     part_r: Real, part_z: Real, flip_r: Integer, flip_z: Integer, light: SinogramOut,
 ) -> None:  # fmt: skip
-    """light = scale · flat · curve[level], put back where the frame's flips and shift make it land.
+    """light = scale · flat · curve[level], moved back from where the frame's flips and shift put it.
 
-    bits: 8 where a byte is a level, 1 where it holds eight columns.
+    bits: 8 if a byte is a level, 1 if it holds eight columns.
     """
     levels = images if bits == 8 else np.unpackbits(images, axis=-1, count=light.shape[1])
     shown = upright(scale * flat * curve[levels], flip_r, flip_z)

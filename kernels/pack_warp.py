@@ -1,4 +1,4 @@
-"""Warp siblings of `pack`; a thread owns four lanes of z."""
+"""Warp version of `pack`; a thread owns four lanes of z."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sample(sinogram: Vectors, angle: int, r: int, z: int, n_r: int, n_z: int):
 
 
 @wp.func
-def wanted(sinogram: Vectors, part_r: float, part_z: float, angle: int, r: int, z: int, n_r: int, n_z: int):
+def required(sinogram: Vectors, part_r: float, part_z: float, angle: int, r: int, z: int, n_r: int, n_z: int):
     light = (1.0 - part_r) * (1.0 - part_z) * sample(sinogram, angle, r, z, n_r, n_z)
     if part_r > 0.0:
         light += part_r * (1.0 - part_z) * sample(sinogram, angle, r - 1, z, n_r, n_z)
@@ -54,12 +54,12 @@ def count_light(
     slab, _, r, lane = wp.tid()
     column = place(r, n_r, flip_r != 0)
     last = int(-1)
-    run = int(0)  # neighbors often share a bin; adding a run at once spares the others' waiting
+    run = int(0)  # neighbors often share a bin; adding a run at once avoids waiting
     for angle in range(n_angle):
         for k in range(4):
             z = 4 * (slab * sinogram.shape[3] + lane) + k
             if z < n_z:
-                light = wanted(sinogram, part_r, part_z, angle, r - shift_r, z - shift_z, n_r, n_z)
+                light = required(sinogram, part_r, part_z, angle, r - shift_r, z - shift_z, n_r, n_z)
                 if not (light <= 0.0):
                     full = brightness(flat, place(z, n_z, flip_z == 0), column)
                     bits = wp.cast(light / full, wp.uint32) & wp.uint32(0x7FFFFFFF)
@@ -105,7 +105,7 @@ def quantize(
             start = float(row) * START_Z + float(column) * START_R
             error = carry * (start - wp.floor(start) - 0.5)
             for angle in range(n_angle):
-                light = wanted(sinogram, part_r, part_z, angle, r - shift_r, z - shift_z, n_r, n_z) * gain / full
+                light = required(sinogram, part_r, part_z, angle, r - shift_r, z - shift_z, n_r, n_z) * gain / full
                 aim = wp.clamp(light, black, white) + error
                 level = nearest(bounds, aim)
                 images[angle, row, column] = wp.uint8(level)

@@ -1,5 +1,5 @@
-// Items that are one long chain of dependent steps, or alike and next to each other: on a CPU every PACKth item owns PACK
-// of them, one a lane, and the items between do nothing; on a GPU an item owns one.
+// Packs: items that are a long chain of dependent steps, or similar and next to each other. On a CPU every PACKth item
+// owns PACK of them, one per lane, and the items between do nothing; on a GPU an item owns one.
 #include "common.h"
 #ifdef CPU
 #define PACK 16

@@ -1,4 +1,4 @@
-"""Partial results of Warp kernels: which one is an item's and which lanes are padding."""
+"""Partial results of Warp kernels: the number of an item's result, and the padding lanes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-ROWS = 32  # the tiling all kernels with partial results declare for GPUs
+ROWS = 32  # the tiling that all kernels with partial results declare for GPUs
 
 
 @wp.func

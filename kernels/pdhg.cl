@@ -3,10 +3,8 @@
 #ifdef COMPILE_primal_step
 FIELD_KERNEL primal_step(ARRAY light, ARRAY columns, float step, __global float *restrict ahead,
                           __global float *restrict after, __global float *restrict moved, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    OWN_PART;
+    SUMS(sum);
     EACH_VECTOR_AT {
         const Vector from = LOAD(light + at), weight = LOAD(columns + at);
         const Lanes lit = weight > ZERO;
@@ -26,8 +24,7 @@ FIELD_KERNEL dual_step(ARRAY ahead, ARRAY held, ARRAY target, ARRAY rows, float 
                        __global float *restrict upper_after, __global float *restrict inside,
                        __global float *restrict outside, __global float *restrict moved,
                        __global float *restrict crossed, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     Vector in[VECTORS], out[VECTORS], far[VECTORS], product[VECTORS];
     EACH_VECTOR in[v] = out[v] = far[v] = product[v] = ZERO;
     const Vector one = (Vector)(1.0f);

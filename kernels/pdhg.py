@@ -1,8 +1,8 @@
 """Steps of PDHG on the window's linear program; see `vamgpu.methods.pdhg`.
 
 Source: A. Chambolle, T. Pock, J. Math. Imaging Vis. 40 (2011) 120, with the diagonal steps of T. Pock, A. Chambolle,
-ICCV (2011) 1762. Inside is a target of at least one half; voxels farther than ``reach`` samples from the axis count
-neither way.
+ICCV (2011) 1762. A voxel is inside if its target is at least one half; voxels farther than ``reach`` samples from the
+axis do not count.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ GPU = Tiling(major=1, minor=1)
 
 @kernel(over="light", cpu=CPU, gpu=PARTIAL)
 def primal_step(light: Array, columns: Array, step: Real, ahead: ArrayInOut, after: ArrayOut, moved: Parts) -> None:
-    """after = max(0, light − step·descent / columns), dark where columns are 0; ahead, the descent, becomes
+    """after = max(0, light − step·descent / columns), dark where columns are 0; ahead, which holds the descent, becomes
     2·after − light.
 
     columns: sum of a pixel's entries in all limits.  Σ moved = Σ columns·(after − light)².
@@ -38,10 +38,10 @@ def dual_step(
 ) -> None:  # fmt: skip
     """Multipliers of a dose: ``lower`` of ≥ least inside and ≤ leak outside, ``upper`` of ≤ 1 inside.
 
-    after = max(0, multiplier + step·excess / (rows + 1)) by the dose ahead; rows alone for ``upper``.
-    rows: dose of light 1 everywhere.  Σ inside, Σ outside: of ``lower`` after, on either side.
-    Σ moved: of squared differences times what divided the steps.  Σ crossed: of the change of (outside: lower, inside:
-    upper − lower) times half of ahead − held.
+    after = max(0, multiplier + step·excess / (rows + 1)) from the dose ahead; for ``upper`` only rows. rows: dose of
+    light 1 everywhere. Σ inside, Σ outside: of ``lower`` after, on either side. Σ moved: of squared differences times
+    the divisors of the steps. Σ crossed: of the change of (outside: lower, inside: upper − lower) times half of ahead −
+    held.
     """
     near = disc(target.shape[0], target.shape[1], reach)[:, :, None] & (rows > 0)
     part, weight = target >= 0.5, np.where(near, rows, 1.0)

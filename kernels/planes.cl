@@ -1,7 +1,7 @@
 #ifdef COMPILE_split_planes
 #define LOW_BYTES 0x00FF00FF00FF00FFul
 
-// 64 columns from one on, a byte each, cut by the mask; 0 outside the frame.
+// 64 columns from one on, one byte each, cut by the mask; 0 outside the frame.
 static inline ulong8 levels(__global const uchar *line, __global const uchar *mask, int column, int n_byte) {
     if (column <= -64 || column >= n_byte) return 0;
     if (column >= 0 && column + 64 <= n_byte) {
@@ -25,8 +25,8 @@ static inline ulong8 levels(__global const uchar *line, __global const uchar *ma
     return (ulong8)(own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7]);
 }
 
-// Every long as 8 x 8 bits turned about the diagonal that brings byte 0, the leftmost column, into the highest bits and
-// the highest bits into byte 0.
+// Transposes every long as 8 x 8 bits: byte 0, the leftmost column, becomes the highest bits, and the highest bits
+// become byte 0.
 static inline ulong8 turn_bits(ulong8 x) {
     ulong8 t = (x ^ (x << 36)) & 0xF0F0F0F000000000ul;
     x ^= t ^ (t >> 36);
@@ -36,7 +36,7 @@ static inline ulong8 turn_bits(ulong8 x) {
     return x ^ t ^ (t >> 9);
 }
 
-// 8 x 8 bytes, byte p of long q changing places with byte q of long p.
+// Transposes 8 x 8 bytes: byte p of long q and byte q of long p are exchanged.
 static inline ulong8 turn_bytes(ulong8 x) {
     const ulong8 own1 = (ulong8)((ulong2)(LOW_BYTES, ~LOW_BYTES), (ulong2)(LOW_BYTES, ~LOW_BYTES),
                                  (ulong2)(LOW_BYTES, ~LOW_BYTES), (ulong2)(LOW_BYTES, ~LOW_BYTES));
@@ -56,7 +56,7 @@ static inline int sum_of(ulong8 x) {
     return (int)(four.s0 + four.s1 + four.s2 + four.s3);
 }
 
-// Whole lines of the cache that are written past it need not be read before.
+// Whole cache lines that are written past the cache need not be read before.
 #if defined(CPU) && defined(__has_builtin)
 #if __has_builtin(__builtin_nontemporal_store)
 #define PUT(place, value) __builtin_nontemporal_store(value, (__global ulong8 *)(place))
@@ -73,8 +73,8 @@ static inline int sum_of(ulong8 x) {
                      b = (ulong8)(a.s23, b.s23, a.s67, b.s67); a = u; }
 #define MIX4(a, b) { const ulong8 u = (ulong8)(a.lo, b.lo); b = (ulong8)(a.hi, b.hi); a = u; }
 
-// Strips are runs of blocks of 64 columns, which processors take by eight so that they write whole lines of the cache; or
-// columns of blocks, so that neighbors on a GPU read and write side by side.
+// Strips are runs of blocks of 64 columns, which processors take by eight to write whole cache lines; or columns of
+// blocks, with which neighbors on a GPU read and write side by side.
 __kernel __attribute__((vec_type_hint(ulong8))) void split_planes(
     __global const uchar *restrict images, __global const uchar *restrict masks, __global const int *restrict chosen,
     int top, int left, __global uchar *restrict packed, __global int *restrict sent,

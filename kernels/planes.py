@@ -1,7 +1,7 @@
-"""Frames as mirrors load them: in the order they are shown, masked by columns, as bit planes.
+"""Frames in the form that mirrors load: in the order in which they are shown, masked by columns, as bit planes.
 
-A plane has rows from the top, and in a row eight columns a byte, the leftmost in the highest bit; bytes beyond the last
-column are 0. The planes of a frame come by falling weight: the first is that of 128, the last that of 1.
+A plane has rows from the top, and in a row eight columns per byte, the leftmost in the highest bit; bytes beyond the
+last column are 0. The planes of a frame are in order of decreasing weight, from that of 128 to that of 1.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Sent = Annotated[np.ndarray, Table("int32", ("frame", "strip"), writes=True)]
 
 
 def put(whole: np.ndarray, part: np.ndarray, top: int, left: int) -> None:
-    """Write a frame into a larger one, whatever lies over its edges left out."""
+    """Write a frame into a larger one; pixels beyond its edges are left out."""
     room = whole[top : top + part.shape[0], left : left + part.shape[1]]
     room[...] = part[: room.shape[0], : room.shape[1]]
 
 
 def strips_for(rows: int, width: int, gpu: bool) -> int:
-    """Into how many strips a frame of planes with so many rows and bytes in a row is best cut."""
+    """Best number of strips for a frame of planes with this number of rows, and of bytes in a row."""
     blocks = 8 * width // BLOCK
     return max(blocks * -(-rows // 8), 1) if gpu else min(128, rows)
 
@@ -51,9 +51,9 @@ def split_planes(
 ) -> None:  # fmt: skip
     """packed = the bit planes of the 8-bit frames images[angle] & masks[bin], (angle, bin) = chosen[frame].
 
-    top, left: rows and columns of mirrors before the first of the frame, ≥ 0; all around it is dark.  sent: sum of
-    the levels in each strip. Strips are equal runs of blocks of 64 columns, row by row, of a multiple of eight; where
-    there are more of them than rows, and a multiple of the blocks of a row, equal bands of rows are cut into blocks.
+    top, left: rows and columns of mirrors before the first of the frame, ≥ 0; all mirrors around it are dark. sent: sum
+    of the levels in each strip. Strips are equal runs of blocks of 64 columns, row by row, of a multiple of eight. If
+    there are more strips than rows, and a multiple of the blocks of a row, equal bands of rows are cut into blocks.
     width: a multiple of 8.
     """
     frames, _, rows, width = packed.shape
@@ -75,7 +75,7 @@ def pick_frames(
 ) -> None:  # fmt: skip
     """picked = images[angle] & masks[bin] with (angle, bin) = chosen[frame], byte by byte, and 0 around it.
 
-    Bytes are levels, or eight columns each where frames are of one bit; left counts them.
+    Bytes are levels, or eight columns each for frames of one bit; left counts them.
     """
     picked[...] = 0
     for frame, (angle, focus) in enumerate(chosen):

@@ -1,4 +1,4 @@
-"""Warp siblings of planes.py: a thread takes one block of 64 columns, or one byte of a frame."""
+"""Warp version of `planes`: a thread takes one block of 64 columns, or one byte of a frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Eight: type = wp.types.vector(length=8, dtype=wp.uint64)
 
 @wp.func
 def turn_bits(x: wp.uint64):
-    """8 × 8 bits turned about the diagonal from the lowest byte's highest bit."""
+    """8 × 8 bits, transposed from the lowest byte's highest bit."""
     t = (x ^ (x << wp.uint64(36))) & wp.uint64(0xF0F0F0F000000000)
     x = x ^ t ^ (t >> wp.uint64(36))
     t = (x ^ (x << wp.uint64(18))) & wp.uint64(0xCCCC0000CCCC0000)

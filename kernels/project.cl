@@ -1,11 +1,11 @@
 #include "common.h"
 
-// How the rays of one pose cross the planes of voxels they meet most steeply; lengths in voxels.
+// How the rays of one angle cross the planes of voxels that they meet most steeply; lengths in voxels.
 typedef struct {
     int planes, cells;          // planes to cross, cells in each
     size_t plane_stride, cell_stride;
     float origin;               // cell position of ray 0 in plane 0
-    float slope;                // cells a ray drifts per plane
+    float slope;                // shift of a ray per plane, in cells
     float step;                 // cells between neighboring rays
 } Crossing;
 
@@ -22,7 +22,7 @@ static Crossing crossing(float2 direction, int n_x, int n_y, int n_r) {
 }
 
 #ifdef COMPILE_forward_joseph
-// Planes of [first, last) in which RAYS neighboring rays all lie strictly between two cells: no bounds to check there.
+// Planes of [first, last) in which RAYS neighboring rays all lie strictly between two cells: no bounds checks.
 static int2 interior(const Crossing k, float origin, int first, int last) {
     const float low = origin + fmin(0.0f, (RAYS - 1) * k.step), high = origin + fmax(0.0f, (RAYS - 1) * k.step);
     if (fabs(k.slope) < 1e-6f)
@@ -118,7 +118,7 @@ FIELD_KERNEL forward_joseph(__global const float *restrict volume, __global cons
 #endif
 
 #ifdef COMPILE_back_joseph
-// Adds to sum what ROWS x COLUMNS voxels from (x, y), relative to the axis, receive at one pose.
+// Adds to sum the light of ROWS x COLUMNS voxels from (x, y), relative to the axis, at one angle.
 static inline void gather(__global const float *restrict pose, float2 direction, float x, float y, int n_r,
                           Vector *sum) {
     const float c = direction.x, s = direction.y, m = 1.0f / fmax(fabs(c), fabs(s));
@@ -156,7 +156,7 @@ static inline void gather(__global const float *restrict pose, float2 direction,
     }
 }
 
-// An item owns TILE_MAJOR rows of x and goes through them once per ANGLES poses, which stay in its cache.
+// An item owns TILE_MAJOR rows of x and processes them once for every ANGLES angles, whose data stay in its cache.
 FIELD_KERNEL back_joseph(__global const float *restrict sinogram, __global const float2 *restrict directions,
                          float pitch, __global float *restrict volume,
                          int n_angle, int n_r, int n_z, int n_x, int n_y) {

@@ -1,7 +1,7 @@
-"""Forward and back projection of straight rays at every pose of a turntable, after Joseph.
+"""Forward and back projection of straight rays at every angle of a turntable, after Joseph.
 
-Where a ray crosses a plane of voxels it interpolates between the two nearest; the transpose gathers for each voxel the
-two rays beside it, with the very same weights. Source: P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982) 192. Columns are
+Where a ray crosses a plane of voxels, it interpolates between the two nearest; the transpose gathers, for each voxel,
+the two rays next to it, with the same weights. Source: P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982) 192. Columns are
 as far apart as voxels, and lengths inside are counted in voxels from the middle of the grid and of the beam.
 """
 
@@ -28,7 +28,7 @@ def middle(n: int) -> float:
     constants={"cpu": {"RAYS": 4, "STRIP": 32, "TOGETHER": 9}, "gpu": {"RAYS": 1, "STRIP": 16}},
 )
 def forward_joseph(volume: Volume, directions: Directions, pitch: Real, sinogram: SinogramOut) -> None:
-    """sinogram[a, r, z] = Σ along the ray of volume, interpolated between the two cells it passes, × length [mm]."""
+    """sinogram[a, r, z] = Σ along the ray of volume, interpolated between two cells, × length [mm]."""
     columns = np.arange(sinogram.shape[1]) - middle(sinogram.shape[1])
     for angle, (c, s) in enumerate(directions):
         if abs(c) >= abs(s):  # planes of constant x: y = (r + x·s) / c

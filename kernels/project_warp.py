@@ -1,6 +1,6 @@
-"""Warp siblings of `project`; a thread owns four lanes of z, and fields come flat per slab: ``[slab, sample · lane]``.
+"""Warp version of `project`; a thread owns four lanes of z, and fields are flat per slab: ``[slab, sample · lane]``.
 
-Flat, because one multiplication an access then finds the sample, where four would cost more than the arithmetic.
+They are flat because one multiplication per access then finds the sample; four would take longer than the arithmetic.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from vamgpu.kernels.wide_warp import Flat, read
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-STRIP = 16  # planes a group crosses at its two poses before it goes on
+STRIP = 16  # planes that a group crosses at its two angles before it continues
 
 
 @wp.func
@@ -32,7 +32,7 @@ def march(
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     start = origin + float(first) * slope
     end = origin + float(last - 1) * slope
-    if wp.min(start, end) > 0.01 and wp.max(start, end) < float(cells) - 1.01:  # between two cells all along
+    if wp.min(start, end) > 0.01 and wp.max(start, end) < float(cells) - 1.01:  # always between two cells
         for plane in range(first, last):
             position = origin + float(plane) * slope
             cell = int(position)
@@ -58,7 +58,7 @@ def length(pitch: float, c: float, s: float):
     return pitch / wp.max(wp.abs(c), wp.abs(s))
 
 
-@wp.kernel(launch_bounds=(256, 2))  # fewer registers, so that more threads hide the loads
+@wp.kernel(launch_bounds=(256, 2))  # fewer registers allow more threads, which hide the loads
 def forward_joseph(
     volume: Flat, directions: wp.array2d[float], pitch: float, sinogram: Flat,
     n_x: int, n_y: int, n_z: int, n_angle: int, n_r: int,
@@ -67,7 +67,7 @@ def forward_joseph(
     lanes = volume.shape[1] // (n_x * n_y)
     offset = float(r) - 0.5 * float(n_r - 1)
     here = 2 * block
-    beside = wp.min(here + 1, n_angle - 1)  # the last thread of an odd number of poses computes its pose twice
+    beside = wp.min(here + 1, n_angle - 1)  # for an odd number of angles, the last thread computes its angle twice
     c0 = directions[here, 0]
     s0 = directions[here, 1]
     c1 = directions[beside, 0]
@@ -83,9 +83,9 @@ def forward_joseph(
 
 @wp.func
 def gather(field: Flat, slab: int, row: int, lanes: int, u: float, m: float, n_r: int):
-    """The light that a voxel at column u receives from the pose that begins at sample `row`.
+    """The light that a voxel at column u receives from the angle that begins at sample `row`.
 
-    Weights of columns further than 1 / m are zero, so clamping the pair of columns into the beam needs no branch.
+    Weights of columns farther than 1 / m are zero; limiting the pair of columns to the beam therefore needs no branch.
     """
     column = wp.clamp(int(u), 0, n_r - 2)
     index = row + column * lanes

@@ -3,7 +3,7 @@
 #define WIDE(name) PASTE(name, WIDTH)
 
 #ifdef COMPILE_spread_rows
-// A vector of slices takes each row that lights any of them, times its shares.
+// A vector of slices uses each row that lights any of them, times its shares.
 FIELD_KERNEL spread_rows(__global const float *restrict light, __global const float *restrict shares,
                          __global const int2 *restrict span, int lanes, __global float *restrict spread,
                          int n_angle, int n_r, int n_row, int n_slice, int n_z) {
@@ -44,7 +44,7 @@ FIELD_KERNEL spread_columns(__global const float *restrict spread, __global cons
 #endif
 
 #ifdef COMPILE_expose_voxels
-// First and last bin whose light crosses a voxel (x, y), relative to the axis, and its share, a turn away from a pose.
+// First and last bin whose light crosses a voxel (x, y), relative to the axis, and its share, at an angle's turn.
 static inline float4 look_up(__global const float4 *restrict pose, int n_across, int n_along, float4 turn, float scale,
                              float x, float y, float away) {
     const float across = fma(y, turn.x, -x * turn.y) * scale, along = fma(-x, turn.x, -y * turn.y) * scale;
@@ -52,8 +52,8 @@ static inline float4 look_up(__global const float4 *restrict pose, int n_across,
                    fma(-away, across, along) + 0.5f * (n_along - 1));
 }
 
-// The light that crosses a voxel while its ends move: least and greatest place of both, one over six times their way,
-// the bins it meets, and its share.
+// The light that crosses a voxel while its ends move: least and greatest position of both, one over six times their
+// path, the bins it meets, and its share.
 typedef struct {
     float2 low, high, way;
     int first, stop;
@@ -72,7 +72,7 @@ static inline Light light_of(__global const float4 *restrict pose, int n_across,
     return light;
 }
 
-// Mean of t t / 2 over the way of the last end, less that of the first; t: how far it is beyond the middle of a bin, or 0.
+// Mean of t t / 2 over the path of the last end, minus that of the first; t: distance beyond the middle of a bin, or 0.
 static inline float beyond(const Light *light, int bin) {
     const float2 low = light->low - (bin + 0.5f), high = fmax(light->high - (bin + 0.5f), 0.0f);
     const float2 mean = select(high * high * high * light->way, (low * (low + high) + high * high) / 6.0f, low >= 0.0f);
@@ -80,9 +80,9 @@ static inline float beyond(const Light *light, int bin) {
 }
 
 #ifdef CPU
-// On a CPU core a look-up costs as much as the lanes it serves, so it is made once and noted, then applied to every slab
-// and, where a quarter turn maps voxels and poses onto themselves, to all four quarters (folds). TOGETHER neighbors are
-// noted before any is applied, because they read the same bins: those then come from the nearest cache.
+// On a CPU core, a look-up takes as long as the lanes that use it. It is therefore made once and stored, then applied
+// to every slab and, if a quarter turn maps voxels and angles onto themselves, to all four quarters (folds). TOGETHER
+// neighbors are stored before any is applied, because they read the same bins; those then come from the nearest cache.
 typedef struct {
     int count;
     float weight[CAPACITY];
@@ -109,7 +109,7 @@ static inline void apply(const Notes *notes, int members, int folds, int slabs, 
     }
 }
 
-// A turn by 90 degrees takes arc a to a + n_arc / 4 and voxel (x, y) to (-y, x), where poses are even over a turn.
+// A turn by 90 degrees maps arc a to a + n_arc / 4 and voxel (x, y) to (-y, x), if angles are even over a turn.
 static inline int folds_of(__global const float4 *poses, int n_arc, int n_x, int n_y) {
     if (n_arc % 4 || n_x != n_y || n_x % 2 == 0) return 1;
     for (int arc = 0; arc < n_arc; arc++) {
@@ -138,7 +138,7 @@ FIELD_KERNEL expose_voxels(__global const float *restrict profile, __global cons
 #ifdef CPU
     const size_t from_slab = (size_t)n_angle * n_bin * LANES, to_slab = (size_t)n_x * n_y * LANES;
     const int all = folds_of(poses, n_arc, n_x, n_y), slabs = min(TILE_SLABS, (n_z + LANES - 1) / LANES - ITEM_SLAB);
-    // With folds: the rows behind the middle one, of each the columns from the middle on, and the middle voxel by itself.
+    // With folds: the rows behind the middle one, with the columns from the middle on, and the middle voxel by itself.
     const int rows = all == 4 ? n_x / 2 + 1 : n_x, items = get_global_size(1);
     const int from = (int)((long)ITEM_MAJOR * rows / items), to = (int)((long)(ITEM_MAJOR + 1) * rows / items);
     Notes notes[TOGETHER];

@@ -1,9 +1,9 @@
-"""The dose of frames in the resin, computed apart from the operators that solve.
+"""The dose of frames in the resin, computed independently of the solver's operators.
 
-A pixel's light is spread once along z and once along r into fine bins. Rays traced through one pose say between which
-bins the light lies that crosses a voxel; where caustics fold the light they say so for every fold, a branch. While a
-frame is lit, both ends move from where they lie before to where they lie after, evenly. Fine voxels take the mean of
-what lies between, and part voxels the mean of fine ones.
+A pixel's light is spread once along z and once along r into fine bins. Rays traced through one angle give the bins
+between which the light lies that crosses a voxel; where caustics fold the light, they do so for every fold (branch).
+While a frame is lit, both ends move uniformly from their positions before to those after. Fine voxels get the mean of
+the light between both ends, and part voxels the mean of fine ones.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ ProfileOut = Annotated[np.ndarray, Field(("angle", "bin", "z"), writes=True)]
 Fine = Annotated[np.ndarray, Field(("u", "v", "level"))]
 
 RowShares = Annotated[np.ndarray, Table("float32", ("row", "slice"))]
-"""Light of each slice per light of a row; slices beyond the last z fill whole vectors."""
+"""Light of each slice from the light of a row; slices beyond the last z fill whole vectors."""
 RowSpan = Annotated[np.ndarray, Table("int32", ("slice", "2"))]
-"""First row and the row behind the last that light a slice, beyond which its shares are 0; neither ever falls."""
+"""First row that lights a slice, and the one after the last; beyond them its shares are 0, and neither ever falls."""
 First = Annotated[np.ndarray, Table("int32", ("bin",))]
 ColumnShares = Annotated[np.ndarray, Table("float32", ("bin", "tap"))]
-"""Light of each bin per light of column first + tap."""
+"""Light of each bin from the light of column first + tap."""
 Poses = Annotated[np.ndarray, Table("float32", ("arc", "4"))]
-"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; as many arcs in a row for each angle."""
+"""Cosine, sine, time over the mean time, and half the turn meanwhile [rad]; as many successive arcs for each angle."""
 Pose = Annotated[np.ndarray, Table("float32", ("branch", "across", "along", "4"))]
 """First and last bin (with fractions) whose light crosses a voxel, its share, and a spare."""
 Taps = Annotated[np.ndarray, Table("float32", ("2", "tap"))]
@@ -62,8 +62,8 @@ def expose_voxels(
 ) -> None:
     """dose[x, y, z] = Σ over arcs and branches of time × share × the mean light between two moving bins of the profile.
 
-    pose: of the laboratory, samples ``1 / scale`` voxels apart about the axis.  single: voxels this near to the axis
-    are on the first branch alone.  Voxels beyond ``radius`` voxels from the axis get nothing.
+    pose: of the fixed frame, samples ``1 / scale`` voxels apart about the axis. single: voxels this close to the axis
+    are only on the first branch. Voxels beyond ``radius`` voxels from the axis get nothing.
     """
     dose[...] = 0.0
     for angle, lit, bins, weights in spans(poses, pose, scale, single, radius, profile.shape, dose.shape[:2]):
@@ -96,7 +96,7 @@ def spans(
 
 
 def _beyond(place: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Mean of t²/2 while a place [2, voxel] moves evenly from first to second; t: what it is beyond an edge, or 0."""
+    """Mean of t²/2 while a position [2, voxel] moves uniformly from first to second; t: beyond an edge, or 0."""
     low, high = (end(place, axis=0)[:, None] - edge for end in (np.min, np.max))
     crossing = np.maximum(high, 0.0) ** 3 / (6.0 * np.where(high > low, high - low, 1.0))
     return np.where(low >= 0, (low * low + low * high + high * high) / 6.0, crossing)
@@ -120,8 +120,8 @@ def average_voxels(
 
     f: ``finer``.
 
-    Other slices stay as they are. What lies beyond ``fine`` counts as 0. ``first`` and the number of levels are
-    multiples of the layout's lanes, which are those of the volume, unless the levels are all there are.
+    Other slices do not change. Values beyond ``fine`` count as 0. ``first`` and the number of levels are multiples of
+    the layout's lanes, which are those of the volume, unless the levels are all slices.
     """
     u, v, levels = fine.shape
     nx, ny, nz = volume.shape

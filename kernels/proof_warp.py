@@ -1,11 +1,11 @@
-"""Warp siblings of `proof`; a thread owns four lanes, in each of four slabs where a look-up serves them all."""
+"""Warp version of `proof`; a thread owns four lanes, in each of four slabs if one look-up serves all of them."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from vamgpu.kernels.light_warp import sampled
-from vamgpu.kernels.wide_warp import Flat, read, read_one
+from vamgpu.kernels.wide_warp import Flat, four_slabs, read, read_one, write_four
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -41,7 +41,7 @@ def spread_columns(
 
 @wp.func
 def place_beyond(first: float, second: float, edge: float) -> float:
-    """Mean of t²/2 while a place moves evenly from first to second; t: how far it is beyond an edge, or 0."""
+    """Mean of t²/2 while a position moves uniformly from first to second; t: distance beyond an edge, or 0."""
     low = wp.min(first, second) - edge
     high = wp.max(first, second) - edge
     if low >= 0.0:
@@ -58,17 +58,14 @@ def beyond(first: wp.vec4, second: wp.vec4, bin: int) -> float:
     return place_beyond(first[1], second[1], edge) - place_beyond(first[0], second[0], edge)
 
 
-@wp.kernel(launch_bounds=(256, 3))  # fewer registers, so that more threads hide the loads
+@wp.kernel(launch_bounds=(256, 3))  # fewer registers allow more threads, which hide the loads
 def expose_voxels(
     profile: Flat, poses: wp.array2d[float], pose: wp.array4d[float], scale: float, single: float,
     radius: float, dose: Flat,
     n_angle: int, n_bin: int, n_z: int, n_arc: int, n_branch: int, n_across: int, n_along: int, n_x: int, n_y: int,
 ) -> None:  # fmt: skip
     block, i, j, lane = wp.tid()
-    s0 = 4 * block
-    s1 = wp.min(s0 + 1, dose.shape[0] - 1)  # the last thread's surplus slabs repeat the last one there is
-    s2 = wp.min(s0 + 2, dose.shape[0] - 1)
-    s3 = wp.min(s0 + 3, dose.shape[0] - 1)
+    slabs = four_slabs(4 * block, dose.shape[0])
     lanes = dose.shape[1] // (n_x * n_y)
     x = float(i) - 0.5 * float(n_x - 1)
     y = float(j) - 0.5 * float(n_y - 1)
@@ -104,15 +101,11 @@ def expose_voxels(
                         last = here
                         here = ahead
                         index = (profile_of + bin) * lanes + lane
-                        t0 += weight * read(profile, s0, index)
-                        t1 += weight * read(profile, s1, index)
-                        t2 += weight * read(profile, s2, index)
-                        t3 += weight * read(profile, s3, index)
-    index = (i * n_y + j) * lanes + lane
-    dose[s0, index] = t0
-    dose[s1, index] = t1
-    dose[s2, index] = t2
-    dose[s3, index] = t3
+                        t0 += weight * read(profile, slabs[0], index)
+                        t1 += weight * read(profile, slabs[1], index)
+                        t2 += weight * read(profile, slabs[2], index)
+                        t3 += weight * read(profile, slabs[3], index)
+    write_four(dose, slabs, (i * n_y + j) * lanes + lane, t0, t1, t2, t3)
 
 
 @wp.kernel

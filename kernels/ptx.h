@@ -1,14 +1,14 @@
-// Instructions of NVIDIA's GPUs that OpenCL has no words for; those of a warp are for all of its items at once.
+// Instructions of NVIDIA's GPUs that OpenCL does not have; those of a warp act on all of its items at once.
 
-// Copies sixteen bytes, or as many zeros, into local memory while the item goes on. They are there for all once it has
-// waited and a barrier follows.
+// Copies sixteen bytes, or as many zeros, into local memory while the item continues. All items can read them after it
+// has waited and a barrier follows.
 static inline void bring(__local int4 *to, __global const int4 *from, int there) {
     __asm__ volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;"
                      :: "r"((uint)(size_t)to), "l"(from), "r"(there ? 16 : 0) : "memory");
 }
 #define WAIT_FOR_BROUGHT __asm__ volatile("cp.async.wait_all;" ::: "memory");
 
-// Asks for four numbers, before what follows ASKED.
+// Requests four numbers, before the instructions that follow ASKED.
 static inline float4 fetched(__global const float4 *from) {
     float4 found;
     __asm__ volatile("ld.global.v4.f32 {%0, %1, %2, %3}, [%4];"
@@ -17,10 +17,10 @@ static inline float4 fetched(__global const float4 *from) {
 }
 #define ASKED __asm__ volatile("bar.warp.sync 0xffffffff;" ::: "memory");
 
-// Has a line of memory brought into the cache.
+// Brings a line of memory into the cache.
 static inline void call(__global const float4 *line) { __asm__ volatile("prefetch.global.L2 [%0];" :: "l"(line) : "memory"); }
 
-// The greatest of what the items of a warp give.
+// The greatest value of the items of a warp.
 static inline uint greatest_of_warp(uint own) {
     uint found;
     __asm__ volatile("redux.sync.max.u32 %0, %1, 0xffffffff;" : "=r"(found) : "r"(own));
@@ -40,8 +40,8 @@ static inline float2 numbers(uint both) {
     return found;
 }
 
-// Four matrices of eight rows of eight halves, whose rows the items of a warp name, eight a matrix. Of each, an item gets
-// two neighbors of row item / 4; turned: of column item / 4.
+// Four matrices of eight rows of eight halves; the items of a warp name the rows, eight per matrix. Of each matrix, an
+// item gets two neighbors of row item / 4; transposed: of column item / 4.
 #define MATRICES(how)                                                                                                  \
     uint4 found;                                                                                                       \
     __asm__ volatile("ldmatrix.sync.aligned.m8n8.x4" how ".shared.b16 {%0, %1, %2, %3}, [%4];"                         \

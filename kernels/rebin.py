@@ -1,4 +1,4 @@
-"""Rebinning of parallel light to the rays a vessel bends: (θ, r) → (θ', r')."""
+"""Rebinning of parallel light to the rays that a vessel bends: (θ, r) → (θ', r')."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from vamgpu.kernels.signature import Field, SinogramOut, Table, Tiling, kernel
 
 Rays = Annotated[np.ndarray, Table("float32", ("r", "3"))]
-"""Angle and column in the parallel sinogram, in samples past (pose, 0); gain."""
+"""Angle and column in the parallel sinogram, relative to (angle, 0), in samples; gain."""
 Parallel = Annotated[np.ndarray, Field(("angle", "column", "z"))]
 
 
 @kernel(over="light", cpu=Tiling(major=1, minor=0), gpu=Tiling(major=1, minor=1))
 def rebin_rays(parallel: Parallel, rays: Rays, light: SinogramOut) -> None:
-    """light[a, r, z] = gain_r · parallel at angle a + turn_r (round the circle) and column_r, bilinear; 0 beyond."""
+    """light[a, r, z] = gain_r · parallel at angle a + turn_r (cyclic) and column_r, bilinear; 0 beyond."""
     angles, columns = parallel.shape[:2]
     light[...] = 0.0
     for r, (turn, column, gain) in enumerate(rays):

@@ -1,4 +1,4 @@
-"""Warp sibling of `rebin`."""
+"""Warp version of `rebin`."""
 
 from __future__ import annotations
 

@@ -3,11 +3,9 @@
 #ifdef COMPILE_partial_sum
 FIELD_KERNEL partial_sum(__global const float *restrict a, __global float *restrict parts, int n_i, int n_j, int n_z,
                          int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     __global const float *source = a + slab_offset(n_i, n_j);
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_SAMPLE EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(source + SAMPLE(i, j, n_j)));
     parts[part] = sum_of(sum);
 }
@@ -16,11 +14,9 @@ FIELD_KERNEL partial_sum(__global const float *restrict a, __global float *restr
 #ifdef COMPILE_partial_dot
 FIELD_KERNEL partial_dot(__global const float *a, __global const float *b, __global float *restrict parts, int n_i,
                          int n_j, int n_z, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     const size_t slab = slab_offset(n_i, n_j);
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    SUMS(sum);
     EACH_SAMPLE {
         const size_t at = slab + SAMPLE(i, j, n_j);
         EACH_VECTOR sum[v] += MASKED(REAL_LANES, LOAD(a + at) * LOAD(b + at));
@@ -33,8 +29,7 @@ FIELD_KERNEL partial_dot(__global const float *a, __global const float *b, __glo
 FIELD_KERNEL partial_extent(__global const float *a, __global const float *mask, float lower, float upper,
                             float reach, __global float *restrict lows, __global float *restrict highs, int n_i,
                             int n_j, int n_z, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
+    OWN_PART;
     const size_t slab = slab_offset(n_i, n_j);
     Vector low[VECTORS], high[VECTORS];
     EACH_VECTOR low[v] = INFINITY, high[v] = -INFINITY;

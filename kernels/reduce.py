@@ -44,7 +44,7 @@ def partial_dot(a: Array, b: Array, parts: Parts) -> None:
 def partial_extent(a: Array, mask: Array, lower: Real, upper: Real, reach: Real, lows: Parts, highs: Parts) -> None:
     """min lows and max highs = extremes of a where lower ≤ mask < upper, at most ``reach`` samples from the z axis.
 
-    Items that meet no such sample leave ±infinity.
+    Items without such a sample leave ±infinity.
     """
     chosen = (mask >= lower) & (mask < upper) & disc(a.shape[0], a.shape[1], reach)[:, :, None]
     lows[...], highs[...] = np.inf, -np.inf

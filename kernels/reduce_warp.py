@@ -1,4 +1,4 @@
-"""Warp siblings of `reduce`; a thread owns four lanes of a column of `ROWS` samples."""
+"""Warp version of `reduce`; a thread owns four lanes of a column of `ROWS` samples."""
 
 from __future__ import annotations
 

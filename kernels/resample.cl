@@ -1,6 +1,6 @@
 #include "common.h"
 
-// One lane after the other: neighbors in z sit in one slab, or in the next.
+// One lane after another: neighbors in z are in one slab, or in the next.
 static inline void resample_lanes(__global const float *source, __global const int *first, __global const float *weights,
                                   int lanes, __global float *target, int i, int j, int begin, int end, int n_i, int n_j,
                                   int n_source, int n_tap) {
@@ -20,7 +20,7 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
     const int i = ITEM_MAJOR;
     target += slab_offset(n_i, n_j);
 #ifdef SPAN
-    // What every source slice adds to a vector of lanes is the same for all samples: gathered once, then no lane is alone.
+    // The contribution of every source slice to a vector of lanes is the same for all samples: it is gathered once.
     EACH_VECTOR {
         const int low = ITEM_Z + v * WIDTH, high = min(low + WIDTH, n_z);
         int begin = n_source, end = 0;
@@ -43,7 +43,7 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
             }
             shares[s - begin] = PASTE(vload, WIDTH)(0, share);
         }
-        // Sums of neighbors side by side: one alone would wait for itself at every slice.
+        // Sums of neighbors are computed side by side, because one sum alone would wait for itself at every slice.
         for (int j = MINOR_BEGIN, stop_j = MINOR_END(n_j); j < stop_j; j += BESIDE) {
             const int there = min(BESIDE, stop_j - j);
             Vector sum[BESIDE];
@@ -63,7 +63,7 @@ FIELD_KERNEL resample(__global const float *restrict source, __global const int 
         }
     }
 #else
-    // Shares of four slices each, of source slices from a multiple of four on, are laid once for all samples of a group.
+    // Shares of four slices each, of source slices from a multiple of four on, are stored once per group.
     __local float4 shares[4 * QUADS * THREADS];
     const int lane = get_local_id(0) % THREADS, low = ITEM_Z, high = min(low + 4, n_z);
     int begin = n_source, end = 0;

@@ -21,9 +21,9 @@ Weights = Annotated[np.ndarray, Table("float32", ("z", "tap"))]
     constants={"cpu": {"SPAN": 64, "BESIDE": 8}, "gpu": {"QUADS": 8, "BESIDE": 4}},
 )
 def resample(source: Source, first: Firsts, weights: Weights, lanes: Integer, target: ArrayOut) -> None:
-    """target[i, j, z] = Σ_k weights[z, k] · source[i, j, first[z] + k], nothing beyond the source.
+    """target[i, j, z] = Σ_k weights[z, k] · source[i, j, first[z] + k]; values beyond the source are 0.
 
-    lanes: of the source's layout (0 where it is plain).
+    lanes: of the source's layout (0 if it is plain).
     """
     matrix = np.zeros((source.shape[2], target.shape[2]))
     for k in range(weights.shape[1]):

@@ -1,4 +1,4 @@
-"""Warp sibling of `resample`."""
+"""Warp version of `resample`."""
 
 from __future__ import annotations
 

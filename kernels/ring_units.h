@@ -1,17 +1,17 @@
 // The products of `light_rings` and `gather_rings` on matrix units. A group computes sixteen tiles of cells, or the real and
 // imaginary parts of 64 pairs of columns, of SLABS slabs, at a frequency and at that of conjugate entries; a warp, half of
-// these rows of one slab. A step takes sixteen columns of the matrix. Each warp fetches its part of the entries and the light
-// of a step into registers, those half of a step before and this a whole one, and lays them as halves for all.
+// these rows of one slab. A step takes sixteen columns of the matrix. Each warp fetches its part of the entries and the
+// light of a step into registers (entries half a step ahead, light a step ahead), and stores them as halves for all.
 #include "matrix_units.h"
 #define TILES 16
 #define PAIRS 64
 #define GROUP_KERNEL __kernel __attribute__((reqd_work_group_size(GROUP, 1, SLABS))) void
 #define WARP ((int)(get_local_id(2) * GROUP + get_local_id(0)) / 32)
-// Matrices of entries that a warp brings, of eight, each of two tiles.
+// Matrices of entries that a warp fetches, of eight, each of two tiles.
 #define OWN (4 / SLABS)
 #define EACH_PART(own, t) UNROLL for (int own = 0; own < OWN; own++) UNROLL for (int t = 0; t < 2; t++)
 
-// Where a group stands; those of the same entries follow each other. A frequency without another takes its own place twice.
+// Position of a group; those of the same entries follow each other. An unpaired frequency uses its position twice.
 #define PLACE                                                                                                          \
     __local uint4 held[2][SLABS][2][2 * LIGHT], matrix[2][8][2 * MATRIX];                                             \
     __local float scale[2][SLABS][2];                                                                                  \
@@ -33,12 +33,12 @@
     int there[OWN][2];                                                                                                 \
     UNROLL for (int which = 0; which < 2; which++) UNROLL for (int m = 0; m < TALL; m++)                               \
         UNROLL for (int n = 0; n < WIDE; n++) sums[which][m][n] = (float4)(0.0f);
-// Where the light of a warp's slab and side begins in a field of so many samples.
+// Where the light of a warp's slab and side begins in a field with this number of samples.
 #define LIGHT_OF_WARP(field, samples)                                                                                  \
     (__global const float4 *)(field) + ((size_t)min(slab, last) * n_k + (strip ? other_k : k)) * (samples) * THREADS + item
 
-// Of eight pairs of a tile, where an item finds four entries, and where it lays those of the first of two tiles. Columns of
-// the matrix are eight real parts, then eight imaginary ones, of rows that are cells; or rows are, of columns that are cells.
+// Where an item finds four entries of eight pairs of a tile, and stores those of the first of two tiles. Columns of the
+// matrix are eight real parts, then eight imaginary ones, of rows that are cells; or the reverse.
 #define ENTRIES_OF_ITEM (item / 2 % 8 * 4 + item / 16 * 2 + item % 2)
 #define PLACE_OF_ENTRIES (item / 16 * (CELLS_IN_ROWS ? 32 : 16) + item % 16)
 #define FETCH_ENTRIES(step)                                                                                            \
@@ -47,7 +47,7 @@
         next_entries[own][t] = fetched(frequency + (there[own][t] ? ENTRIES_OF(step, own, t) : 0));                    \
     }
 #define FETCH_LIGHT(step) UNROLL for (int i = 0; i < 4; i++) next_light[i] = fetched(LIGHT_OF(step, i / 2, i % 2));
-// 0, but not before sums are known: keeps compilers from waiting for what is under way ahead of their products.
+// 0, but not before sums are known: keeps compilers from waiting for fetches that run ahead of their products.
 #define NOTHING(which) as_float(OR_OF(which, 0) | OR_OF(which, 1))
 #define OR_OF(which, n)                                                                                                \
     ((as_uint(sums[which][0][n].x) | as_uint(sums[which][1][n].x) | as_uint(sums[which][2][n].x)                       \
@@ -105,7 +105,7 @@
 #ifdef COMPILE_light_rings
 #define CELLS_IN_ROWS 1
 #define IS_STEP(step) ((step) < n_step)
-// Right of the middle, or left; pairs beyond all have entries that are zero, and any light.
+// Right of the middle, or left; pairs beyond the last have entries that are zero, and any light.
 #define LIGHT_OF(step, left, lower)                                                                                    \
     (own_light + ((left) ? leftmost : 0)                                                                               \
      + ((left) ? onward : THREADS) * min(RIGHT((step) * ROWS + item / 8 + 4 * (lower)), n_r - 1))
@@ -140,7 +140,7 @@ GROUP_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
         from[own][t] = given.x / 4;
         steps[own][t] = at < n_tile ? given.y / ROWS : 0;
     }
-    // A line of what the warp fetches: half of its items look ahead for light, half for entries, four lines a tile.
+    // A line of the warp's fetches: half of its items look ahead for light, half for entries, four lines per tile.
     const int line = item % 16, light_ahead = item < 16;
     const int4 given = tile[min(here * TILES + WARP * OWN * 2 + line / 4, n_tile - 1)];
     const int there_are = (n_r - RIGHT(line % 8) + ROWS - 1) / ROWS, steps_ahead = min(n_step, there_are);
@@ -170,7 +170,7 @@ GROUP_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
 
 #ifdef COMPILE_gather_rings
 #define CELLS_IN_ROWS 0
-// The two tiles of a step: those that pairs from `begin` on do not light follow all others, and zeros the last.
+// The two tiles of a step: those that pairs from `begin` on do not light follow all others, and zeros come last.
 #define GIVEN(step, t) given[(step) % 4][t]
 #define LOOK_AHEAD(step)                                                                                               \
     if (WARP == 0 && item < 2)                                                                                         \

@@ -1,7 +1,7 @@
 #include "common.h"
 
-// One lane after the other: neighbors in z sit in one slab, or in the next. Whole vectors where rows stay what they are,
-// and images are not cut into tiles, which takes a tenth of the time.
+// One lane after another: neighbors in z are in one slab, or in the next. Whole vectors if rows do not change and
+// images are not cut into tiles; this takes a tenth of the time.
 FIELD_KERNEL shift_images(__global const float *restrict source, __global const float4 *restrict moves,
                           __global const float *restrict tapers, int after, int lanes, __global float *restrict moved,
                           int n_image, int n_column, int n_row, int n_move, int n_tile, int n_taper,

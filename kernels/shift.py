@@ -1,4 +1,4 @@
-"""Images moved by parts of a pixel, and cut into tiles or put together again."""
+"""Images moved by fractions of a pixel, and cut into tiles or put together again."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from vamgpu.kernels.signature import Field, Integer, SinogramOut, Table, Tiling,
 
 Source = Annotated[np.ndarray, Field(("image", "column", "row"))]
 Moves = Annotated[np.ndarray, Table("float32", ("move", "4"))]
-"""Where pixel (0, 0) of a moved image lies in its source: whole columns, part of one, whole rows, part of one."""
+"""Position of pixel (0, 0) of a moved image in its source: whole columns, their fraction, whole rows, fraction."""
 Tapers = Annotated[np.ndarray, Table("float32", ("tile", "taper"))]
 """Weight of every row of a tile."""
 
 
 def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """One image [column, row] at the places of another of ``shape``, linear between pixels, 0 beyond the edge."""
+    """One image [column, row] at the positions of another of ``shape``, linear between pixels, 0 beyond the edge."""
     for axis in (0, 1):
         first, part = np.arange(shape[axis]) + int(move[2 * axis]), move[2 * axis + 1]
         rows = np.pad(np.moveaxis(image, axis, 0), ((1, 1), (0, 0)))
@@ -29,11 +29,11 @@ def _moved(image: np.ndarray, move: np.ndarray, shape: tuple[int, ...]) -> np.nd
 def shift_images(
     source: Source, moves: Moves, tapers: Tapers, after: Integer, lanes: Integer, moved: SinogramOut
 ) -> None:
-    """moved[a] = Σ of the source's images of the same pose, each moved, its rows weighted by its tile's taper.
+    """moved[a] = Σ of the source's images of the same angle, each moved, its rows weighted by its tile's taper.
 
-    The source or the result holds tiles, whichever has more images: image k belongs to pose k % n, n being the smaller
-    count, to the tile k // n and to the move k.  after: 1 where tapers are of the moved rows, 0 where they are of the
-    source's.  lanes: of the source's layout. With source and moved swapped, the opposite moves and the other ``after``
+    The source or the result has tiles, whichever has more images: image k belongs to angle k % n, where n is the
+    smaller count, to the tile k // n and to the move k. after: 1 if tapers are of the moved rows, 0 if they are of the
+    source's. lanes: of the source's layout. With source and moved exchanged, opposite moves and the other ``after``,
     this is the transpose.
     """
     images, angles = len(source), len(moved)

@@ -1,4 +1,4 @@
-"""Warp sibling of `shift`."""
+"""Warp version of `shift`."""
 
 from __future__ import annotations
 

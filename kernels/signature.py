@@ -1,9 +1,9 @@
-"""Declarations of kernels: made once, by the annotations of the NumPy definition.
+"""Declarations of kernels, made only once: by the annotations of the NumPy definition.
 
 A `Field` is a three-dimensional float array whose last axis is z. On OpenCL and Warp devices it is stored as
-``[slab][major][minor][lane]``: z is cut into slabs of ``lanes`` neighbors, so that one vector load reads
-many z, and the last slab is padded. A `Table` is a small or odd-shaped array in plain C order. The device siblings
-of a definition receive the declared arguments in order, then one 32-bit integer ``n_<axis>`` for every named axis.
+``[slab][major][minor][lane]``: z is cut into slabs of ``lanes`` neighbors, one vector load reads many z, and the last
+slab is padded. A `Table` is a small array, or one of another shape, in plain C order. The device versions of a
+definition receive the declared arguments in order, then one 32-bit integer ``n_<axis>`` for every named axis.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Moved:
 
     writes: bool
     updates: bool
-    """Whether it also reads what stands there before it writes."""
+    """Whether it also reads the old contents before it writes."""
 
     @property
     def reads(self) -> bool:
-        """Whether what stands in the array before a launch matters."""
+        """Whether the contents of the array before a launch matter."""
         return self.updates or not self.writes
 
 
@@ -55,7 +55,7 @@ class Table(Moved):
 
 @dataclass(frozen=True)
 class Scalar:
-    """A number passed by value. Fixed ones that are not 0 are in OpenCL a constant, too, named in capitals."""
+    """A number passed by value. Fixed numbers other than 0 are also constants in OpenCL, named in capitals."""
 
     dtype: str
     fixed: bool = False
@@ -79,10 +79,10 @@ Fixed = Annotated[int, Scalar("int32", fixed=True)]
 class Tiling:
     """The part that one work item computes: ``major`` × ``minor`` samples (0 = all of them) of ``slabs`` slabs.
 
-    Of a table it is ``minor`` samples along the last axis; Warp's threads take one each.
-    group counts the work items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never
-    parted, and there are no more along slabs (1 if left out) than a field has. registers: of a work item on NVIDIA's
-    OpenCL, at most; 0 leaves them to the compiler.
+    Of a table it is ``minor`` samples along the last axis; Warp's threads take one each. group is the number of work
+    items of a GPU's work-group along (minor × lanes, major, slabs): a sample's lanes are never separated, and there are
+    at most as many along slabs (1 by default) as a field has. registers: greatest number per work item on NVIDIA's
+    OpenCL; 0 leaves it to the compiler.
     """
 
     major: int = 1
@@ -94,14 +94,14 @@ class Tiling:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """One declared kernel: its definition, arguments, and the field whose samples its work items share out.
+    """One declared kernel: its definition, arguments, and the field whose samples its work items divide.
 
-    reach: which other slices a slice's result depends on. Nothing: none. An axis: as many to either side as its length
-    less one. A table along z: those of another field, from its entry on, as many as the axis ``tap``. A number: the
-    one of another field that comes to lie there when that begins at the slice of this number; without such a field
-    none, but slices have numbers, of which this is the first. "all": any. A kernel over a table reaches along "part"
-    where partial results of partial results are the result.
-    nvidia: in place of `gpu` where NVIDIA's OpenCL has matrix units, of fields with whole slabs.
+    reach: other slices on which a slice's result depends. Nothing: none. An axis: as many to either side as its length
+    minus one. A table along z: slices of another field, from its entry on, as many as the axis ``tap``. A number: the
+    slice of another field that lies there when that field begins at the slice with this number; without such a field
+    none, but slices have numbers, of which this is the first. "all": any. A kernel over a table reaches along "part" if
+    its result is partial results of partial results. nvidia: replaces `gpu` if NVIDIA's OpenCL has matrix units, for
+    fields with whole slabs.
     """
 
     definition: Callable[..., None]
@@ -149,7 +149,7 @@ class Kernel:
         return tuple(seen)
 
     def sizes(self, shapes: dict[str, tuple[int, ...]]) -> dict[str, int]:
-        """Axis sizes implied by argument shapes; raises `ShapeMismatch` where two arguments disagree."""
+        """Axis sizes implied by argument shapes; raises `ShapeMismatch` if two arguments disagree."""
         sizes: dict[str, int] = {}
         owner: dict[str, str] = {}
         for name, shape in shapes.items():
@@ -157,11 +157,11 @@ class Kernel:
             if len(axes) != len(shape):
                 raise ShapeMismatch(f"{self.name}: {name} has shape {shape}; expected axes [{', '.join(axes)}]")
             for axis, size in zip(axes, shape, strict=True):
-                wanted = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
+                expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
                 owner.setdefault(axis, name)
-                if size != wanted:
+                if size != expected:
                     raise ShapeMismatch(
-                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {wanted}; make them equal"
+                        f"{self.name}: axis {axis} of {name} is {size}; {owner[axis]} has {expected}; make them equal"
                     )
         return sizes
 
@@ -175,9 +175,9 @@ def kernel(
     nvidia: Tiling | None = None,
     constants: dict[str, dict[str, int]] | None = None,
 ) -> Callable[[Callable[..., None]], Kernel]:
-    """Declare the decorated NumPy definition as a kernel whose items share out the field ``over``.
+    """Declare the decorated NumPy definition as a kernel whose items divide the field ``over``.
 
-    constants: per device kind ("cpu", "gpu"), names and values its OpenCL sibling is compiled with.
+    constants: per device kind ("cpu", "gpu"), names and values with which its OpenCL version is compiled.
     """
 
     def declare(definition: Callable[..., None]) -> Kernel:

@@ -1,5 +1,5 @@
-// Slices of a print as packs of pixels, which are next to each other in a row: on a CPU an item owns a strip of a row, on
-// a GPU strips are one pixel wide. And what exposing a slice adds to a dose.
+// Slices of a print as packs of pixels, which are next to each other in a row: on a CPU an item owns a strip of a row,
+// on a GPU strips are one pixel wide. Also the dose that exposing a slice adds.
 #include "packs.h"
 #ifdef CPU
 #define PACKS 4
@@ -25,7 +25,7 @@ typedef uchar Bytes;
 #define AS_WORD(value) as_uint(value)
 #endif
 
-// PACK neighbors from x on; the last pack of a row may be a part of one.
+// PACK neighbors from x on; the last pack of a row may be incomplete.
 #ifdef CPU
 #define PACKED(NAME, SCALAR, VECTOR, ZERO) \
     static inline VECTOR load_##NAME(__global const SCALAR *row, int x, int n_x) { \
@@ -60,7 +60,7 @@ PACKED(whole, int, Whole, 0)
 PACKED(word, uint, Word, 0)
 PACKED(bytes, uchar, Bytes, 0)
 
-// A whole pack that is not read again soon: past the caches, which would fetch the old values first.
+// A whole pack that is not read again soon: written past the caches, which would fetch the old values first.
 static inline void stream_real(__global float *at, Real value) {
 #ifdef CPU
 #if __has_builtin(__builtin_nontemporal_store)
@@ -80,14 +80,14 @@ static inline void stream_real(__global float *at, Real value) {
     const size_t row = (size_t)y * n_x, plane = (size_t)n_y * n_x;
 
 #ifdef CPU
-// No bit set; compilers are slow at the built-in test of bytes.
+// No bit set; compilers are slow with the built-in test of bytes.
 static inline int NONE(Bytes value) {
     const ulong2 halves = as_ulong2(value);
     return (halves.x | halves.y) == 0;
 }
 #endif
 
-// What a slice adds at each pixel. Neighbors mostly show the same level.
+// The dose that a slice adds at each pixel. Neighbors mostly show the same level.
 static inline Real light_of(__global const float *light, Bytes level) {
 #ifdef CPU
     if (NONE(level ^ (Bytes)level.s0)) return (Real)light[level.s0];
@@ -95,7 +95,7 @@ static inline Real light_of(__global const float *light, Bytes level) {
     return GATHER(Real, light, level);
 }
 
-// The same for PACKS packs that follow each other.
+// The same for PACKS successive packs.
 static inline void light_of_packs(__global const float *light, __global const uchar *line, int x, int n_x, Real *out) {
     Bytes level[PACKS];
     UNROLL for (int v = 0; v < PACKS; v++) level[v] = load_bytes(line, x + v * PACK, n_x);

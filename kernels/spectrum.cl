@@ -16,9 +16,9 @@ static inline Vector turned(Vector x) {
 #ifdef COMPILE_fourier
 #include "fourier.h"
 
-// An item computes OUTPUTS samples of a transform, which share what they are made of. Of a radix above ONE_SUM a
-// processor's item computes all or none, where there is room for it. On GPUs all samples of a radix of up to FACTOR are
-// an item's; where it is FIRST · SECOND · THIRD · LAST, the items of a group pass on what they made through local memory.
+// An item computes OUTPUTS samples of a transform, which use the same inputs. For a radix above ONE_SUM, a processor's
+// item computes all or none, if there is space for it. On GPUs an item computes all samples of a radix up to FACTOR; if
+// the radix is FIRST · SECOND · THIRD · LAST, the items of a group exchange their results through local memory.
 FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global const float2 *restrict waves, float sign,
                      int first, int second, int third, int last, __global float *restrict sink, int n_a, int n_b,
                      int n_z, int n_band, int n_wave, int n_i, int n_j) {
@@ -99,24 +99,24 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global 
 }
 #endif
 
-// The tile whose entries an item takes, and where those of its frequency begin.
+// The tile whose entries an item uses, and where those of its frequency begin.
 #define ENTRIES                                                                                                        \
     const int back = 2 * k > n_k, kept = back ? n_k - k : k;                                                           \
     __global const float *frequency = entries + (size_t)kept * (n_entry / (n_k / 2 + 1));
 #define KEPT_TILE(tile) (back ? tiles[2 * (tile) + 1] : (tile))
 #define FIRST_OF(tile) tiles[2 * KEPT_TILE(tile)]
-// Columns of a pair: right and left of the middle where they mirror each other, else one. How many pairs there are.
+// Columns of a pair: right and left of the middle if they mirror each other, else one. Number of pairs.
 #define RIGHT(pair) ((mirrored ? n_r / 2 : 0) + (pair))
 #define LEFT(pair) (n_r - 1 - RIGHT(pair))
 #define ALL_PAIRS (n_r - RIGHT(0))
-// How many pairs of columns light it at this frequency.
+// Number of pairs of columns that light it at this frequency.
 #define PAIRS_OF(tile) lit[kept * n_tile + KEPT_TILE(tile)]
 #ifdef MATRIX_UNITS
 #include "ring_units.h"
 #else
 #define EACH_ROW(row) UNROLL for (int row = 0; row < ROWS; row++)
 
-// Adds `ROWS` entries that follow each other, which are two loads, times a vector.
+// Adds `ROWS` successive entries, which are two loads, times a vector.
 #define ADD_EIGHT(sums, entry, value)                                                                                  \
     {                                                                                                                  \
         const float4 low = (entry)[0], high = (entry)[1];                                                              \
@@ -126,16 +126,16 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global 
     }
 
 #ifdef GPU
-// A group computes what its ITEMS items along minor, of TILE_MINOR cells or pairs each, make of the lanes of its slabs.
-// Items of a warp are lanes of the same cells, so that an entry is one read for all of them. What the next step takes is
-// fetched into registers while this one is computed, and then laid where all items read it.
+// A group computes the contributions of its ITEMS items along minor, of TILE_MINOR cells or pairs each, for the lanes
+// of its slabs. Items of a warp are lanes of the same cells; an entry is then one read for all of them. Data of the
+// next step are fetched into registers while this one is computed, and then stored where all items read them.
 #define ITEMS (GROUP / THREADS > 0 ? GROUP / THREADS : 1)
 #define EACH (TILE_MINOR / ROWS)
 #define MEMBER ((int)(get_local_id(2) * get_local_size(0) + get_local_id(0)))
 #define MEMBERS ((int)(get_local_size(2) * get_local_size(0)))
 #define SPREAD ((int)get_local_size(2) * THREADS)
 #define GROUP_ITEM ((int)get_group_id(0) * ITEMS)
-// Two sides, one laid while the other is read; where a group has so many items that both do not fit, one.
+// Two buffers, one written while the other is read; one if a group has too many items for two.
 #define SIDES (THREADS > 1 ? 2 : 1)
 #define OTHER(side) (SIDES - 1 - (side))
 #define WAIT_FOR_READERS if (SIDES == 1) barrier(CLK_LOCAL_MEM_FENCE);
@@ -149,10 +149,10 @@ FIELD_KERNEL fourier(ARRAY source, __global const int *restrict bands, __global 
 #define EACH_SLAB(u) UNROLL for (int u = 0; u < TILE_SLABS; u++)
 #define HELD_SLABS (SLABS * TILE_SLABS * THREADS)
 #define MIN_ONE(count) ((count) > 0 ? (count) : 1)
-// Values that an item fetches, of ROWS of all lanes and slabs, and of entries. It takes every ITEMS-th row.
+// Values that an item fetches: of ROWS of all lanes and slabs, and of entries. It takes every ITEMS-th row.
 #define PART_OF_ROWS(rows) MIN_ONE((rows) / ITEMS)
 #define PART(total) MIN_ONE((total) / (ITEMS * THREADS * SLABS))
-// Fetch `part` of `count` values, from a first on and `step` apart, that are VALUE(m); the rest when they are laid.
+// Fetch `part` of `count` values, from a first on and `step` apart, given by VALUE(m); the rest when they are stored.
 #define FETCH(held, part, first, step, count, VALUE)                                                                   \
     UNROLL for (int i = 0; i < part; i++)                                                                              \
         if ((first) + i * (step) < (count)) held[i] = VALUE((first) + i * (step));
@@ -194,7 +194,7 @@ FIELD_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
 #define LIT (2 * CHUNK * TILE_SLABS)
 #define SHARED (ITEMS * EACH * CHUNK * 4)
     float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
-    // m counts slabs of an item, pairs, then right and left; entries of a pair, pairs, then tiles. Pairs beyond all have
+    // m counts slabs of an item, pairs, then right and left; for entries, pairs, then tiles. Pairs beyond the last have
     // entries that are zero, and any light.
 #define LIGHT_AT(m)                                                                                                    \
     from[SLAB_AT((m) % TILE_SLABS, n_k * n_r)                                                                          \
@@ -260,7 +260,7 @@ FIELD_KERNEL light_rings(ARRAY light, __global const float *restrict entries, fl
 #endif
 
 #ifdef COMPILE_gather_rings
-// Adds Σ of four entries that follow each other times a vector each.
+// Adds Σ of four successive entries times a vector each.
 #define DOT_FOUR(sum, entry, values)                                                                                   \
     {                                                                                                                  \
         const float4 four = entry;                                                                                     \
@@ -296,7 +296,7 @@ FIELD_KERNEL gather_rings(ARRAY spectrum, __global const float *restrict entries
 #define LIT (ROWS * TILE_SLABS)
 #define SHARED (ITEMS * TILE_MINOR * 4)
     float4 next_light[PART_OF_ROWS(LIT)], next_shares[PART(SHARED)];
-    // m counts slabs of an item, then cells; entries of a pair, then pairs.
+    // m counts slabs of an item, then cells; for entries, pairs.
 #define LIGHT_OF(m) from[SLAB_AT((m) % TILE_SLABS, n_k * n_cell) + (tile * ROWS + (m) / TILE_SLABS) * THREADS]
 #define SHARES_OF(m)                                                                                                   \
     (begin + (m) / 4 < pairs ? ((__global const float4 *)(frequency + FIRST_OF(own) + 2 * ROWS * begin))[m] : (float4)(0.0f))

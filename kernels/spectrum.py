@@ -1,9 +1,9 @@
-"""Projection on rings: what a turntable does to light and dose is a product for each angular frequency.
+"""Projection on rings: the effect of a turntable on light and dose is a product for each angular frequency.
 
-At even angles the light of one pose, turned, is the light of all poses. On rings of even angular samples the dose is
-therefore a convolution over the angle: a Fourier transform of the light over poses, for each frequency a product with
-what one pose leaves on the rings, and the transform back. Two neighboring slices are the real and the imaginary part of
-one complex number; the convolution is real, so they never mix. Slices are even in number.
+At even angles the light of one angle, rotated, is the light of all angles. On rings of even angular samples, the dose
+is therefore a convolution over the angle: a Fourier transform of the light over angles, for each frequency a product
+with the light of one angle on the rings, and the inverse transform. Two neighboring slices are the real and the
+imaginary part of one complex number; the convolution is real, and they never mix. The number of slices is even.
 
 A volume is ``[turn, ring cell, z]``: a ring that has m samples a turn has m of the cells, and sample t·m + q of it lies
 at turn t and cell ``begin + q · rings of its band + ring``. Its spectrum is ``[frequency, ring cell, z]``, where
@@ -19,17 +19,17 @@ import numpy as np
 from vamgpu.kernels.signature import Field, Fixed, Integer, Real, Table, Tiling, kernel
 
 ROWS = 8
-"""Neighboring rings, and pairs of columns, that one item computes together."""
+"""Number of neighboring rings, and of pairs of columns, that one item computes together."""
 
 AT_ONCE = 2048
-"""Greatest radix of a pass that processors compute by passes of their own, within their caches, and a group of a GPU in
+"""Greatest radix of a pass that is computed by further passes: on processors within their caches, on GPUs by a group in
 local memory, of which OpenCL has 32 KiB everywhere."""
 ONE_SUM = 20
-"""Greatest radix of a pass that is a plain sum everywhere, where radices can be so small."""
+"""Greatest radix of a pass that is a plain sum on all devices, if radices can be this small."""
 FACTOR = 10
-"""Greatest radix of a pass in registers, in OpenCL: a processor's own, and of four that GPUs make one of."""
+"""Greatest radix of a pass in registers, in OpenCL: for processors, and for the four factors that GPUs combine."""
 AT_A_TIME = 32
-"""Rings of a short transform that a group of a GPU takes together."""
+"""Number of rings of a short transform that a group of a GPU processes together."""
 
 Light = Annotated[np.ndarray, Field(("k", "r", "z"))]
 """At each frequency over the angles."""
@@ -39,26 +39,26 @@ Sink = Annotated[np.ndarray, Field(("i", "j", "z"), writes=True)]
 Spectrum = Annotated[np.ndarray, Field(("k", "cell", "z"))]
 SpectrumOut = Annotated[np.ndarray, Field(("k", "cell", "z"), writes=True)]
 RingBands = Annotated[np.ndarray, Table("int32", ("band", "16"))]
-"""Rings of equally many samples: first sample, samples a ring, rings, radix, product of the radices before, first
-wave; for the source, then the sink: first place, n, and steps a and b: sample s of ring j lies at
-first + (s mod n)·a + (s div n)·b + j; and what `in_groups` adds."""
+"""Rings with equal numbers of samples: first sample, samples per ring, rings, radix, product of the earlier radices,
+first wave; for the source, then the sink: first position, n, and steps a and b: sample s of ring j is at first + (s mod
+n)·a + (s div n)·b + j; and the additions of `in_groups`."""
 Waves = Annotated[np.ndarray, Table("float32", ("wave", "2"))]  # cosine and sine of each n-th of a turn
 Entries = Annotated[np.ndarray, Table("float32", ("entry",))]
-"""For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary; half
-of them for a column in the middle of mirrored ones, which is a pair with itself; 0 beyond all columns."""
+"""For each frequency up to half of all, tile and pair of columns: real parts of `ROWS` cells, then the imaginary ones.
+A column in the middle of mirrored ones, which is a pair with itself, has half of them; 0 beyond all columns."""
 Tiles = Annotated[np.ndarray, Table("int32", ("tile", "2"))]
-"""For each `ROWS` cells: first entry of a frequency, and the tile whose entries are conjugate."""
+"""For each `ROWS` cells: first entry of a frequency, and the tile with conjugate entries."""
 Lit = Annotated[np.ndarray, Table("int32", ("frequency", "tile"))]
-"""For each frequency up to half of all, how many pairs of columns light a tile there, a multiple of `ROWS`."""
+"""Pairs of columns that light a tile at each frequency up to half of all, a multiple of `ROWS`."""
 Order = Annotated[np.ndarray, Table("int32", ("frequency", "tile", "4"))]
-"""For each frequency up to half of all, the tiles, those first that most pairs of columns light: first entry, pairs of
-columns that light them there, the tile, and that whose entries are conjugate."""
+"""For each frequency up to half of all, the tiles in decreasing order of the pairs of columns that light them: first
+entry, number of these pairs, the tile, and the tile with conjugate entries."""
 
 
 def factors(radix: int) -> tuple[int, int, int, int]:
-    """First, second, third and last factor by which a group of a GPU takes a transform of a radix at once."""
-    # As few as are at most `FACTOR` each, of those the ones whose sum is least, the greatest first, 1 for a second or
-    # third that is not needed; zeros where there are none, or more samples than `AT_ONCE`.
+    """First, second, third and last factor by which a group of a GPU computes a transform of a radix at once."""
+    # The fewest factors of at most `FACTOR` each, of those the ones with the least sum, the greatest first; 1 for a
+    # second or third that is not needed. Zeros if there are none, or for more samples than `AT_ONCE`.
     if radix > AT_ONCE:
         return (0, 0, 0, 0)
     for count in range(1, 5):
@@ -71,7 +71,7 @@ def factors(radix: int) -> tuple[int, int, int, int]:
 
 
 def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
-    """So many factors of n, of at most ``most`` each, in descending order."""
+    """This number of factors of n, of at most ``most`` each, in descending order."""
     if count == 1:
         return [(n,)] if n <= most else []
     own = [a for a in range(1, most + 1) if n % a == 0]
@@ -79,17 +79,17 @@ def _products(n: int, count: int, most: int) -> list[tuple[int, ...]]:
 
 
 def is_even(band: tuple[int, ...]) -> bool:
-    """Whether the samples that a pass of a band takes, and those it makes, are evenly apart in their fields."""
-    # No step from one to the next passes the n of their places.
+    """Whether the inputs and outputs of a pass of a band are evenly spaced in their fields."""
+    # No step from one to the next exceeds the n of their positions.
     _, n, _, radix, done, _, _, source, _, _, _, sink, _, _ = band
     read = n // radix % source == 0 or source >= n
     return read and (done % sink == 0 or sink % (done * radix) == 0 or sink >= n)
 
 
 def in_groups(bands: list[tuple[int, ...]], *, whole: bool = False) -> np.ndarray:
-    """`RingBands` from its columns but the last two, which say how groups of a GPU share a pass out."""
-    # The last two: how many rings a group takes at once, 0 where it takes direct sums, as of samples that are unevenly
-    # apart; the band's first group.  whole: whether a group takes one transform, of a radix of several factors.
+    """`RingBands` from all its columns except the last two, which tell how groups of a GPU divide a pass."""
+    # The last two: rings that a group processes at once (0 for direct sums, as for unevenly spaced samples), and the
+    # band's first group. whole: whether a group computes one transform, of a radix of several factors.
     found, group = [], 0
     for band in bands:
         _, n, rings, radix, *_ = band
@@ -130,10 +130,10 @@ def fourier(
     source: Source, bands: RingBands, waves: Waves, sign: Real, first: Fixed, second: Fixed, third: Fixed, last: Fixed,
     sink: Sink,
 ) -> None:  # fmt: skip
-    """One pass of the Fourier transforms of rings over their samples, of exponent ``sign``·i; in order after the last.
+    """One pass of the Fourier transforms of rings over their samples, with exponent ``sign``·i; in order at the end.
 
-    first, second, third, last: `factors` of the radix, where that is the same for all bands, whose samples are evenly
-    apart (`is_even`), and groups of a GPU are to take it at once; else 0.
+    first, second, third, last: `factors` of the radix, if that is the same for all bands, whose samples are evenly
+    spaced (`is_even`), and groups of a GPU compute it at once; else 0.
 
     Source: T. G. Stockham, AFIPS Spring Joint Computer Conf. (1966) 229.
     """
@@ -188,10 +188,10 @@ def light_rings(
     light: Light, entries: Entries, greatest: Real, tiles: Tiles, lit: Lit, order: Order,
     mirrored: Integer, tf32: Integer, spectrum: SpectrumOut,
 ) -> None:  # fmt: skip
-    """spectrum = entries · light: real parts take sums of columns that mirror each other, imaginary ones differences.
+    """spectrum = entries · light: real parts use sums of columns that mirror each other, imaginary ones differences.
 
-    Where light is not mirrored (0), both take the columns themselves. For matrix units alone are greatest, than which
-    no entry is; order; and tf32: numbers may lose what is beyond eleven bits of them.
+    If light is not mirrored (0), both use the columns themselves. Only for matrix units: greatest, which no entry
+    exceeds; order; and tf32: numbers may lose the bits beyond the first eleven.
     """
     right, left = _right_and_left(light.shape[1], mirrored)
     for k, values in enumerate(_paired(light)):

@@ -1,4 +1,4 @@
-"""Warp siblings of `spectrum`; a thread owns four lanes of z, two complex numbers."""
+"""Warp version of `spectrum`; a thread owns four lanes of z, two complex numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 ROWS = 8
 Rows: Any = wp.types.matrix(shape=(8, 4), dtype=wp.float32)
 Entry: Any = wp.types.vector(length=8, dtype=wp.float32)
-OUTPUTS = 5  # samples of a transform that a thread computes at once, and how often it does
+OUTPUTS = 5  # samples of a transform that a thread computes at once, and the number of repetitions
 MAJORS = 4
 Outputs: Any = wp.types.matrix(shape=(5, 4), dtype=wp.float32)
 Waves: Any = wp.types.vector(length=5, dtype=wp.float32)
@@ -27,6 +27,12 @@ def turned(x: wp.vec4):
 
 
 @wp.func
+def threads_of(bands: wp.array2d[int], g: int):
+    """How many threads' work the samples of a band are."""
+    return bands[g, 1] // bands[g, 3] * ((bands[g, 3] + OUTPUTS - 1) // OUTPUTS) * bands[g, 2]
+
+
+@wp.func
 def direct_sums(
     source: Flat, bands: wp.array2d[int], waves: wp.array2d[float], sign: float, sink: Flat, slab: int, lane: int,
     lanes: int, number: int,
@@ -34,18 +40,17 @@ def direct_sums(
     """OUTPUTS samples of a transform: number `number` of all."""
     own = number
     g = int(0)
-    blocks = (bands[0, 3] + OUTPUTS - 1) // OUTPUTS
-    count = bands[0, 1] // bands[0, 3] * blocks * bands[0, 2]
+    count = threads_of(bands, 0)
     while own >= count:
         own -= count
         g += 1
         if g == bands.shape[0]:
             return
-        blocks = (bands[g, 3] + OUTPUTS - 1) // OUTPUTS
-        count = bands[g, 1] // bands[g, 3] * blocks * bands[g, 2]
+        count = threads_of(bands, g)
     n = bands[g, 1]
     rings = bands[g, 2]
     radix = bands[g, 3]
+    blocks = (radix + OUTPUTS - 1) // OUTPUTS
     done = bands[g, 4]
     turns = n // (done * radix)
     ring = own % rings
@@ -106,7 +111,7 @@ def fourier(
     return out;
 """)
 def eight(entries: wp.array[float], start: int) -> Entry:  # type: ignore[empty-body]
-    """Eight entries that follow each other."""
+    """Eight successive entries."""
     ...
 
 
@@ -121,7 +126,7 @@ def first_entry(entries: wp.array[float], k: int, n_k: int):
 
 @wp.func
 def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
-    """The tile whose entries another one takes at a frequency."""
+    """The tile whose entries another tile uses at a frequency."""
     if 2 * k > n_k:
         return tiles[tile, 1]
     return tile
@@ -129,7 +134,7 @@ def tile_at(tiles: wp.array2d[int], tile: int, k: int, n_k: int):
 
 @wp.func
 def pairs_of(lit: wp.array2d[int], tile: int, k: int, n_k: int):
-    """The number of pairs of columns that light the tile whose entries are taken, at a frequency."""
+    """The number of pairs of columns that light the tile whose entries are used, at a frequency."""
     return lit[wp.where(2 * k > n_k, n_k - k, k), tile]
 
 
@@ -183,9 +188,18 @@ def light_rings(
 
 @wp.func
 def write_columns(light: Flat, slab: int, right: int, left: int, real: wp.vec4, difference: wp.vec4):
-    """Right after left: where both are one column, that is its value."""
+    """Right after left; the column's value if both are one column."""
     write(light, slab, left, real - difference)
     write(light, slab, right, real + difference)
+
+
+@wp.func
+def rings_at(spectrum: Flat, slab: int, at: int, lanes: int):
+    """The rings of a tile."""
+    rings = Rows()
+    for row in range(ROWS):
+        rings[row] = read(spectrum, slab, at + row * lanes)
+    return rings
 
 
 @wp.kernel
@@ -213,12 +227,9 @@ def gather_rings(
         own = tile_at(tiles, tile, k, n_k)
         if pairs_of(lit, own, k, n_k) > first:
             entry = frequency + tiles[own, 0] + 2 * ROWS * first
-            rings = Rows()
-            other_rings = Rows()
             at = (k * n_cell + tile * ROWS) * lanes + lane
-            for row in range(ROWS):
-                rings[row] = read(spectrum, slab, at + row * lanes)
-                other_rings[row] = read(spectrum, other, at + row * lanes)
+            rings = rings_at(spectrum, slab, at, lanes)
+            other_rings = rings_at(spectrum, other, at, lanes)
             for pair in range(ROWS):
                 a = eight(entries, entry + 2 * ROWS * pair)
                 b = eight(entries, entry + 2 * ROWS * pair + ROWS)

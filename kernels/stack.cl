@@ -1,6 +1,6 @@
 #include "common.h"
 
-// One lane after the other: slices of the source begin anywhere in a slab of the stack.
+// One lane after another: slices of the source begin anywhere in a slab of the stack.
 FIELD_KERNEL put_slices(__global const float *restrict source, int first, float factor, int keep, int lanes,
                         __global float *restrict stack, int n_i, int n_j, int n_source, int n_z) {
     const int i = ITEM_MAJOR;

@@ -1,4 +1,4 @@
-"""Slices of one field that are put among those of a taller one."""
+"""Slices of one field that are inserted into a taller one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Source = Annotated[np.ndarray, Field(("i", "j", "source"))]
 
 @kernel(over="stack", reach="first", cpu=Tiling(major=1, minor=0))
 def put_slices(source: Source, first: Integer, factor: Real, keep: Integer, lanes: Integer, stack: ArrayInOut) -> None:
-    """stack[i, j, first + s] = factor·source[i, j, s], added to what stands there where ``keep`` is not 0.
+    """stack[i, j, first + s] = factor·source[i, j, s], added to the old value if ``keep`` is not 0.
 
-    lanes: of the source's layout (0 where it is plain).  Other slices stay as they are.
+    lanes: of the source's layout (0 if it is plain).  Other slices do not change.
     """
     room = stack[:, :, first : first + source.shape[2]]
     room[...] = factor * source + (room if keep else 0.0)

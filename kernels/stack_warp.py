@@ -1,4 +1,4 @@
-"""Warp sibling of `stack`."""
+"""Warp version of `stack`."""
 
 from __future__ import annotations
 

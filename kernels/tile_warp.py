@@ -1,34 +1,34 @@
-"""Tiles of samples whose shares several threads work out together and all apply, in Warp.
+"""Tiles of samples whose shares several threads compute together and all apply, in Warp.
 
-A thread owns four lanes in each of four slabs of a tile of four samples. On a GPU the threads that share a tile and
-differ in z alone are its members: they follow each other in a block, are one warp where the field is as high, and then
-wait for each other alone. A turn is a pose, or a plane, that a tile gathers samples from.
+A thread owns four lanes in each of four slabs of a tile of four samples. On a GPU, the threads that share a tile and
+differ only in z are its members: they follow each other in a block, form one warp if the field is high enough, and then
+wait only for each other. A turn is an angle, or a plane, from which a tile gathers samples.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.wide_warp import Flat, write
+from vamgpu.kernels.wide_warp import Flat, four_slabs
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-SAMPLES = 128  # of a tile whose shares are kept at a time, at most
+SAMPLES = 128  # greatest number, per tile, whose shares are kept at a time
 KEPT = 1024  # by all tiles of a block
-TURNS = 16  # at a time, at most
+TURNS = 16  # greatest number at a time
 
 
 @wp.struct
 class Tile:
-    """Where a thread works, and where its tile keeps what its members share."""
+    """Position of a thread, and the place where its tile keeps the data that its members share."""
 
-    slabs: wp.vec4i  # surplus slabs repeat the last one there is
+    slabs: wp.vec4i
     major: int
     minor: int
     lane: int
     member: int
     members: int
-    samples: int  # that it may keep
+    samples: int  # greatest number that it may keep
     slots: int  # first of its samples
     windows: int  # first and number of those of its first turn
 
@@ -41,7 +41,7 @@ class Tile:
 #endif
 """)
 def is_shared() -> int:  # type: ignore[empty-body]
-    """Whether threads of a block can share what they find."""
+    """Whether threads of a block can share their results."""
     ...
 
 
@@ -52,7 +52,7 @@ def rounded(n: int, multiple: int):
 
 @wp.func
 def tile_of(slabs: int, lanes: int, majors: int, minors: int, n_major: int, n_minor: int, here: wp.vec4i):
-    """Where a thread works: a block is a box of tiles, and the members of a tile follow each other."""
+    """Position of a thread: a block is a box of tiles, and the members of a tile follow each other."""
     size = wp.vec3i(1, 1, 1)  # tiles of a block along (slab, major, minor)
     if is_shared() == 1:
         size = wp.vec3i(wp.min(4, (slabs + 3) // 4), majors, wp.max(minors // lanes, 1))
@@ -68,12 +68,7 @@ def tile_of(slabs: int, lanes: int, majors: int, minors: int, n_major: int, n_mi
     rows = all_majors // size[1]
     block = 4 * (box // (rows * columns) * size[0] + member // lanes)
     at = Tile()
-    at.slabs = wp.vec4i(
-        wp.min(block, slabs - 1),
-        wp.min(block + 1, slabs - 1),
-        wp.min(block + 2, slabs - 1),
-        wp.min(block + 3, slabs - 1),
-    )
+    at.slabs = four_slabs(block, slabs)
     at.major = box // columns % rows * size[1] + tile // size[2]
     at.minor = box % columns * size[2] + tile % size[2]
     at.lane = member % lanes
@@ -124,7 +119,7 @@ def share(slot: int, component: int, value: wp.vec4) -> wp.vec4:  # type: ignore
     return table[slot];
 """)
 def number(slot: int, stored: bool, value: int) -> int:  # type: ignore[empty-body]
-    """Where a sample lies, and behind those of all tiles the first sample of each turn and how many there are."""
+    """Position of a sample and, behind those of all tiles, the first sample of each turn and their number."""
     ...
 
 
@@ -139,7 +134,7 @@ def number(slot: int, stored: bool, value: int) -> int:  # type: ignore[empty-bo
 #endif
 """)
 def meet(members: int):
-    """Wait for the threads of the tile, and of the block where they are not of one warp."""
+    """Wait for the threads of the tile, or of the block if they are not in one warp."""
     ...
 
 
@@ -160,16 +155,8 @@ def start(field: Flat, slab: int, lane: int) -> wp.uint64:  # type: ignore[empty
 #endif
 """)
 def fetch(slab: wp.uint64, index: int) -> wp.vec4:  # type: ignore[empty-body]
-    """Four lanes of a slab that nobody writes."""
+    """Four lanes of a slab that is only read."""
     ...
-
-
-@wp.func
-def write_four(field: Flat, slabs: wp.vec4i, index: int, a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
-    write(field, slabs[0], index, a)
-    write(field, slabs[1], index, b)
-    write(field, slabs[2], index, c)
-    write(field, slabs[3], index, d)
 
 
 @wp.func
@@ -182,10 +169,16 @@ def samples_before(windows: int, turn: int):
 
 
 @wp.func
+def no_sums():
+    """The sums of four slabs before any sample is added."""
+    return wp.mat44(0.0), wp.mat44(0.0), wp.mat44(0.0), wp.mat44(0.0)
+
+
+@wp.func
 def gathered(
     t0: wp.mat44, t1: wp.mat44, t2: wp.mat44, t3: wp.mat44, field: Flat, at: Tile, count: int,
 ):  # fmt: skip
-    """Add the stored samples to the sums of four slabs; each sample is fetched while the one before is added."""
+    """Add the stored samples to the sums of four slabs; each sample is fetched while the previous one is added."""
     slab0 = start(field, at.slabs[0], at.lane)
     slab1 = start(field, at.slabs[1], at.lane)
     slab2 = start(field, at.slabs[2], at.lane)

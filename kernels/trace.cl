@@ -25,7 +25,7 @@ __kernel void trace_entries(__global const float4 *restrict medium, __global con
         float weight;
         on = advance(m, &ray, 1e6f, step, kind, &middle, &weight);
         const int i = (int)floor(middle.x), j = (int)floor(middle.y);
-        if (i != x || j != y) {                 // write what is left behind, keep what is still near
+        if (i != x || j != y) {                 // write the cells left behind, keep those still near
             float old[4] = {held.x, held.y, held.z, held.w}, kept[4] = {0.0f, 0.0f, 0.0f, 0.0f};
             for (int corner = 0; corner < 4; corner++) {
                 const int at_x = x + (corner >> 1), at_y = y + (corner & 1), dx = at_x - i, dy = at_y - j;

@@ -1,4 +1,4 @@
-"""Rays through a co-rotating medium: the cells that each crosses, and how many steps it takes."""
+"""Rays through a co-rotating medium: the cells that each crosses, and its number of steps."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def trace_entries(
     medium: Medium, starts: Starts, directions: Directions, step: Real, most: Integer, kind: Integer, counts: CountsOut,
     entries: EntriesOut,
 ) -> None:  # fmt: skip
-    """Rays that stay level in a medium without z, as sparse rows: pairs of a cell x·n_y + y and its weight.
+    """Horizontal rays in a medium that does not depend on z, as sparse rows: pairs of a cell x·n_y + y and its weight.
 
-    A cell is written when its ray has passed it, so that it comes once. counts: pairs of each ray, those beyond the
-    capacity included, or −1 for a ray that has not left after ``most`` steps.
+    A cell is written when its ray has passed it; each cell is therefore written once. counts: pairs of each ray,
+    including those beyond the capacity, or −1 for a ray that has not left after ``most`` steps.
     """
     nx, ny = medium.shape[0] - 2 * MARGIN, medium.shape[1] - 2 * MARGIN
     total, capacity = counts.size, entries.shape[2]
@@ -65,7 +65,7 @@ def survey_rays(
     medium: Medium, starts: Starts, directions: Directions, top: Real, step: Real, most: Integer, kind: Integer,
     steps: StepsOut,
 ) -> None:  # fmt: skip
-    """Steps the longest ray of each pixel takes, or −1 where one has not left after ``most``. top: end of z."""
+    """Number of steps of the longest ray of each pixel, or −1 if one has not left after ``most``. top: end of z."""
     total = directions.shape[0] * starts.shape[0]
     count = np.zeros(total, int)
     taken = np.zeros(total, int)

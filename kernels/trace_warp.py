@@ -1,4 +1,4 @@
-"""Warp siblings of `trace`; a thread marches the rays of one pixel at one pose."""
+"""Warp version of `trace`; a thread marches the rays of one pixel at one angle."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def trace_entries(
         taken += 1
         i = int(wp.floor(ray.middle[0]))
         j = int(wp.floor(ray.middle[1]))
-        if i != x or j != y:  # write what is left behind, keep what is still near
+        if i != x or j != y:  # write the cells left behind, keep those still near
             kept = wp.vec4(0.0, 0.0, 0.0, 0.0)
             for corner in range(4):
                 at_x = x + corner // 2

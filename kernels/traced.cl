@@ -3,7 +3,7 @@
 #if defined(COMPILE_forward_traced) || defined(COMPILE_back_traced)
 #define VOXEL(x, y, z) slice_offset(x, y, z, n_x, n_y, LANES)
 
-// Whether light may be left in a voxel: none is in an insert.
+// Whether a voxel can get light: none inside an insert can.
 static inline bool takes(const Medium m, int x, int y, int z, int kind) {
     return !(kind & BLOCKS) || at_node(m, x + MARGIN, y + MARGIN, m.n_s > 1 ? z + MARGIN : 0).w > -DARK;
 }
@@ -53,7 +53,7 @@ __kernel void forward_traced(__global const float *restrict volume, __global con
 #endif
 
 #ifdef COMPILE_back_traced
-// Rays cross, so voxels have no owner: an addition that no other may come between.
+// Rays cross, and voxels therefore have no owner: the addition is atomic.
 static inline void add(volatile __global float *where, float value) {
     int expected = as_int(*where), found;
     while ((found = atomic_cmpxchg((volatile __global int *)where, expected, as_int(as_float(expected) + value))) !=

@@ -1,4 +1,4 @@
-"""Warp siblings of `traced`; a thread marches the rays of one pixel at one pose."""
+"""Warp version of `traced`; a thread marches the rays of one pixel at one angle."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def put(field: Flat, slab: int, index: int, value: float): ...
 #endif
 """)
 def add(field: Flat, slab: int, index: int, value: float):
-    """Adds to one lane; rays cross, so voxels have no owner."""
+    """Adds to one lane atomically, because rays cross and voxels have no owner."""
     ...
 
 

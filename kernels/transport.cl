@@ -2,7 +2,7 @@
 
 #ifdef COMPILE_transport
 #define SPECIES 3
-#define SPACING 256 // floats between rows of scratch, which would else fall to the same sets of the cache
+#define SPACING 256 // floats between rows of scratch, which would otherwise use the same sets of the cache
 #define TINY 1e-30f
 #define NOTHING 1e-20f
 #define VECTOR_AT(pointer) (*(__global const Vector *)(pointer))
@@ -14,7 +14,7 @@
 #define AFTER PASTE(AFTER_, WIDTH)
 #define BEFORE PASTE(BEFORE_, WIDTH)
 
-// A CPU's item works long on one copy of the numbers, which no store may change; a GPU's reads what it needs.
+// A CPU's item works long on one copy of the numbers, which no store may change; a GPU's item reads them when needed.
 typedef struct {
 #ifdef CPU
     float spread[SPECIES][3], walls[SPECIES][6][2], rates[6];
@@ -36,8 +36,8 @@ typedef struct {
     __global float *dose, *optical_time, *mechanical_time;
 } Light;
 
-// What a species becomes by diffusion, all lanes of the item; passes: 1 for the open faces x low, x high, y low, y high.
-// inner: all of them are, and none is the box's.
+// A species after diffusion, all lanes of the item; passes: 1 for the open faces x low, x high, y low, y high. inner:
+// all of them are open, and none is the box's.
 static inline void spread_one(const Problem *p, Row row, int k, int x, int y, int slab, int lane, float4 passes,
                               bool inner, Vector *out) {
     const long sample = (long)y * LANES;
@@ -85,7 +85,7 @@ static inline Vector settled(Vector value) {
     return select((Vector)(0.0f), value, value > (Vector)(NOTHING));
 }
 
-// Reactions of one step in place; adds to the dose only in a voxel the item owns.
+// Reactions of one step in place; adds to the dose only in a voxel that the item owns.
 static inline void react(const Problem *p, Vector *a, Vector *b, Vector *c, Light light, size_t at, float time, bool own) {
     const Vector zero = (Vector)(0.0f);
     const Vector uv = *(__global const Vector *)(light.ultraviolet + at);
@@ -134,8 +134,8 @@ static inline void advance(const Problem *p, const Row *rows, __global float *co
 }
 
 #ifdef CPU
-// Where row x of a species lies after `level` steps of the block: in the fields it came from or goes to, or in scratch,
-// which keeps three planes of x of every step between.
+// Position of row x of a species after `level` steps of the block: in the source or target fields, or in scratch, which
+// keeps three planes of x of every intermediate step.
 typedef struct {
     __global float *from[SPECIES], *to[SPECIES], *scratch;
     int steps;
@@ -173,8 +173,8 @@ static inline void advance_plane(const Problem *p, const Block *b, Light light, 
 }
 #endif
 
-// A CPU core walks its planes once, a step of the plane behind following each; its neighbors' planes it needs for that
-// it steps as well. A GPU thread takes one step of four lanes along a run of x.
+// A CPU core goes through its planes once; each is followed by a step of the plane behind. It also steps the
+// neighboring planes that it needs. A GPU thread takes one step of four lanes along a run of x.
 FIELD_KERNEL transport(__global const float *a, __global const float *b, __global const float *c,
                        __global const float *visible, __global const float *ultraviolet, __global const uchar *open,
                        __global const float *spread, __global const float *walls, __global const float *rates,

@@ -1,8 +1,8 @@
 """Diffusion and photochemistry of three species on a box of voxels, explicit in time.
 
-Oxygen A and lophyl radicals B take the radicals that visible light makes, o-Cl-HABI C turns into two B under
-ultraviolet light and comes back as two B recombine. Fluxes through the six faces of a voxel leave one side by what
-enters the other. Source: paper eqs 5-7 and 12-14, with C of first order where it says so.
+Oxygen A and lophyl radicals B consume the radicals that visible light makes. Under ultraviolet light, o-Cl-HABI C
+splits into two B; two B recombine to C. The flux through a face of a voxel leaves one side and enters the other.
+Source: paper eqs 5-7 and 12-14, with C of first order where stated there.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from vamgpu.kernels.signature import Integer, Real, Table, Tiling, Volume, Volum
 
 Open = Annotated[np.ndarray, Table("uint8", ("x", "y"))]  # 1 where a column of voxels is resin, 0 where it is wall
 Spread = Annotated[np.ndarray, Table("float32", ("3", "3"))]  # species, axis: D·Δt/d²
-Walls = Annotated[np.ndarray, Table("float32", ("3", "6", "2"))]  # species, face: g0, g1 of what lies beyond, g0 + g1·c
+Walls = Annotated[np.ndarray, Table("float32", ("3", "6", "2"))]  # species, face: g0, g1 of the value beyond, g0 + g1·c
 Rates = Annotated[np.ndarray, Table("float32", ("6",))]  # k_A·Δt, k_B·Δt, k_C·Δt, k_2·Δt, cross, Δt
-Scratch = Annotated[np.ndarray, Table("float32", ("part", "room"), writes=True)]  # of no value afterwards
+Scratch = Annotated[np.ndarray, Table("float32", ("part", "room"), writes=True)]  # undefined afterwards
 TINY = 1e-30
 NOTHING = 1e-20
 
@@ -34,12 +34,12 @@ def transport(
     scratch: Scratch, a_out: VolumeOut, b_out: VolumeOut, c_out: VolumeOut, dose: VolumeInOut, optical_time: VolumeOut,
     mechanical_time: VolumeOut,
 ) -> None:  # fmt: skip
-    """Advance A, B, C by ``steps`` of Δt under constant light; each spreads, then reacts where ``reacting``.
+    """Advance A, B, C by ``steps`` of Δt under constant light; each species diffuses, then reacts where ``reacting``.
 
     Faces of the box are x low, x high, y low, y high, z low, z high; no flux passes between resin and wall. Radicals
     that are not inhibited add to ``dose`` (light × time); the times of its first crossing of ``optical`` and
-    ``mechanical`` are recorded. An item with a block of columns takes several steps while the block is in its cache
-    and keeps intermediate values in ``scratch``; other devices take one step per launch.
+    ``mechanical`` are recorded. An item with a block of columns takes several steps while the block is in its cache and
+    keeps intermediate values in ``scratch``; other devices take one step per launch.
     """
     species = [np.array(s, dtype=float) for s in (a, b, c)]
     inside = np.asarray(open, bool)[..., None]
@@ -77,7 +77,7 @@ def _spread(s: np.ndarray, inside: np.ndarray, spread: np.ndarray, walls: np.nda
 def _react(
     species: list[np.ndarray], visible: np.ndarray, ultraviolet: np.ndarray, rates: np.ndarray, order: int
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """One step of the reactions, and the dose of the radicals that were left over."""
+    """One step of the reactions, and the dose of the radicals that met no inhibitor."""
     a, b, c = species
     light = visible + rates[4] * ultraviolet
     want_a, want_b = rates[0] * light, rates[1] * light
@@ -92,5 +92,5 @@ def _react(
 
 
 def _settled(value: np.ndarray) -> np.ndarray:
-    """Values of at most `NOTHING`, negative ones too, become 0."""
+    """Values of at most `NOTHING`, including negative ones, become 0."""
     return np.where(value > NOTHING, value, 0.0)

@@ -1,4 +1,4 @@
-"""Warp sibling of `transport`; a thread owns four lanes of z along a run of x and takes one step."""
+"""Warp version of `transport`; a thread owns four lanes of z along a run of x and takes one step."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def spread_one(
         next = read_one(s, slab + wp.where(behind, 1, 0), at + 1 - wp.where(behind, lanes, 0), 0)
     z_high = wp.vec4(here[1], here[2], here[3], next)
     if top < 4:
-        for k in range(4):  # an index that is known keeps the vector in registers
+        for k in range(4):  # a known index keeps the vector in registers
             if k == top:
                 z_high[k] = walls[species, 5, 0] + walls[species, 5, 1] * here[k]
     out = here + spread[species, 0] * (passes[0] * (x_low - here) + passes[1] * (x_high - here))
@@ -95,7 +95,7 @@ def light_spared(
     dose: Flat, optical_time: Flat, mechanical_time: Flat, slab: int, at: int, more: wp.vec4, optical: float,
     mechanical: float, time: float, length: float,
 ):  # fmt: skip
-    """Add what is left of the light to the dose, and note when it crosses a threshold."""
+    """Add the dose of the remaining light, and record when it crosses a threshold."""
     before = read(dose, slab, at)
     after = before + more
     write(dose, slab, at, after)

@@ -1,7 +1,7 @@
 #include "common.h"
 
 #ifdef COMPILE_shift_window
-// Neighboring samples that one item sums at a time: on a CPU as many as half of its registers hold.
+// Number of neighboring samples that one item sums at a time: on a CPU as many as half of its registers hold.
 #ifdef CPU
 #define TOGETHER (REGISTERS / VECTORS)
 #else
@@ -12,7 +12,7 @@
 static inline void add_inside(__global const float *from, size_t column, int step, __global const float4 *weights,
                               int count, Vector *sum) {
 #ifdef GPU
-    if (step == 1) {            // four weights at a time, and every sample read once for all of them
+    if (step == 1) {            // four weights at a time; every sample is read once for all of them
         for (int k = 0; k < count; k += 4, weights++, from += 4 * column) {
             const int v = 0;
             const float4 w = *weights;
@@ -72,7 +72,7 @@ static inline void gather(__global const float *restrict source, __global const 
     }
 }
 
-// The launch has items for one phase a tile; where phases leave remainders, items come round again.
+// The launch has items for one phase per tile; for remaining phases, items repeat.
 FIELD_KERNEL shift_window(__global const float *restrict source, __global const int *restrict rows,
                           __global const int4 *restrict bands, __global const float4 *restrict weights, int step,
                           int phases, __global float *restrict target, int n_source_major, int n_source_minor, int n_z,

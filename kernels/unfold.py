@@ -1,7 +1,7 @@
-"""Light of one pose at every pose of a moving web, and its transpose: both are one gather over a shifted window.
+"""Light of one angle at every angle of a moving web, and its transpose: both are one gather over a shifted window.
 
-The unfolded matrix, a copy of the window for every pose, is never made. What a ray meets in one layer is a short run of
-neighboring columns, a band; neighboring poses read the same band one step further on.
+The unfolded matrix, a copy of the window for every angle, is never stored. What a ray meets in one layer is a short run
+of neighboring columns, a band; neighboring angles read the same band one step further on.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def shift_window(
     """target[m·phases + c, n, z] = Σ over the bands of row c·minors + n of Σ_k w[k]·source[m·step + first + k, minor].
 
     Bands ``rows[row]`` to ``rows[row + 1]`` belong to a row; a band is (minor of the source, first, begin, count) and
-    its weights begin at ``weights[begin]``, filled up to fours with zeros. Outside the source, samples count as 0.
+    its weights begin at ``weights[begin]``, padded to fours with zeros. Outside the source, samples count as 0.
     """
     majors, minors = target.shape[:2]
     length, flat = source.shape[0], weights.reshape(-1)
@@ -52,7 +52,7 @@ def shift_window(
 
 @kernel(over="target", cpu=Tiling(major=8, minor=0), gpu=Tiling(group=(256, 1)))
 def mix_poses(source: Mixed, rows: Rows, indices: Indices, shares: Shares, target: MixedOut) -> None:
-    """target[m] = Σ shares[e]·source[indices[e]] over rows[m] ≤ e < rows[m + 1]: poses between two columns."""
+    """target[m] = Σ shares[e]·source[indices[e]] over rows[m] ≤ e < rows[m + 1]: angles between two columns."""
     for m in range(target.shape[0]):
         chosen = slice(rows[m], rows[m + 1])
         target[m] = np.tensordot(shares[chosen], source[indices[chosen]], axes=1)

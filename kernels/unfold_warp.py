@@ -1,6 +1,6 @@
-"""Warp siblings of `unfold`; a thread owns four lanes of z at eight neighboring samples, fields come flat per slab.
+"""Warp version of `unfold`; a thread owns four lanes of z at eight neighboring samples; fields are flat per slab.
 
-Warp keeps no local arrays in registers, so the eight sums and the samples they slide over have names.
+Warp keeps no local arrays in registers; the eight sums and the samples that slide over them therefore have names.
 """
 
 from __future__ import annotations
@@ -24,11 +24,17 @@ def seen(field: Flat, slab: int, index: int, length: int, at: int, column: int):
 
 
 @wp.func
+def no_sums():
+    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return zero, zero, zero, zero, zero, zero, zero, zero
+
+
+@wp.func
 def slid(
     source: Flat, weights: wp.array2d[float], slab: int, at: int, column: int, chunk: int, count: int,
     s0: wp.vec4, s1: wp.vec4, s2: wp.vec4, s3: wp.vec4, s4: wp.vec4, s5: wp.vec4, s6: wp.vec4, s7: wp.vec4,
 ):  # fmt: skip
-    """The sums and a band's part: four weights at a time, and every sample read once for all of them."""
+    """The sums and a band's contribution: four weights at a time; every sample is read once for all of them."""
     here = int(at)
     for c in range(chunk, chunk + (count + 3) // 4):
         w0 = weights[c, 0]
@@ -86,18 +92,10 @@ def shift_window(
     longest = (n_target_major + phases - 1) // phases
     tiles = (longest + TOGETHER - 1) // TOGETHER * phases
     column = n_source_minor * lanes
-    for tile in range(begin, tiles, launched):  # where phases leave remainders, threads come round again
+    for tile in range(begin, tiles, launched):  # for remaining phases, threads repeat
         phase = tile % phases
         m = tile // phases * TOGETHER
-        zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        s0 = zero
-        s1 = zero
-        s2 = zero
-        s3 = zero
-        s4 = zero
-        s5 = zero
-        s6 = zero
-        s7 = zero
+        s0, s1, s2, s3, s4, s5, s6, s7 = no_sums()
         row = phase * n_target_minor + n
         for b in range(rows[row], rows[row + 1]):
             first = m * step + bands[b, 1]

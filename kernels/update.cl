@@ -21,10 +21,8 @@ static inline Vector raised(Vector x, float power) {
 
 FIELD_KERNEL apply_penalty(ARRAY light, float weight, float power, int hold, float most, __global float *gradient,
                            __global float *restrict parts, SIZES, int n_part) {
-    const int part = part_index(n_i, n_j, n_z);
-    if (part < 0 || part >= n_part) return;
-    Vector sum[VECTORS];
-    EACH_VECTOR sum[v] = ZERO;
+    OWN_PART;
+    SUMS(sum);
     EACH_VECTOR_AT {
         const Vector from = LOAD(light + at), lit = fmax(from, ZERO);
         Vector value = LOAD(gradient + at);

@@ -1,4 +1,4 @@
-"""Elementwise steps of optimizers, in place where the name of an argument says so."""
+"""Elementwise steps of optimizers, in place if the name of an argument says so."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ def apply_penalty(
     """Add the derivative of weight·light^power to the gradient, then, with ``hold``, keep light within 0 and ``most``.
 
     Σ parts = weight·Σ max(0, light)^power. The gradient becomes 0 where a step against it would make dark light (≤ 0)
-    negative, or the brightest light (≥ most) brighter: a filter or a metric applied to the rest keeps it a direction
-    of descent. power ≥ 1.
-    Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
+    negative, or the brightest light (≥ most) brighter; a filter or a metric applied to the rest then keeps it a
+    direction of descent. power ≥ 1. Source: D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221.
     """
     lit = np.maximum(light, 0.0)
     parts[...] = 0.0
@@ -65,7 +64,7 @@ def correct_by_difference(
 ) -> None:  # fmt: skip
     """Lower the model where a void has more than ``low``, raise it where the part has less than ``high``.
 
-    Inside is a target of at least one half; dose is times scale, the differences times their gain.
+    A voxel is inside if its target is at least one half; dose is multiplied by scale, the differences by their gain.
     """
     inside = target >= 0.5
     near = disc(model.shape[0], model.shape[1], reach)[:, :, None]

@@ -1,4 +1,4 @@
-"""Warp siblings of `update`; a thread owns four lanes of z of one sample."""
+"""Warp version of `update`; a thread owns four lanes of z of one sample."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ def correct_by_ratio(
     doses = dose[slab, i, j, lane]
     fractions = target[slab, i, j, lane]
     for k in range(4):
-        wanted = low + (high - low) * fractions[k]
-        got = wp.max(wp.max(doses[k] * scale, wanted / most), 1.0e-30)
-        value[k] = value[k] * wp.min(wanted / got, most)
+        required = low + (high - low) * fractions[k]
+        got = wp.max(wp.max(doses[k] * scale, required / most), 1.0e-30)
+        value[k] = value[k] * wp.min(required / got, most)
     model[slab, i, j, lane] = value
 
 

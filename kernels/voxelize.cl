@@ -5,11 +5,11 @@
 #define OFFSET 11
 #define RAY_SHIFT 22
 
-// As FIELD_KERNEL, of a kernel without fields.
+// Like FIELD_KERNEL, for a kernel without fields.
 #define COUNT_KERNEL __kernel __attribute__((vec_type_hint(float16))) void
 
-// One edge of a triangle: at (x, y), offset + along_x * x + along_y * y is twice the area between edge and point, and
-// the point is inside where that reaches own for all three edges.
+// One edge of a triangle: at (x, y), offset + along_x * x + along_y * y is twice the area between edge and point; the
+// point is inside if that is at least own for all three edges.
 typedef struct {
     long along_x, along_y, offset;
     int own;
@@ -22,7 +22,7 @@ static inline Edge edge(int ax, int ay, int bx, int by) {
 
 static inline long at(const Edge e, long x, long y) { return e.offset + e.along_x * x + e.along_y * y; }
 
-// The edge's largest value in the square of one column.
+// The edge function's largest value in the square of one column.
 static inline long most(const Edge e, long corner, int bits) {
     return corner + ((max(e.along_x, 0L) + max(e.along_y, 0L)) << bits);
 }
@@ -35,7 +35,7 @@ static inline int height(long wa, long wb, long wc, int az, int bz, int cz) {
     return base + (int)(sum / (ulong)area);
 }
 
-// Where a ray passes within its column.
+// Position of a ray within its column.
 static inline long ray_x(int ray, int bits) { return ((2 * ray + 1) << bits) / (2 * SAMPLES); }
 static inline long ray_y(int ray, int bits) {
     return ((2 * ((GENERATOR * ray + OFFSET) % SAMPLES) + 1) << bits) / (2 * SAMPLES);
@@ -54,8 +54,8 @@ static inline uint met_rays(const Edge a, const Edge b, const Edge c, long ea, l
     return rays;
 }
 
-// Counts the crossings of the columns' rays with a triangle in tally, or, where lists are given, adds them to the lists
-// that begin where tally says: ray, height within the grid, whether the ray leaves.
+// Counts the crossings of the columns' rays with a triangle in tally, or, if lists are given, adds them to the lists
+// that begin where tally states: ray, height within the grid, whether the ray leaves.
 static inline void cross_triangle(__global const int *t, int2 low, int2 high, int bits, int top, __global int *tally,
                                   __global int *lists, int n_y) {
     const Edge a = edge(t[3], t[4], t[6], t[7]), b = edge(t[6], t[7], t[0], t[1]), c = edge(t[0], t[1], t[3], t[4]);
@@ -98,7 +98,7 @@ COUNT_KERNEL count_crossings(__global const int *restrict triangles, __global co
 #ifdef COMPILE_voxelize
 #define PLACE(x, y, z) slice_offset(x, y, z, n_x, n_y, LANES)
 
-// From height h on, all voxels of a column change by weight; the voxel that h cuts, by its part above h.
+// From height h on, all voxels of a column change by weight; the voxel that h cuts changes by its part above h.
 static inline void change(__global float *volume, int x, int y, int h, float weight, int bits,
                           int n_x, int n_y, int n_z) {
     const int z = max(h, 0) >> bits, below = max(h, 0) - (z << bits);
@@ -119,8 +119,8 @@ static inline void sort(__global int *code, int n) {
         }
 }
 
-// Every ray of a column from below: it is inside from where its winding number rises above 0 to where that falls back.
-// Returns the lowest and the highest voxel with a change.
+// Every ray of a column from below: it is inside from where its winding number rises above 0 to where it falls to 0
+// again. Returns the lowest and the highest voxel with a change.
 static inline int2 walk(__global const int *code, int n, int x, int y, int bits, __global float *volume, int n_x,
                         int n_y, int n_z) {
     const float weight = 1.0f / (SAMPLES << bits);

@@ -1,21 +1,21 @@
 """Anti-aliased voxels of a closed triangle surface.
 
 Rays run up z through SAMPLES points of every (x, y) column, and every ray keeps a list of the heights at which it
-crosses the surface. Sorted, they tell its winding number from below: the ray is in the part wherever that is at least
-1, so that bodies that overlap, touch or coincide count once, and bodies wound inward are cavities. Where a ray enters
-at height h, every voxel above gains one, the voxel cut by the surface its part above h; where it leaves, they lose as
-much. The result is exact along z.
+crosses the surface. Sorted, they give its winding number from below: the ray is in the part wherever that is at least
+1. Bodies that overlap, touch or coincide therefore count once, and bodies wound inward are cavities. Where a ray enters
+at height h, every voxel above gains one, and the voxel cut by the surface gains its part above h; where the ray leaves,
+they lose the same. The result is exact along z.
 
-Vertices sit on a fine grid of 2**bits units a voxel, edge tests and heights are integers of 64 bits, and a ray through
-an edge or a vertex counts as passing it an infinitesimal (ε, ε²) beside: neighboring triangles never both take it and
-never both miss it. All sums are multiples of 1 / (SAMPLES · 2**bits) of at most 1, exact in float32, so devices give
-the very same numbers.
+Vertices are on a fine grid of 2**bits units per voxel, and edge tests and heights are integers of 64 bits. A ray
+through an edge or a vertex counts as passing it at an infinitesimal distance (ε, ε²): neighboring triangles never both
+count it and never both miss it. All sums are multiples of 1 / (SAMPLES · 2**bits) of at most 1, which are exact in
+float32; devices therefore give the same numbers.
 
 The points are a lattice of 16 rows and 16 columns with one point in each (rank 1, generator 7): a wall along x or y is
-resolved to 1/16 of a voxel, where a square array of as many points would resolve 1/4. Its offset of 11 makes it its own
-image under half a turn, so that a part that is, is so in voxels too. The volume of a round section 10 voxels in radius
-is right to 1e-3 (root mean square), of one of 35 to 2e-4. A wall one voxel thick along x, y
-or z meets exactly 16 points, or units of height, wherever it stands: the voxels it straddles add up to one.
+resolved to 1/16 of a voxel, while a square array of as many points would resolve 1/4. Its offset of 11 makes it
+symmetric under half a turn; so are the voxels of such a part. The volume of a round section with a radius of 10 voxels
+is right to 1e-3 (root mean square), of 35 voxels to 2e-4. A wall one voxel thick along x, y or z meets exactly 16
+points, or units of height, at any position: the fractions of the voxels that it straddles add up to one.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ def voxelize(
 ) -> None:  # fmt: skip
     """volume[x, y, z] = fraction of the voxel inside the surface, 0..1; filled = its sum over tile × tile columns.
 
-    triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 where the surface
-    is entered from below (it faces down), +1 where it is left. members[first:last] of a tile are the triangles whose
-    boxes touch it; they spare devices a search and change nothing. Only the rows of tiles from ``row`` on that first
-    has are computed. lists[start[x, y]] is the number of crossings of a column and what follows are they, sorted.
+    triangles: corners in units of the fine grid, counted from the low corner of the volume, and −1 if the surface is
+    entered from below (it faces down), +1 if it is left. members[first:last] of a tile are the triangles whose boxes
+    touch it; they save devices a search and change nothing. Only the rows of tiles in ``first``, from ``row``
+    on, are computed. lists[start[x, y]] is the number of crossings of a column, followed by the sorted crossings.
     """
     unit, (n_x, n_y, n_z) = 1 << int(bits), volume.shape
     low, high = int(row * tile), min(int((row + first.shape[0]) * tile), n_x)
@@ -102,14 +102,14 @@ def voxelize(
 
 
 def _enlist(lists: np.ndarray, start: np.ndarray, column: np.ndarray, code: np.ndarray) -> None:
-    """Write sorted crossings behind their number, each column's where it starts."""
+    """Write sorted crossings after their number, each column's where it starts."""
     counts = np.bincount(column, minlength=len(start))
     lists[start] = counts
     lists[start[column] + 1 + np.arange(len(code)) - (np.cumsum(counts) - counts)[column]] = code
 
 
 def _changes(column: np.ndarray, code: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For sorted crossings: whether the ray enters there, and whether its winding number passes between 0 and 1."""
+    """For sorted crossings: whether the ray enters there, and whether its winding number changes between 0 and 1."""
     entered = code & 1 == 0
     step = np.where(entered, 1, -1)
     winding = np.cumsum(step)

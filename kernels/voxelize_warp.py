@@ -1,4 +1,4 @@
-"""Warp sibling of `voxelize`; a thread owns a square of columns, all of z."""
+"""Warp version of `voxelize`; a thread owns a square of columns, all of z."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def add(volume: Vectors, x: int, y: int, z: int, value: float):
 
 @wp.func
 def change(volume: Vectors, x: int, y: int, h: int, weight: float, bits: int, n_z: int):
-    """Change all voxels of a column above height h by weight; the voxel that h cuts, by its part above h."""
+    """Change all voxels of a column above height h by weight; the voxel that h cuts changes by its part above h."""
     z = wp.max(h, 0) >> bits
     below = wp.max(h, 0) - (z << bits)
     if z < n_z:

@@ -1,4 +1,4 @@
-"""Voxels of a watched print: the light so far, what a camera saw, and what can still be corrected."""
+"""Voxels of a watched print: the light so far, the conversion in images, and the voxels that can be corrected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pick_voxels(field: Array, places: Places, picked: Picked) -> None:
 
 @kernel(over="out", cpu=CPU, gpu=GPU)
 def interpolate(x: Array, knots: Knots, values: Knots, out: ArrayOut) -> None:
-    """Out = values at x, straight lines between knots that ascend, and level beyond them; out may be x."""
+    """Out = values at x, linear between ascending knots, and constant beyond them; out may be x."""
     out[...] = np.interp(x, knots, values)
 
 
@@ -49,7 +49,7 @@ def spare_voxels(
     dose: Array, target: Array, deviation: Array, share: Real, margin: Real, inside: Real, greatest: Real,
     weight: ArrayOut,
 ) -> None:  # fmt: skip
-    """weight = 0 if a voxel surely has too much dose: dose − share·deviation − margin above its limit, otherwise 1.
+    """weight = 0 if a voxel certainly has too much dose: dose − share·deviation − margin above its limit, otherwise 1.
 
     Limits are ``greatest`` in the part (a target of one half or more), and ``inside`` outside.
     """

@@ -1,4 +1,4 @@
-"""Warp siblings of `watch`; a thread owns four lanes of z of one voxel's column, or one voxel that is picked."""
+"""Warp version of `watch`; a thread owns four lanes of z of one voxel's column, or one picked voxel."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def match_dose(
     dose: Vectors, got: Vectors, least: float, most: float, gain: Vectors, n_i: int, n_j: int, n_z: int
 ) -> None:
     slab, i, j, lane = wp.tid()
-    wanted = dose[slab, i, j, lane]
+    planned = dose[slab, i, j, lane]
     had = got[slab, i, j, lane]
     found = gain[slab, i, j, lane]
     for k in range(4):
-        if wp.min(wanted[k], had[k]) > least:
-            found[k] = found[k] * wp.clamp(wanted[k] / had[k], 1.0 / most, most)
+        if wp.min(planned[k], had[k]) > least:
+            found[k] = found[k] * wp.clamp(planned[k] / had[k], 1.0 / most, most)
     gain[slab, i, j, lane] = found
 
 
@@ -87,7 +87,7 @@ def likelihood_weights(
 ) -> None:  # fmt: skip
     slab, i, j, lane = wp.tid()
     had = dose[slab, i, j, lane]
-    told = seen[slab, i, j, lane]
+    conversion = seen[slab, i, j, lane]
     spread = deviation[slab, i, j, lane]
     known = wp.vec4(0.0, 0.0, 0.0, 0.0)
     asked = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -98,7 +98,7 @@ def likelihood_weights(
                 slope = made[1] * had[k]
                 rate = slope / (spread[k] * spread[k])
                 known[k] = rate * slope
-                asked[k] = rate * (told[k] - made[0])
+                asked[k] = rate * (conversion[k] - made[0])
     weight[slab, i, j, lane] = known
     pull[slab, i, j, lane] = asked
 

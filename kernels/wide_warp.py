@@ -1,6 +1,6 @@
-"""Fields as Warp kernels see them, and reading four lanes of one at once.
+"""Fields in the form for Warp kernels, and reading four lanes of one at once.
 
-Warp aligns its vec4 to four bytes, so a plain read becomes four loads of one float each; fields are aligned to sixteen.
+Warp aligns its vec4 to four bytes: a plain read is four loads of one float. Fields are aligned to sixteen bytes.
 """
 
 from __future__ import annotations
@@ -51,8 +51,27 @@ def read_one(field: Flat, slab: int, index: int, k: int) -> float:  # type: igno
 
 
 @wp.func
+def four_slabs(first: int, slabs: int):
+    """Slabs of a thread; beyond the last one they repeat it."""
+    return wp.vec4i(
+        wp.min(first, slabs - 1),
+        wp.min(first + 1, slabs - 1),
+        wp.min(first + 2, slabs - 1),
+        wp.min(first + 3, slabs - 1),
+    )
+
+
+@wp.func
+def write_four(field: Flat, slabs: wp.vec4i, index: int, a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
+    write(field, slabs[0], index, a)
+    write(field, slabs[1], index, b)
+    write(field, slabs[2], index, c)
+    write(field, slabs[3], index, d)
+
+
+@wp.func
 def slice_of(field: Vectors, major: int, minor: int, z: int):
-    """Slice z of a sample: neighbors in z lie in one slab, or in the next."""
+    """Slice z of a sample: neighbors in z are in one slab, or in the next."""
     lanes = 4 * field.shape[3]
     vector = field[z // lanes, major, minor, (z % lanes) // 4]
     return vector[z % 4]

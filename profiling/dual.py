@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
+from profiling.color_contrast import Contrast
 from profiling.gallery.dualcolor import slice_colors
 from vamgpu import Beam, Projection, Turntable, Vat, open_device
 from vamgpu.backend.device import Device
 from vamgpu.methods.dual import Colors, DualColor, LeastSquares, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.targets.designs import Block, dot_array, gray_wedges, usaf
 from vamgpu.targets.target import Target
 

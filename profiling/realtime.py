@@ -20,7 +20,7 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 from common import machine, write_record
 
@@ -44,13 +44,14 @@ while True:
 PAUSE = 2_000_000  # [µs]
 
 
-def loads(url: str, wanted: int, seconds: float, over: threading.Event) -> list[float]:
+def loads(page: Panel, wanted: int, seconds: float, over: threading.Event) -> list[float]:
     """Load the page so many times, evenly in the first 0.8 of the print; how long each took [s]."""
     took, start = list[float](), time.monotonic()
     while len(took) < wanted and not over.is_set():
         began = time.monotonic()
         for path in ("", "page.css", "page.js", "state?page", "history"):
-            urlopen(url + path, timeout=30).read()
+            asked = Request(f"http://127.0.0.1:{page.port}/{path}", headers={"Authorization": f"Bearer {page.token}"})
+            urlopen(asked, timeout=30).read()
         took.append(time.monotonic() - began)
         over.wait(max(0.0, start + 0.8 * seconds * len(took) / wanted - time.monotonic()))
     return took
@@ -87,7 +88,7 @@ def main() -> None:
             beside.append(subprocess.Popen(solver, env=os.environ | {"OMP_NUM_THREADS": str(os.cpu_count())}))
             with Panel(board) as page, started(order, board) as watch:
                 watch.viewed(order.planned())
-                reading = partial(loads, page.url, given.loads, given.seconds, over)
+                reading = partial(loads, page, given.loads, given.seconds, over)
                 threads = [
                     threading.Thread(target=lambda: took.extend(reading())),
                     threading.Thread(target=pauses, args=(given.seconds / 20, over)),

@@ -21,6 +21,8 @@ import vamgpu
 from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable
+from vamgpu.kernels.spectrum import ROWS
+from vamgpu.operators.polar import PolarGrid, tiles_of_vessel
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.spectral import SpectralProjection
@@ -146,6 +148,19 @@ def show(record: dict[str, Any]) -> None:
             print(f"    {stage['stage']:24} {1e3 * stage['s']:9.3f} ms {rate}")
 
 
+def _poses(rings: PolarGrid, beam: Beam, vial: Vial) -> list[np.ndarray]:
+    """The light of one pose in the rings of each band, (rings, cells of a ring, columns)."""
+    found, given = [], iter(tiles_of_vessel(rings, beam, vial))
+    for band in rings.bands:
+        tiles = []
+        for _ in range(band.rings // ROWS):
+            out = open_device("numpy").empty((rings.angles, band.samples * ROWS, beam.pixels[0]))
+            next(given).pose(beam, 0, 1.0, out)
+            tiles.append(out.numpy().reshape(rings.angles * band.samples, ROWS, -1).swapaxes(0, 1))
+        found.append(np.concatenate(tiles))
+    return found
+
+
 def picture(path: Path) -> None:
     """Cells of rings and what one column leaves on them; the same by angular frequency; what rings change of a dose."""
     import matplotlib as mpl
@@ -153,12 +168,10 @@ def picture(path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    from vamgpu.operators.polar import PolarGrid, pose_on_rings
-
     vial = Vial(radius=1.55, wall=0.1, resin_index=1.5, wall_index=1.473)
     rings, beam, column = PolarGrid(48, 2, 1 / 48, 96), Beam((120, 2), 0.026), 68
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
-    poses = list(pose_on_rings(rings, beam, vial))
+    poses = _poses(rings, beam, vial)
     most = max(float(pose[..., column].max()) for pose in poses)
     spectrum = np.full((rings.rings, 48 * max(band.samples for band in rings.bands) + 1), np.nan)
     for band, pose in zip(rings.bands, poses, strict=True):

@@ -21,8 +21,7 @@ from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
-from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.transport import Box, Transport
+from vamgpu.chemistry.transport import Box, Reaction, Transport
 from vamgpu.kernels.update import linear
 
 sys.path.insert(0, str(HERE / "peers"))

@@ -568,10 +568,45 @@ def _on_rings(size: int, pairs: int = 16, mirrored: int = 1) -> Example:
     return Example(sizes, {**given, "mirrored": mirrored, "tf32": 0})
 
 
+def _pose_of_rings(size: int) -> Example:
+    """Cells of two parts, some of them dark, lit by all columns but the last two."""
+    sizes = {"angle": 3, "cell": 2 * ROWS, "foot": 2, "z": size + size % 2}
+    rng = np.random.default_rng(size)
+    feet = rng.random((3, 2 * ROWS, 2, 5)) * (size + 6, 1.0, 1.0, 2.0, 2.0) - (0.0, 0.5, 0.2, 0.0, 0.0)
+    feet[..., 0] = np.round(feet[..., 0])
+    feet[..., 2] = np.maximum(feet[..., 2], 0.0)
+    given = {"feet": feet, "first": 3, "columns": sizes["z"] - 2, "factor": 0.5, "fill": 0.9, "sigma": 0.4}
+    return Example(sizes, given)
+
+
+def _ring_entries(size: int) -> Example:
+    """Tiles of three samples between two angles, before and behind which other tiles lie."""
+    k, z = 6 + size % 3, size + size % 2
+    begins = 2 * ROWS * (1 + z * np.arange(3))
+    sizes = {"k": k, "cell": 3 * ROWS, "z": z, "sample": 3, "entry": (k // 2 + 1) * 2 * ROWS * (3 * z + 2)}
+    return Example(sizes, {"begins": begins, "arcs": np.outer((0.2, 0.1), np.arange(ROWS)), "columns": z - 2})
+
+
+def _ring_coefficients(size: int) -> Example:
+    """Three rings of tiles: one sample between two angles, then two, whose tracks begin there; unlike widths."""
+    wide = 8, 24, 16, 24, 16
+    first = 2 * ROWS * np.cumsum((0, *wide))
+    places = [(0, 1, 0, -1, 1), (8, 2, 0, 0, 2), (16, 2, 0, 1, -1), (8, 2, -1, -1, 4), (16, 2, -1, 3, -1)]
+    steps = [(begin, pairs, *place, 0) for begin, pairs, place in zip(first.tolist(), wide, places, strict=False)]
+    kept, angles = 4 + size % 2, 6 + 2 * (size % 2)
+    sizes = {"tile": 5, "ring": 24, "entry": kept * int(first[-1]), "frequency": kept, "block": 3}
+    entries = np.random.default_rng(size).normal(size=sizes["entry"])
+    given = {"steps": steps, "pivots": 0.5 + np.random.default_rng(size).random((24, 2)), "entries": entries}
+    return Example(sizes, {**given, "angles": angles, "own": 13 / 21, "beside": 4 / 21})
+
+
 EXAMPLES: dict[str, Callable[[int], Example]] = {
     "fourier": _in_bands,
     "light_rings": _on_rings,
     "gather_rings": _on_rings,
+    "ring_pose": _pose_of_rings,
+    "ring_entries": _ring_entries,
+    "ring_coefficients": _ring_coefficients,
     "spread_rows": _spread_rows,
     "spread_columns": _spread_columns,
     "expose_voxels": _exposed,

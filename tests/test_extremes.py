@@ -87,7 +87,7 @@ def test_the_greatest_numbers_of_float32_are_taken(device: Device) -> None:
     faint = np.full((2, 2, 2), 1e-300)  # tails may vanish; a whole field may not
     faint[0, 0, 0] = 1.0
     assert device.upload(faint).numpy().max() == 1.0
-    with pytest.raises(BadInput, match="takes for nothing"):
+    with pytest.raises(BadInput, match="rounds to 0"):
         device.upload(np.full((2, 2, 2), 1e-300))
 
 
@@ -184,9 +184,9 @@ def test_each_cause_of_darkness_is_told_apart(device: Device) -> None:
     dark, lit = np.zeros(operator.range.shape), np.ones(operator.range.shape)
     with pytest.raises(EmptyMesh, match="every voxel of the target is 0"):
         optimize(operator, np.zeros(GRID.shape), iterations=1)
-    with pytest.raises(NoLight, match="whatever made it found no light"):
+    with pytest.raises(NoLight, match="its method found no light"):
         pack(plan_of(operator, dark))
-    with pytest.raises(NoLight, match="whatever made it found no light"):
+    with pytest.raises(NoLight, match="its method found no light"):
         pack(made(sinogram=device.upload(dark), operator=None))
     solved_by = made(**vars(plan_of(operator, dark)), method=BCLP(), history=(1, 2, 3))
     with pytest.raises(NoLight, match="BCLP found no light in 3 iterations"):
@@ -196,7 +196,7 @@ def test_each_cause_of_darkness_is_told_apart(device: Device) -> None:
     with pytest.raises(NoLight, match="moves all of it off the 32 × 4 pixels"):
         pack(plan_of(operator, lit), shift=(100.0, 0.0))
     absorbed = projection(device, vam.Vat(300.0, absorption=100.0))
-    with pytest.raises(NoLight, match="so is the grid under light from every column"):
+    with pytest.raises(NoLight, match="no column lights the grid"):
         pack(plan_of(absorbed, dark))
 
 

@@ -39,6 +39,10 @@ MISTAKES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "axes exchanged": (lambda s: s.A.T(np.swapaxes(s.light, 0, 1)), r"shape \(16, 12, 4\)"),
     "flat array": (lambda s: s.A @ np.ones(7), "7"),
     "complex array": (lambda s: s.A(s.x.astype(complex)), "complex"),
+    "list for an array": (
+        lambda s: s.A([1, 2, 3]),
+        r"is a list; expected an array of shape \(12, 12, 4\) = \[x, y, z\]",
+    ),
     "text for an array": (lambda s: s.A("x"), "expected"),
     "NaN in an array": (lambda s: s.A(np.full(s.x.shape, np.nan)), "NaN"),
     "array of another device": (lambda s: s.A(vam.open_device("warp:cpu").upload(s.x)), "warp:cpu"),

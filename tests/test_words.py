@@ -35,6 +35,12 @@ WORDS = {
     r"\bpictures on mirrors\b|\bpictures/s\b": "frames",
     r"\bno light whatever\b": "no patterns",
     r"\bhead start\b": "initial dose",
+    r"\bso many\b": "this number of",
+    r"\blook(s|ed|ing)? (at|for)\b": "check, examine or search",
+    r"\bsiblings?\b": "versions",
+    r"\btaken? up again\b": "resumed",
+    r"\bbut for\b": "except",
+    r"\b(does|did|do) not do\b": "does not suffice",
 }
 """A regular expression → what a reader of the field expects in its place."""
 

@@ -1,6 +1,6 @@
 """vamgpu: tomographic volumetric 3D printing, from the optics of a vial to the frames of a projector.
 
-``import vamgpu`` loads NumPy and nothing heavy; everything else loads when first used.
+``import vamgpu`` loads only NumPy of the large packages; others load when first used.
 """
 
 from __future__ import annotations

@@ -10,15 +10,15 @@ from io import BytesIO
 import numpy as np
 
 LARGEST = 2**25
-"""Most values of an array that is copied from its device for a picture; for larger ones only numbers are shown."""
+"""Largest number of values of an array that is drawn as a picture; larger arrays are shown as numbers."""
 SIDE = 220
 """Pixels along the longer side of a picture."""
 
 
 def card(title: str, numbers: Mapping[str, object], pictures: Mapping[str, np.ndarray | None] | None = None) -> str:
     """Self-contained HTML of one object; all text is escaped."""
-    # numbers: name → value, with its unit in brackets where it has one.  pictures: caption → plane [horizontal,
-    # vertical], from dark at its least value to bright at its greatest; None for one that is too large to be drawn.
+    # numbers: name → value, with its unit in brackets if it has one. pictures: caption → plane [horizontal, vertical],
+    # drawn from dark (least value) to bright (greatest); None if too large.
     drawn = "".join(_figure(caption, plane) for caption, plane in (pictures or {}).items())
     aside = "text-align:left;vertical-align:top"
     rows = "".join(

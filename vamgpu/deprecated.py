@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
-from importlib import import_module
 from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """Make the ``__getattr__`` of a module that still answers to old names, ``{"Carried": "CoRotatingMedium"}``."""
-
-    def look_up(name: str) -> Any:
-        if name not in names:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        warn_renamed(f"{module}.{name}", f"{module}.{names[name]}", stacklevel=3)
-        return getattr(import_module(module), names[name])
-
-    return look_up
 
 
 class Renamed:
@@ -33,15 +20,16 @@ class Renamed:
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.old = f"{owner.__name__}.{name}"
-        owner.__annotations__.pop(name, None)  # `dataclass` would look at what it names, and be warned
+        owner.__annotations__.pop(name, None)  # `dataclass` would read the attribute and cause a warning
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        warn_renamed(self.old, self.new, stacklevel=3)
+        message = f"{self.old} is called {self.new} now; the old name goes with the next release"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(owner if instance is None else instance, self.new)
 
 
 def named_arguments(*names: str) -> Callable[[F], F]:
-    """Decorate a function to take by place, behind its first argument, what it takes by name alone now."""
+    """Decorate a function to still accept arguments by position that must now be given by name."""
 
     def decorated(function: F) -> F:
         @wraps(function)
@@ -49,7 +37,7 @@ def named_arguments(*names: str) -> Callable[[F], F]:
             if args and isinstance(args[0], int):
                 what = ", ".join(f"{name}=" for name in names[: len(args)])
                 warnings.warn(
-                    f"{function.__qualname__} takes {what} by name; their places go with the next release",
+                    f"{function.__qualname__} takes {what} by name; arguments by position end with the next release",
                     DeprecationWarning, stacklevel=2,
                 )  # fmt: skip
                 given, args = {**dict(zip(names, args, strict=False)), **given}, ()
@@ -58,9 +46,3 @@ def named_arguments(*names: str) -> Callable[[F], F]:
         return cast(F, called)
 
     return decorated
-
-
-def warn_renamed(old: str, new: str, stacklevel: int = 3, category: type[Warning] = DeprecationWarning) -> None:
-    """Warn that ``old`` is called ``new`` now; ``category`` is `FutureWarning` for words of files."""
-    message = f"{old} is called {new} now; the old name goes with the next release"
-    warnings.warn(message, category, stacklevel=stacklevel)

@@ -1,4 +1,4 @@
-"""Every error that this library raises; each message says what was got, what was expected and what to do."""
+"""Every error that this library raises; each message states what was got, what was expected and what to do."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class VamError(Exception):
 
 
 class BadInput(VamError, ValueError):
-    """A value the caller gave cannot be used."""
+    """A value from the caller cannot be used."""
 
 
 class ShapeMismatch(BadInput):
@@ -20,7 +20,7 @@ class MeshError(BadInput):
 
 
 class EmptyMesh(MeshError):
-    """A mesh file holds no triangles."""
+    """A mesh file contains no triangles."""
 
 
 class NotWatertight(MeshError):
@@ -28,15 +28,15 @@ class NotWatertight(MeshError):
 
 
 class TargetTooLarge(BadInput):
-    """A target reaches beyond what light can print."""
+    """A target extends beyond the region that light can print."""
 
 
 class NoLight(BadInput):
-    """There is no light where some is needed: it does not reach the part, or the patterns are dark."""
+    """Light is missing: it does not reach the part, or the patterns are dark."""
 
 
 class TileError(BadInput):
-    """A stream of tiles broke off, or changed its section or pitch; what was written before stays valid."""
+    """A stream of tiles broke off, or changed its section or pitch; what was already written stays valid."""
 
 
 class SkippedColumns(BadInput):
@@ -44,7 +44,7 @@ class SkippedColumns(BadInput):
 
 
 class RayError(BadInput):
-    """A ray cannot be traced: it never leaves, is reflected where it should pass, or does not settle."""
+    """A ray cannot be traced: it never leaves, is reflected where it should pass, or does not converge."""
 
 
 class MaterialError(BadInput):
@@ -52,11 +52,11 @@ class MaterialError(BadInput):
 
 
 class OutsideData(BadInput):
-    """A wavelength or temperature lies outside the data a material has."""
+    """A wavelength or temperature lies outside the data of a material."""
 
 
 class UnstableStep(BadInput):
-    """An explicit step is longer than is stable; ``limit`` is the longest [s] that is."""
+    """An explicit step is too long to be stable; ``limit`` is the longest stable step [s]."""
 
     def __init__(self, message: str, limit: float) -> None:
         super().__init__(message)
@@ -64,7 +64,7 @@ class UnstableStep(BadInput):
 
 
 class ToleranceError(BadInput):
-    """A tolerance contradicts another one or the print, or no patterns can meet it.
+    """A tolerance contradicts another tolerance or the print, or no patterns can meet it.
 
     Attributes:
         binds: The tolerance: "axis", "spread", "absorption", "dose", "index" or "wobble".
@@ -90,15 +90,15 @@ class OutOfMemory(DeviceError):
 
 
 class TransferForbidden(DeviceError):
-    """An array was about to cross the bus inside ``no_transfers()``."""
+    """An array would have been transferred between host and device inside ``no_transfers()``."""
 
 
 class KernelError(DeviceError):
-    """A kernel was bound to arguments that do not fit its declaration, or did not compile."""
+    """A kernel got arguments that do not fit its declaration, or did not compile."""
 
 
 class WorkerLost(DeviceError):
-    """A computing process of a cluster is gone, with all its data."""
+    """A process of a cluster is gone, with all its data."""
 
 
 class DeviceNotFound(DeviceError):
@@ -106,15 +106,15 @@ class DeviceNotFound(DeviceError):
 
 
 class DeviceLost(DeviceError):
-    """A machine no longer answers: unplugged, without power, or hung."""
+    """A machine no longer answers: it is unplugged, without power, or hung."""
 
 
 class OriginLost(DeviceLost):
-    """A machine lost the state of a running print, which cannot be continued."""
+    """A machine lost the state of a running print; the print cannot be continued."""
 
 
 class DeviceBusy(DeviceError):
-    """A machine is held by another program."""
+    """Another program uses the machine."""
 
 
 class WrongDevice(DeviceError):
@@ -130,11 +130,11 @@ class DeviceRefused(DeviceError):
 
 
 class ProtocolError(DeviceError):
-    """A line received no valid message: cut short, malformed, or of another protocol."""
+    """A line received no valid message: the message was cut short, malformed, or of another protocol."""
 
 
 class TimingInfeasible(BadInput):
-    """A machine cannot keep pace; ``limit`` names what limits it, ``speed`` is the greatest that fits, in ``unit``."""
+    """A machine is too slow; ``limit`` names what limits it, ``speed`` is the greatest possible speed, in ``unit``."""
 
     def __init__(self, message: str, limit: str, speed: float, unit: str) -> None:
         super().__init__(message)
@@ -144,7 +144,7 @@ class TimingInfeasible(BadInput):
 
 
 class Underrun(DeviceError):
-    """Frames came too late too often; the light was turned off and then the motion stopped."""
+    """Too many frames came too late; the light was turned off and then the motion stopped."""
 
 
 class JobError(BadInput):
@@ -172,7 +172,7 @@ class Diverged(VamError, ArithmeticError):
 
     Attributes:
         plan: A `Plan` of the best patterns before that, or None.
-        iteration: The iteration from which the loss only rose, counted from 1.
+        iteration: The iteration after which the loss only rose, counted from 1.
     """
 
     def __init__(self, message: str, plan: object | None = None, iteration: int = 1) -> None:
@@ -190,15 +190,15 @@ class OpticsWarning(UserWarning):
 
 
 class DoseWarning(UserWarning):
-    """A print gives a dose other than the proved one; the message says which, and the effect."""
+    """A print gives a dose that differs from the proved one; the message states both, and the effect."""
 
 
 class SamplingWarning(OpticsWarning):
-    """Voxels or angles are too coarse for the pixels of a projector; the message says what is enough."""
+    """Voxels or angles are too coarse for the pixels of a projector; the message states what suffices."""
 
 
 class PackWarning(UserWarning):
-    """Frames differ from the requested settings, because these would show the patterns worse."""
+    """Frames differ from the requested settings, which would show the patterns worse."""
 
 
 class MemoryNotice(UserWarning):
@@ -206,7 +206,7 @@ class MemoryNotice(UserWarning):
 
 
 class ClusterWarning(UserWarning):
-    """A run lost a worker and continues without its work since the last stored plan."""
+    """A run lost a worker and continues from the last saved plan."""
 
 
 class SliceWarning(UserWarning):

@@ -1,7 +1,7 @@
 """The objects that describe a print: grids, beams, motions and the protocol of vessels.
 
 Axes are ``[x, y, z]`` for volumes and ``[angle, r, z]`` for sinograms; the axis of rotation is x = y = 0 and every
-grid and beam is centered on it. With θ the pose, ``r = y·cosθ − x·sinθ`` and light travels towards −(cosθ, sinθ).
+grid and beam is centered on it. With the angle θ, ``r = y·cosθ − x·sinθ`` and light travels towards −(cosθ, sinθ).
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from vamgpu.schema.quantities import Fill, Pitch, PixelPitch, Positive, Turn, Wi
 HALF_A_PIXEL = 0.5
 """Default standard deviation [pixels] of the point spread of a projector in focus."""
 WIDEST = 30
-"""Standard deviation [pixels] above which a point spread is a mistake of units, not a lens."""
+"""Standard deviation [pixels] above which a point spread is a wrong unit, not a lens."""
 FULL_TURN = 2.0 * np.pi
 DIAL = 96
 """Pixels along the side of the picture of a turntable."""
 SAME_ANGLE = 1e-9
-"""Angles [rad] this close are the same: files write decimals."""
+"""Angles [rad] closer than this count as equal, because files write decimals."""
 
 
 def counts(name: str, values: object, length: int) -> tuple[int, ...]:
@@ -44,7 +44,7 @@ def counts(name: str, values: object, length: int) -> tuple[int, ...]:
 
 
 def _told(values: object) -> str:
-    """Values as a user gave them: one number is no tuple."""
+    """Values as the user gave them; a single number is not a tuple."""
     return repr(values[0] if isinstance(values, tuple) and len(values) == 1 else values)
 
 
@@ -93,7 +93,7 @@ class Grid:
         """Voxel centers.
 
         Returns:
-            Places along x (nx,), y (ny,) and z (nz,) [mm].
+            Positions along x (nx,), y (ny,) and z (nz,) [mm].
         """
         nx, ny, nz = (centers(n, self.pitch) for n in self.shape)
         return nx, ny, nz
@@ -112,15 +112,15 @@ class Grid:
 class Beam:
     """A collimated beam of light pixels, centered on the axis of rotation.
 
-    A pixel lights a square box, blurred by a Gaussian point spread. Neither changes its power.
+    A pixel lights a square box, blurred by a Gaussian point spread; neither spread nor fill factor changes its power.
 
     Args:
-        pixels: Columns along r, rows along z. A single row stands for a print that is the same at every height: its
+        pixels: Columns along r, rows along z. A single row represents a print that is the same at every height: its
             light does not spread along z.
         pitch: Pixel edge [mm], measured in air.
         fill: Share of a pixel's area that is lit (the fill factor of the mirrors), above 0, at most 1.
         spread: Standard deviation of the point spread [mm], measured in air in place of the vial; refraction narrows
-            columns and their blur alike. A number, or a result of `vam calibrate mtf`, read by
+            columns and their blur equally. A number, or a result of `vam calibrate mtf`, read by
             `vamgpu.calibration.pointspread.PointSpread`. None is a projector in focus: half a pixel. 0 is a perfect
             lens.
 
@@ -161,7 +161,7 @@ class Beam:
 
     @property
     def flat(self) -> bool:
-        """Whether its single row stands for a print that is the same at every height."""
+        """Whether its single row represents a print that is the same at every height."""
         return self.pixels[1] == 1
 
     @property
@@ -186,13 +186,13 @@ class Turntable:
     are even over a full turn from 0, and lit equally long.
 
     The container turns steadily while a frame is lit, from half an arc before its angle to half an arc after it;
-    ``lit_share`` is the arc over the step to the next angle. It is 0 if the container stands still while a frame is
+    ``lit_share`` is the arc over the step to the next angle. It is 0 if the container does not turn while a frame is
     lit.
 
     Args:
         angles: Number of angles, or each angle θ [rad], in the order in which they are shown, within one turn.
         dwell: Time for which each angle is lit, relative to the mean; (angles,), above 0, scaled to a mean of 1. None:
-            equally long. Light remains an irradiance: operators weight each angle by its time.
+            equally long. Light is still an irradiance: operators weight each angle by its time.
         lit_share: Share of each step during which its frame is lit while the container turns, 0 to 1. None: 1 for even
             angles, and 0 for listed angles, which are positions and not steps.
 
@@ -237,7 +237,7 @@ class Turntable:
         dwell: Sequence[float] | np.ndarray | None = None,
         lit_share: float = 1.0,
     ) -> Turntable:
-        """Even angles over a part of a turn: θ = start + span·k / angles, so that a half turn has no direction twice.
+        """Even angles over a part of a turn: θ = start + span·k / angles; a half turn then has no direction twice.
 
         Args:
             angles: Number of angles.
@@ -259,7 +259,7 @@ class Turntable:
         return cls(start + part / FULL_TURN * _even(count), dwell, lit_share)
 
     def part(self, first: int, stop: int) -> Turntable:
-        """A part of the turn, each angle lit as long as in the whole turn.
+        """A part of the turn; each angle is lit as long as in the whole turn.
 
         Args:
             first: Number of its first angle.
@@ -277,7 +277,7 @@ class Turntable:
             numbers: Numbers of the angles, in the order in which they are shown.
 
         Returns:
-            The turntable at these angles.
+            The turntable with these angles.
         """
         some = list(numbers)
         piece = Turntable(self.poses[some], lit_share=self.lit_share)
@@ -305,7 +305,7 @@ class Turntable:
             return np.full(self.angles, FULL_TURN / self.angles)
         order = np.argsort(self.poses, kind="stable")
         gaps = np.diff(self.poses[order])
-        around = FULL_TURN - gaps.sum()  # from the last angle on to the first
+        around = FULL_TURN - gaps.sum()  # from the last angle to the first
         whole = around <= 1.5 * gaps.max()
         before = np.concatenate([[around if whole else gaps[0]], gaps])
         after = np.concatenate([gaps, [around if whole else gaps[-1]]])
@@ -320,7 +320,7 @@ class Turntable:
 
     @property
     def stepped(self) -> Turntable:
-        """The same with a container that stands still while a frame is lit."""
+        """The same turntable at rest while a frame is lit."""
         rest = copy(self)
         object.__setattr__(rest, "lit_share", 0.0)
         object.__setattr__(rest, "_arcs", None)
@@ -328,17 +328,17 @@ class Turntable:
 
     @property
     def poses(self) -> np.ndarray:
-        """Pose angles θ [rad]; shape (angles,)."""
+        """Angles θ [rad]; shape (angles,)."""
         return _even(self.angles) if self.theta is None else np.array(self.theta)
 
     @property
     def times(self) -> np.ndarray:
-        """Time of each pose over the mean of a turn; shape (angles,)."""
+        """Ratio of the time of each angle to the mean of a turn; shape (angles,)."""
         return np.ones(self.angles) if self.dwell is None else np.array(self.dwell)
 
     @property
     def is_even(self) -> bool:
-        """Whether poses are even over a full turn from θ = 0, each lit as long."""
+        """Whether the angles are even over a full turn from θ = 0, each lit equally long."""
         return self.theta is None and self.dwell is None
 
     def __repr__(self) -> str:
@@ -369,7 +369,7 @@ class Turntable:
 
 
 def _even(count: int) -> np.ndarray:
-    """Angles [rad] of ``count`` even poses over a full turn."""
+    """Angles [rad] of ``count`` even steps over a full turn."""
     return FULL_TURN * np.arange(count) / count
 
 
@@ -396,29 +396,29 @@ def _finite(name: str, values: Any) -> np.ndarray:
 
 
 def _relative(dwell: Any, count: int) -> tuple[float, ...] | None:
-    """Times over their mean; None if all are the same."""
+    """Ratios of times to their mean; None if all are equal."""
     times = _finite("Turntable dwell", dwell)
     if times.size != count or times.min() <= 0.0:
         raise BadInput(f"Turntable dwell has {times.size} times, the least {times.min():g}; expected {count}, "
                        "one above 0 for each angle: leave out angles that are never lit")  # fmt: skip
     mean = times.mean()
-    times = times if abs(mean - 1.0) < 1e-12 else times / mean  # what a file keeps comes back to the last bit
+    times = times if abs(mean - 1.0) < 1e-12 else times / mean  # a value read from a file is the same to the last bit
     return None if np.allclose(times, 1.0, rtol=0.0, atol=1e-12) else tuple(times.tolist())
 
 
 def _shortened(values: tuple[float, ...]) -> str:
-    """A list as messages show it."""
+    """A list in the form for messages."""
     shown = [f"{value:.4g}" for value in values]
     return f"[{', '.join(shown if len(shown) <= 6 else [*shown[:3], '…', shown[-1]])}]"
 
 
 @dataclass(frozen=True)
 class Chords:
-    """The straight piece of every ray inside the resin, for light entering at offset u [mm] from the axis."""
+    """The straight segment of every ray inside the resin, for light entering at offset u [mm] from the axis."""
 
-    # Arrays in the shape of u. p: signed distance [mm] of the chord from the axis.  angle: its turn d [rad] against the
-    # light's direction.  spread: d′(u) [rad/mm].  transmittance: share of the power that reaches the resin, 0 for a ray
-    # that misses it.  length: path in the resin [mm].
+    # Arrays in the shape of u. p: signed distance [mm] of the chord from the axis. angle: its rotation d [rad] against
+    # the light's direction. spread: d′(u) [rad/mm]. transmittance: share of the power that reaches the resin, 0 for a
+    # ray that misses it. length: path in the resin [mm].
 
     p: np.ndarray
     angle: np.ndarray
@@ -431,7 +431,7 @@ class Chords:
 class Vessel(Protocol):
     """The container of the resin for a projector, at one angle.
 
-    Laboratory coordinates at pose θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
+    Fixed coordinates at the angle θ: ``X = y·cosθ − x·sinθ`` across the light and ``Y = −(x·cosθ + y·sinθ)`` along it.
     """
 
     @property
@@ -441,7 +441,7 @@ class Vessel(Protocol):
 
     @property
     def lit_radius(self) -> float:
-        """Radius [mm] about the axis inside which exactly one ray lights every point at every angle."""
+        """Radius [mm] about the axis within which exactly one ray lights every point at every angle."""
         ...
 
     def chords(self, u: np.ndarray) -> Chords:
@@ -462,8 +462,8 @@ class Vessel(Protocol):
         """The ray through each point.
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,), broadcast with ``across``.
 
         Returns:
             Offset u [mm] of the ray that lights each point, (...,), and its weight there, (...,): transmittance × ray
@@ -479,3 +479,12 @@ def columns_of(vessel: Vessel, across: np.ndarray, along: np.ndarray) -> np.ndar
     """Offset of the ray through each point, without its weight if the vessel has ``columns``."""
     columns: Any = getattr(vessel, "columns", lambda *at: vessel.illuminate(*at)[0])
     return columns(across, along)
+
+
+@dataclass(frozen=True)
+class PlaneTime:
+    """Time of a bit plane, in shares of the step from frame to frame; 0 is when the container is at its angle."""
+
+    bit: int  # of the levels, 0 the lowest
+    begin: float  # of its light
+    width: float  # how long it is lit

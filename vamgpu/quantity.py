@@ -31,9 +31,9 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "a wavelength": ("nm", "um", "µm"),
     "a share": ("%",),
 }
-"""Quantity → the units it may be written in, the most usual first; `spelled` says how else."""
+"""Quantity → the units in which it may be written, the most usual first; `spelled` accepts further spellings."""
 FOREIGN = {"in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4, "mil": 0.0254, "thou": 0.0254, "ft": 304.8}
-"""Lengths that files do not take, in mm: the complaint converts them."""
+"""Units of length that files do not accept, in mm: the error converts them."""
 EXAMPLES = {
     "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "65 mW/cm2", "a dose": "100 mJ/cm3",
     "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
@@ -45,12 +45,12 @@ EXAMPLES = {
 
 
 RAISED = str.maketrans("⁻¹²³μ", "-123µ", "^")
-"""Raised digits as plain ones, Greek mu as the micro sign, no caret."""
+"""Superscript digits as plain ones, Greek mu as the micro sign, no caret."""
 PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
 
 
 def spelled(unit: str) -> str:
-    """A unit as `SPELLINGS` has it: ``mJ/cm³``, ``mJ/cm^3``, ``mJ cm-3`` and ``mJ cm⁻³`` are all ``mJ/cm3``."""
+    """A unit as `SPELLINGS` writes it: ``mJ/cm³``, ``mJ/cm^3``, ``mJ cm-3``, ``mJ cm⁻³`` are ``mJ/cm3``."""
     plain = unit.translate(RAISED)
     per = PER.fullmatch(plain)
     return plain if per is None else f"{per[1]}/{per[2]}{per[3] if per[3] != '1' else ''}"
@@ -68,19 +68,21 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 
 
 def meant(value: float, least: float, most: float) -> str | None:
-    """The unit of length that a number in mm, out of these bounds, was likely meant in; None if none fits."""
+    """The unit of length that was likely meant for a number in mm outside these bounds; None if none fits."""
     return next((unit for unit in ("um", "nm", "m", "cm") if least <= value * NAMES[unit] <= most), None)
 
 
 def unit_of(kind: str) -> str:
-    """The unit of a kind that the library computes in, or else its most usual one."""
+    """The unit of a kind in which the library computes, or else its most usual one."""
     return next((unit for unit in SPELLINGS[kind] if NAMES[unit] == 1.0), SPELLINGS[kind][0])
 
 
 def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
-    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` saying what was expected."""
+    """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` with what it expects."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
+        if isinstance(text, int | float):
+            example = f'write it like "{text:g} {unit_of(kind)}"'
         raise ValueError(f"expected {kind} with its unit in quotes: {example}")
     match = QUANTITY.fullmatch(text)
     if match is None:
@@ -103,7 +105,7 @@ SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
 
 
 def bytes_of(text: str) -> int | None:
-    """Read a size of memory such as ``24 GB`` in bytes; None if the text is no size above zero."""
+    """Read a size of memory such as ``24 GB`` in bytes; None if the text is not a size above zero."""
     found = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]{1,15})?)\s*([A-Za-z]*)", text.strip())
     unit = SIZES.get(found[2].upper()) if found else None
     return int(float(found[1]) * unit) or None if found and unit else None

@@ -1,7 +1,7 @@
-"""Units as plain factors: the library computes in mm, s and mJ (so mW, mW/mm², mJ/mm³), numbers near one in float32.
+"""Units as plain factors: the library computes in mm, s and mJ (and mW, mW/mm², mJ/mm³), for numbers near one.
 
-``67 * um`` is a length in mm; ``x / um`` reads one back in micrometres. Irradiance and dose are written as
-laboratories do, ``65 * mW_cm2`` and ``100 * mJ_cm3``; 1 mW/mm² is 100 mW/cm² and 1 mJ/mm³ is 1000 mJ/cm³.
+``67 * um`` is a length in mm; ``x / um`` reads one back in micrometres. Irradiance and dose are written in the usual
+units, ``65 * mW_cm2`` and ``100 * mJ_cm3``; 1 mW/mm² is 100 mW/cm² and 1 mJ/mm³ is 1000 mJ/cm³.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The nouns of a web: a film that a roller carries past one pose of light, and that light in the film laid flat.
+"""The components of a web: a film that a roller carries past the light of one angle, and the light in the flat film.
 
-Axes are ``[l, rho, z]``: l along the web, rho from the roller's side (0) to the outer face, z across the web. At pose k
-the window of light begins ``k · step`` further along the web; everything else about a pose is the same.
+Axes are ``[l, rho, z]``: l along the web, rho from the roller's side (0) to the outer face, z across the web. At angle
+k the window of light begins ``k · step`` further along the web; everything else is the same at every angle.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class WebGrid:
         """Voxel centers: l from the web's beginning, rho from the roller, z about the middle of the web.
 
         Returns:
-            Places [mm] along l (nl,), rho (nrho,) and z (nz,).
+            Positions [mm] along l (nl,), rho (nrho,) and z (nz,).
         """
         (n_l, n_rho, n_z), (dl, drho, dz) = self.shape, self.edges
         return (np.arange(n_l) + 0.5) * dl, (np.arange(n_rho) + 0.5) * drho, centers(n_z, dz)
@@ -66,12 +66,12 @@ class WebGrid:
 
 @dataclass(frozen=True)
 class Propagation:
-    """Light of one pose in the flat film: the sparse P[r, rho, l] of columns over the window they reach."""
+    """Light of one angle in the flat film: the sparse P[r, rho, l] of columns over the window of light."""
 
-    # shape: (columns r, layers rho, window columns l).  r, rho, l: indices of the entries, int32, in lexical order,
-    # none twice.  weight: float64: length [mm] of the ray in the voxel × transmittance × absorbed fraction per mm.
-    # middle: window coordinate l [mm] of the point nearest the light.  way: columns that the film moves on by while the
-    # pose is lit, half of them before its place; entries are of a film at that.
+    # shape: (columns r, layers rho, window columns l). r, rho, l: indices of the entries, int32, in lexical order,
+    # without duplicates. weight: float64: length [mm] of the ray in the voxel × transmittance × absorbed fraction per
+    # mm. middle: window coordinate l [mm] of the point nearest the light. way: columns that the film moves while the
+    # angle is lit, half of them before its position; entries are of a film at rest there.
 
     shape: tuple[int, int, int]
     r: np.ndarray
@@ -95,7 +95,7 @@ class Propagation:
 
     @property
     def moving(self) -> Propagation:
-        """The mean over the film's way, linear between whole columns; what would leave the window stays at its end."""
+        """The mean over the film's motion, linear between whole columns; light at the window's edge stays there."""
         if self.way <= 0.0:
             return self
         way, shares = way_taps(self.way)
@@ -114,14 +114,14 @@ class Propagation:
 
 
 def way_taps(width: float, share: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Columns about a place and the share of each, while the film moves by a width [columns] about it."""
+    """Columns about a position and the share of each, while the film moves by a width [columns] about it."""
     reach = int(np.ceil(0.5 * width)) + 1
     columns = np.arange(-reach, reach + 2)
     if width <= 0.0:
         shares = np.maximum(1.0 - np.abs(columns - share), 0.0)
     else:
         ends = [np.clip(columns - share + side * width, -1.0, 1.0) for side in (0.5, -0.5)]
-        high, low = (0.5 + end - 0.5 * end * np.abs(end) for end in ends)  # integrals of the line between columns
+        high, low = (0.5 + end - 0.5 * end * np.abs(end) for end in ends)  # integrals between columns
         shares = (high - low) / width
     kept = shares > 0.0
     return columns[kept], shares[kept]
@@ -129,19 +129,19 @@ def way_taps(width: float, share: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 @runtime_checkable
 class Wrap(Protocol):
-    """The machine that carries the film, as a web projector sees it."""
+    """The machine that carries the film, with the attributes that a web projector uses."""
 
     @property
     def advance(self) -> float:
-        """Way [mm] of the film along its neutral line from one pose to the next."""
+        """Distance [mm] that the film moves along its neutral line from one angle to the next."""
         ...
 
     def propagation(self, grid: WebGrid, beam: Beam) -> Propagation:
-        """Light of one pose over a window of ``grid``'s voxels; only the grid's rho and z extents and pitches count."""
+        """Light of one angle over a window of ``grid``'s voxels; only its rho and z extents and pitches count."""
         ...
 
 
 def light_of_pose(wrap: Wrap, grid: WebGrid, beam: Beam, device: object) -> Propagation:
-    """The sparse light P[r, rho, l] of one pose, computed on a device where the machine says so."""
+    """The sparse light P[r, rho, l] of one angle, computed on a device if the machine supports it."""
     where = {"device": device} if getattr(wrap, "marched", False) else {}
     return wrap.propagation(grid, beam, **where)

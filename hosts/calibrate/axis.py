@@ -1,4 +1,4 @@
-"""Position of the roller's axis: columns of mirrors are lit one after another, and a photodiode sees the shadow."""
+"""Position of the roller's axis: columns of mirrors are lit one after another, and a photodiode detects the shadow."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def axis(
     last = screen.shape[1] if stop is None else stop
     if every < 1 or repeats < 1 or not 0 <= first < last <= screen.shape[1]:
         raise BadInput(
-            f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; expected columns within "
-            f"0 to {screen.shape[1]}, and at least 1 for the other two"
+            f"a scan of columns {first} to {last}, every {every}, {repeats} readings each; expected columns within 0 "
+            f"to {screen.shape[1]}, and at least 1 for the other two"
         )
     columns = np.arange(first, last, every)
     lit = (patterns.line(screen.shape, int(column)) for column in columns)

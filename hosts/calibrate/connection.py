@@ -50,7 +50,7 @@ def opened(config: RigConfig, tables: Collection[str]) -> CalibrationMachines:
 def rehearsal(
     config: RigConfig, tables: Collection[str], truth: Any = None, *, kind: str = "axis"
 ) -> tuple[CalibrationMachines, Any]:
-    """Emulate a rig's machines and their optics, which are the usual ones of a kind unless a truth is given."""
+    """Emulate a rig's machines and their optics, which are the usual ones for a kind unless a truth is given."""
     rig = config.setup
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}), **_view(rig))

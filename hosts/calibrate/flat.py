@@ -20,7 +20,7 @@ def flat(
     machines: CalibrationMachines, blocks: tuple[int, int] = BLOCKS, *, repeats: int = 4,
     progress: Progress = silent,
 ) -> CalibrationResult:  # fmt: skip
-    """Measure each projector's flat field with a photodiode that collects all of its light, without a roller."""
+    """Measure each projector's flat field with a photodiode that collects all of its light, with no roller in place."""
     if repeats < 2:
         raise BadInput(f"{repeats} readings of each block; expected 2 or more, to estimate their error")
     found: list[FlatReading] = []

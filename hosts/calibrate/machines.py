@@ -26,7 +26,7 @@ SATURATED = 1e-3  # share of saturated pixels above which an image is overexpose
 SETTLINGS = 4.0  # settling times that a calibration waits for the lens
 POLL = 5_000_000  # time between two queries to the turntable [ns]
 PATIENCE = 30.0  # time for it to change its speed [s]
-STEPS = 8  # signs of work per lease
+STEPS = 8  # signs of life per lease
 ARRIVED = 0.005  # allowed position error of the camera's stage [mm]
 
 
@@ -39,7 +39,7 @@ class Turning(Protocol):
 
 
 class SteppedTurntable:
-    """The turntable that the controller steps. Its ramp takes it a little past each angle."""
+    """The turntable that the controller steps. Its ramp takes it slightly past each angle."""
 
     def __init__(self, controller: Controller, clock: Clock) -> None:
         self._controller, self._clock = controller, clock
@@ -165,7 +165,7 @@ def need(part: T | None, table: str) -> T:
 
 
 class CalibrationLight:
-    """The light of one projector, off while a stage moves; a wait renews its lease."""
+    """The light of one projector, off while a stage moves; waiting renews its lease."""
 
     clock: Clock
     controller: Controller
@@ -211,7 +211,7 @@ class CalibrationLight:
             self.alive()
 
     def alive(self) -> None:
-        """Give a sign of work. Raises `InterlockOpen` if the controller has closed the light."""
+        """Renew the lease. Raises `InterlockOpen` if the controller has closed the light."""
         if self.guard.lit:
             status = self.controller.status()
             if status.state == "fault":

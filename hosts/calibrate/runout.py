@@ -54,7 +54,7 @@ def runout(
 
 
 def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int) -> CameraMap:
-    """Positions of mirrors in the camera's images; lines that the pin hides are left out."""
+    """Positions of mirrors in the camera's images, without the lines that the pin hides."""
     return CameraMap.of(*single_lines(machines, light, projector))
 
 

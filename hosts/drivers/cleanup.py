@@ -10,7 +10,7 @@ from typing import Protocol, Self
 from vamgpu.errors import DeviceNotFound
 
 log: logging.Logger = logging.getLogger(__name__)
-TRIES = 3  # how often an interrupted act is started again; the next Ctrl-C ends it
+TRIES = 3  # how often an interrupted action is repeated; the next Ctrl-C ends it
 
 
 def run_all(*acts: Callable[[], object]) -> list[BaseException]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Set
 from typing import Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
@@ -11,14 +12,18 @@ from vamgpu.hosts.drivers.cleanup import Closing, closed_on_error
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 log: logging.Logger = logging.getLogger(__name__)
+WINDOW = (20.0, 45.0)  # temperatures [degC] in which the lens keeps its focal power
 
 
 class LensDriver(Closing):
-    """A lens driver: one handshake, then settings without answers, so that no schedule waits."""
+    """A lens driver: one handshake, then settings without answers; no schedule waits for it."""
 
     def __init__(self, wire: Wire, firmware: str | None = None) -> None:
         self._wire = wire
         self._power_mode = False
+        self._window = WINDOW
+        self._set: float | None = None
+        self._expected = firmware
         self.firmware: str = ""
         self.version: str = ""
         self.full_current_ma: float = 0.0
@@ -66,8 +71,9 @@ class LensDriver(Closing):
                 self._wire.drain()
                 raise ProtocolError(f"{self._wire.name}: {error}") from error
 
-    def focal_power_mode(self, low_celsius: float = 20.0, high_celsius: float = 45.0) -> ld4.PowerRange:
+    def focal_power_mode(self, low_celsius: float = WINDOW[0], high_celsius: float = WINDOW[1]) -> ld4.PowerRange:
         """Set the temperature window, then the focal power mode; returns the guaranteed range [1/m]."""
+        self._window = low_celsius, high_celsius
         self._power_range(ld4.set_window(low_celsius, high_celsius))
         found = self._power_range(ld4.FOCAL_POWER_MODE)
         self._power_mode = True
@@ -87,6 +93,7 @@ class LensDriver(Closing):
         if not self._power_mode:
             raise DeviceError("the lens driver accepts focal powers only in focal power mode; call focal_power_mode()")
         self._wire.send(ld4.set_power(diopters, self.firmware).frame)
+        self._set = diopters
 
     def code(self, diopters: float) -> int:
         """The code of a focal power [1/m], for a controller that sends it."""
@@ -108,6 +115,26 @@ class LensDriver(Closing):
         answer = self.ask(ld4.GET_STATUS)
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
+
+    def inspect(self, powers: Set[float]) -> None:
+        """Raise `DeviceError` for a fault, or for a power [1/m] that is none of those expected (empty: any)."""
+        if said := self.status():
+            raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
+        power = self.power() if powers else 0.0
+        if powers and min(abs(each - power) for each in powers) > ld4.STEP_DIOPTERS:
+            told = ", ".join(f"{each:.3f}" for each in sorted(powers))
+            raise DeviceError(f"the lens is at {power:.3f} dpt; expected {told}: check the line that sets it")
+
+    def revive(self) -> None:
+        """Start the driver again if it does not answer well, as after it lost its power, with its mode and power."""
+        try:
+            return self.inspect(set())
+        except DeviceError:
+            self._start(self._expected)
+        if self._power_mode:
+            self.focal_power_mode(*self._window)
+        if self._set is not None:
+            self.set_power(self._set)
 
     def close(self) -> None:
         """Release the port; the lens keeps its last setting."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Self
 
-from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
+from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, close_all, closed_on_error, extra
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
@@ -22,7 +23,7 @@ class LightCrafter(ClosedOnce):
         self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 5.0
     ) -> None:
         self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
-        self._number, self._lit = 0, False
+        self._number, self._lit, self._lock = 0, False, threading.RLock()
         with closed_on_error(device):
             self.off()
 
@@ -42,6 +43,10 @@ class LightCrafter(ClosedOnce):
         return cls(device, timeout_s)
 
     def _ask(self, command: int, data: bytes, what: str, read: bool = False) -> bytes:
+        with self._lock:  # a stop comes from any thread
+            return self._answered(command, data, what, read)
+
+    def _answered(self, command: int, data: bytes, what: str, read: bool) -> bytes:
         self._number = (self._number + 1) % 256
         raw = dlpc350.frame(command, data, self._number, read)
         try:
@@ -110,6 +115,15 @@ class LightCrafter(ClosedOnce):
         """Turn the light off: no LED is enabled; may be called again."""
         self._ask(dlpc350.LED_ENABLE, b"\0", "light off")
         self._lit = False
+
+    def inspect(self) -> None:
+        """Raise `DeviceError` if the patterns have stopped, or if the LEDs are off that should be on."""
+        state = self._ask(dlpc350.MAIN_STATUS, b"", "its state", read=True)
+        if not state or state[0] & dlpc350.PARKED or not state[0] & dlpc350.RUNNING:
+            raise DeviceError(f"the projector's patterns do not run (state {state.hex()}); check its video cable")
+        leds = self._ask(dlpc350.LED_ENABLE, b"", "its LEDs", read=True)
+        if self._lit and not any(leds):
+            raise DeviceError("the projector's LEDs are off, and should be on; check its temperature and its power")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
         """Turn the light off, stop, and release."""

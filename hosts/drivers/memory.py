@@ -1,4 +1,4 @@
-"""The mirrors' memory: sequences by turns, filled by one thread and read by another, so that frames never run out."""
+"""The mirrors' memory: sequences in rotation, which one thread fills and another reads without waiting."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PIECE = 2**21  # bytes per upload call: some milliseconds on the wire
 
 
 class FairLock:
-    """A fair lock, granted in the order of requests: a thread that takes it repeatedly does not block others."""
+    """A fair lock, granted in the order of requests; a thread that takes it repeatedly does not block others."""
 
     def __init__(self) -> None:
         self._lock, self._held = threading.Lock(), False
@@ -67,10 +67,10 @@ class _Stored:
 
 
 class MirrorMemory:
-    """Sequences by turns, one shown while others are filled; spares hold one frame each."""
+    """Sequences in rotation, one shown while others are filled; spares hold one frame each."""
 
     # One thread may put while another reads: uploads go in pieces of `PIECE` bytes. `shown` follows the device's own
-    # progress; the device decides whether it counts a frame at its begin or end: compare with triggers in the dark.
+    # progress; the device counts a frame at its beginning or at its end: compare with triggers in the dark.
 
     dmd: Dmd
     length: int
@@ -168,7 +168,7 @@ class MirrorMemory:
         return self.queued - waiting - (0 if idle else progress.frames_left)
 
     def cancel(self) -> None:
-        """Upload no further piece, so that the uploading thread ends soon; does not wait."""
+        """Upload no further piece, which ends the uploading thread soon; does not wait."""
         self._cancelled = True
 
     def close(self, hung: bool = False) -> None:

@@ -1,7 +1,7 @@
 """Optotune lens drivers LD4 and 4i: requests as bytes, replies by their length, as these may hold CR and LF.
 
 A command is payload and CRC-16/ARC, low byte first; a reply ends in CR LF. Valid settings are not answered. Commands
-that wear out the driver's memory, or reset it for new firmware, are left out on purpose.
+that wear out the driver's memory, or reset it for new firmware, are omitted on purpose.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STATUS = (
 
 
 def crc16_arc(data: bytes) -> int:
-    """CRC-16/ARC: polynomial 0x8005 reflected, start 0; 0xBB3D for ``123456789``. A frame with its own is 0."""
+    """CRC-16/ARC: polynomial 0x8005 reflected, start 0; 0xBB3D for ``123456789``, 0 for a frame with its check sum."""
     value = 0
     for byte in data:
         value ^= byte

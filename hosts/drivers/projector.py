@@ -148,7 +148,7 @@ class HdmiProjector(Closing):
         return (refresh + self.latency) * self.layout.slots
 
     def black(self) -> None:
-        """Show black; light ends some refreshes later, so switch the lamp off if that is too late."""
+        """Show black. The light ends some refreshes later; if that is too late, switch the lamp off."""
         self._send(np.zeros((*self.size, 3), np.uint8))
 
     def _send(self, video_frame: np.ndarray) -> int:

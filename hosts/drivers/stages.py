@@ -10,7 +10,16 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, Self, runtime_checkable
 
-from vamgpu.errors import BadInput, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, ProtocolError, WrongDevice
+from vamgpu.errors import (
+    BadInput,
+    DeviceBusy,
+    DeviceError,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceRefused,
+    ProtocolError,
+    WrongDevice,
+)  # fmt: skip
 from vamgpu.hosts.drivers import zaber_protocol as zaber
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
@@ -31,6 +40,7 @@ class Stage(Protocol):
 
 
 log: logging.Logger = logging.getLogger(__name__)
+SAME = 1e-6  # relative tolerance of a file's microsteps against those of the device
 POLL = 0.02  # time between two queries whether an axis moves [s]
 
 
@@ -161,7 +171,7 @@ class ZaberStage(PolledStage):
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
-        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep,
+        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, encoder: bool = False,
     ) -> None:  # fmt: skip
         if not microsteps > 0 or unit not in ("mm", "deg"):
             link.close()
@@ -170,20 +180,46 @@ class ZaberStage(PolledStage):
         self.microsteps, self._device, self._axis = microsteps, device, axis
         with closed_on_error(link):
             self._link = ZaberLines(link) if isinstance(link, Wire) else link
+            self._place = "get encoder.pos" if encoder else "get pos"
             self.kind: int = self._start()
 
     @classmethod
     def open(
-        cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5
-    ) -> Self:
+        cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5,
+        encoder: bool = False,
+    ) -> Self:  # fmt: skip
         """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
-        return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis)
+        link = ZaberConnection(url, f"stage {device}", timeout_s)
+        return cls(link, microsteps, unit, device, axis, encoder=encoder)
 
     def _start(self) -> int:
+        """The kind of device, once its encoder and its microsteps per turn are those of the rig's file."""
         try:
-            return self._whole("get deviceid")
+            kind = self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
             raise WrongDevice(f"{self._link.name} does not answer as a Zaber device: {error}") from error
+        try:
+            self.position()
+        except DeviceRefused as error:
+            raise WrongDevice(f"{self._link.name} has no encoder ({error}); set encoder = false in [motion]") from error
+        if (turn := self.turn()) and self.unit == "deg" and abs(turn / 360 / self.microsteps - 1) > SAME:
+            raise WrongDevice(
+                f"{self._link.name} has {turn} microsteps per turn, {turn / 360:.8g} per degree; expected "
+                f"{self.microsteps:.8g}, the file's: every angle would be wrong; set microsteps = {turn / 360!r}"
+            )
+        return kind
+
+    def turn(self) -> int:
+        """Microsteps per turn, from the device; 0 for a linear one."""
+        try:
+            return self._whole("get limit.cycle.dist")
+        except DeviceRefused:
+            return 0
+
+    def travel(self) -> tuple[float, float]:
+        """Least and greatest position, from the device."""
+        low, high = (self._whole(f"get limit.{end}") / self.microsteps for end in ("min", "max"))
+        return low, high
 
     def ask(self, text: str) -> str:
         """Send a command to the axis and return the data of its reply."""
@@ -204,7 +240,7 @@ class ZaberStage(PolledStage):
 
     def position(self) -> float:
         """Reported position of the axis."""
-        return self._whole("get pos") / self.microsteps
+        return self._whole(self._place) / self.microsteps
 
     def move(self, position: float, speed: float) -> None:
         """Start moving to a position, at most at a speed."""

@@ -1,6 +1,6 @@
 """A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
 
-``EmulatedAlp.library`` has real C functions, so wrong integer widths or bad pointers fail as on the device.
+``EmulatedAlp.library`` has real C functions; wrong integer widths or bad pointers therefore fail as on the device.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ENTRIES: dict[str, tuple[Any, ...]] = {
 
 
 class EmulatedAlp(EmulatedArray):
-    """The device; a driver is given its ``library``. ``removed`` is a pulled plug, ``crash`` an error in a call."""
+    """The emulated device; a driver gets its ``library``. ``removed``: a pulled plug; ``crash``: an error in a call."""
 
     def __init__(self, clock: VirtualClock, model: ArrayModel = ArrayModel()) -> None:
         super().__init__(clock, model)
@@ -159,7 +159,7 @@ class EmulatedAlp(EmulatedArray):
     # the device
 
     def disconnect(self) -> None:
-        """The process that held it has ended, and the system released it: dark, without frames."""
+        """The process that used it has ended, and the system released it: dark, without frames."""
         with self.clock.lock:
             self.advance(self.clock.now())
             self._queue.clear()

@@ -78,7 +78,7 @@ class EmulatedMeter(LineDevice):
 
 MICRO = 1000
 FAINT = 1e-15
-PARTS = 4  # parts of a column that a pin shades, each uniform
+PARTS = 4  # number of parts of a column that a pin shades, each uniformly
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ class Optics:
     turn: float = 4.0  # dark time at the start of each plane [us]
     full: float = 20.0  # light of all mirrors on the photodiode [mW]
     pin: float = 0.0  # half the width of a pin on the turntable [columns]; 0 for none
-    across: tuple[float, float] = (2.4, -1.3)  # pin from the axis, times (cos, sin) of its angle [columns]
+    across: tuple[float, float] = (2.4, -1.3)  # the pin from the axis, times (cos, sin) of its angle [columns]
     lean: float = 0.006  # slope of the pin [columns per row]
     wobble: tuple[float, float] = (0.010, 0.014)  # added to it, times (cos, sin)
-    tilt: float = 0.0  # by how much mirrors at the right edge are dimmer
-    falloff: float = 0.0  # by how much those in the corners are dimmer
+    tilt: float = 0.0  # relative dimming of mirrors at the right edge
+    falloff: float = 0.0  # relative dimming of mirrors in the corners
     ambient: float = 0.02  # [mW]
     noise: float = 0.001  # of the photodiode [mW]
     seed: int = 0
@@ -294,7 +294,7 @@ class EmulatedCalibrationRig:
     """All machines, and the optics between them; each method opens a driver."""
 
     optics: Optics
-    rig: Any  # what its file says
+    rig: Any  # contents of its file
     clock: VirtualClock
 
     def __init__(self, optics: Optics, rig: Any, numbers: tuple[int, ...] = (0,)) -> None:
@@ -349,7 +349,7 @@ class EmulatedCalibrationRig:
         return ZaberStage(wire, self._microsteps(), "mm", pause=lambda seconds: self.clock.sleep(round(seconds * 1e9)))
 
     def camera(self) -> RigCamera:
-        """The camera; without a size of its pixels that is the optics' mirrors' half."""
+        """The camera; by default its pixels see half a mirror of the optics."""
         section = self.rig.camera
         bits, pixel = (8, None) if section is None else (section.bits, section.pixel)
         camera = RigCamera(self, Sensor(bits=bits), pixel or 0.5 * self.optics.pitch)

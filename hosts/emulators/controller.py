@@ -1,6 +1,6 @@
 """The emulated controller of web, trigger, lens and light: its line, and the timing of its rows.
 
-It has separate limits, so that a wrong limit in the driver's protocol is rejected here.
+Its limits are defined separately; a wrong limit in the driver's protocol is therefore rejected here.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class RowPlayer:
                 self._act_row(at)
 
     def _sense_at(self, at: int) -> bool:
-        """Compare encoder and mark; whether that closed the light, or was the only thing due."""
+        """Compare encoder and mark; whether that closed the light, or was the only event due."""
         only = at not in (self._judge_at, self._pulse_end, self.lease_end, self._row_due())
         only = only and (self._pulse is None or at < self._pulse[0])
         reason, homed = self.senses.compare(self.web, at, self.microsteps(at))

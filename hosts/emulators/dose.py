@@ -14,15 +14,15 @@ from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 
-MARGIN = 0.005  # share of a pose by which light may be early, from the position of the first light
+MARGIN = 0.005  # share of a pose by which light may be early, relative to the position of the first light
 NEAR = 0.02  # largest difference from a plane's power [1/m] at which the lens is on it
 
 
 class DoseRecorder:
-    """Light in the resin, by engine, plane and pose: seconds of full drive on each mirror."""
+    """Light in the resin, by engine, plane and angle: seconds of full drive on each mirror."""
 
-    # position: of the motion [poses] at a time [ns]; power: of the lens [1/m]; first: begin of pose 0, None for the
-    # place of the first light; drive: share of full of an engine's lamp; turn: number of poses per turn.
+    # position: of the motion [angles] at a time [ns]; power: of the lens [1/m]; first: beginning of angle 0, None for
+    # the place of the first light; drive: share of full of an engine's lamp; turn: number of angles per turn.
 
     mirrors: tuple[int, int]
     engines: int
@@ -44,7 +44,7 @@ class DoseRecorder:
         self._times, self._channels, self._drives = [0], [0], [(1.0,) * engines]
 
     def scan(self, schedule: Schedule) -> None:
-        """Set the poses of a vial, which repeat. Each reaches to the next, also at measured angles."""
+        """Set the angles of a vial, which repeat. Each angle extends to the next, also for measured angles."""
         self.turn, turn = schedule.frames, schedule.position[: schedule.frames]
         if schedule.advance * schedule.frames != 360:
             self._begins = np.append(turn - turn[0], 360.0) / float(schedule.advance)
@@ -65,7 +65,7 @@ class DoseRecorder:
             self.lit(engine, shown.mirrors(plane, self.mirrors[1]), start, end)
 
     def lit(self, engine: int, mirrors: np.ndarray, start: int, end: int) -> None:
-        """Mirrors [row, column] were on, or on for a share of the time, from one time to another [ns]."""
+        """Record that mirrors [row, column] were on, or on for a share of the time, between two times [ns]."""
         for begin, stop, drive in self._lit(engine, start, end):
             light = mirrors if drive == 1.0 else drive * mirrors
             self._add(engine, light, begin, stop)
@@ -85,7 +85,7 @@ class DoseRecorder:
         return found
 
     def pose(self, now: int) -> float:
-        """The pose that light reaches at a time [ns], counted on over turns."""
+        """The angle that light reaches at a time [ns], counted on over turns."""
         pose = self._position(now) - (self.first or 0.0) + MARGIN
         if self._begins is None:
             return pose
@@ -126,7 +126,7 @@ class DoseRecorder:
         return plane if abs(float(self._planes[plane]) - power) <= NEAR else None
 
     def seconds(self, engine: int, poses: int, turn: int | None = None) -> np.ndarray:
-        """Seconds of light [plane, pose, row, column]; with ``turn`` poses are counted modulo a turn."""
+        """Seconds of light [plane, angle, row, column]; with ``turn``, angles are counted modulo a turn."""
         total = np.zeros((len(self._planes), poses, *self.mirrors))
         for (which, plane, pose), light in self.light.items():
             place = pose if turn is None else pose % turn
@@ -140,7 +140,7 @@ def full_light(schedule: Schedule, engine: int) -> float:
     return int(schedule.on[0]) // 1000 * 1e-6 * float(schedule.power[0, engine])
 
 
-BEHIND = 2  # poses after which no more light reaches one
+BEHIND = 2  # number of angles after which a frame gets no more light
 FULL = 255
 
 
@@ -152,7 +152,7 @@ class Leveled(Protocol):
 
 @dataclass(frozen=True)
 class DoseComparison:
-    """Dose in the resin against that of the frames."""
+    """Dose in the resin compared with that of the frames."""
 
     greatest: float  # greatest difference of a pixel, relative to full on
     frames: int  # number of compared frames
@@ -185,7 +185,7 @@ class DoseMonitor:
         return None if self._turn else self._at
 
     def advance(self, now: int) -> None:
-        """Compare finished poses, and drop them."""
+        """Compare finished angles, and drop them."""
         self._at = now + SECOND
         if self._light:
             newest = max(pose for _, _, pose in self._light)

@@ -1,6 +1,6 @@
 """An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
 
-It has separate lengths and check sums, so that a mistake in the driver's coding cannot hide in both.
+Its lengths and check sums are defined separately; a mistake in the driver's coding therefore cannot be in both.
 """
 
 from __future__ import annotations
@@ -248,3 +248,22 @@ class EmulatedLens(LineDevice):
     def power(self, now: int) -> float:
         """The focal power [1/m] at a time [ns], also in the past or while it settles."""
         return self._glass.state(now)[0]
+
+
+class LensInput(LineDevice):
+    """The lens driver's other input, with bytes of its own, at which a controller sets powers."""
+
+    def __init__(self, lens: EmulatedLens) -> None:
+        super().__init__(0.0)
+        self._lens, self._heard = lens, 0
+
+    def _swap(self) -> None:
+        lens = self._lens
+        lens._buffer, self._buffer = self._buffer, lens._buffer
+        lens._heard, self._heard = self._heard, lens._heard
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Receive bytes."""
+        self._swap()
+        self._lens.receive(data, now)
+        self._swap()

@@ -43,11 +43,11 @@ class LineDevice:
         return self._out.ready()
 
     def due(self) -> int | None:
-        """Never: it has no events."""
+        """None: it has no events."""
         return None
 
     def advance(self, now: int) -> None:
-        """Nothing changes with time."""
+        """Do nothing, because nothing changes with time."""
 
 
 class Outbox:
@@ -58,7 +58,7 @@ class Outbox:
 
     def __init__(self, byte_ns: int = 0, latency_ns: int = 0) -> None:
         self.byte_ns, self.latency_ns = byte_ns, latency_ns
-        self._pieces: deque[tuple[int, bytes]] = deque()  # start time of a piece's first byte
+        self._pieces: deque[tuple[int, bytes]] = deque()  # start time of the first byte of a piece
         self._last = 0
 
     def put(self, data: bytes, now: int) -> None:
@@ -96,11 +96,11 @@ class Faults:
     _count: dict[str, int] = field(default_factory=lambda: {"in": 0, "out": 0})
 
     def to_machine(self, data: bytes) -> bytes:
-        """The bytes of the host that arrive."""
+        """The bytes of the host that arrive despite the faults."""
         return self._spoil(data, "in", self.drop_in, self.flip_in)
 
     def to_host(self, data: bytes) -> bytes:
-        """The bytes of the machine that arrive."""
+        """The bytes of the machine that arrive despite the faults."""
         return self._spoil(data, "out", self.drop_out, self.flip_out)
 
     def _spoil(self, data: bytes, way: str, drop: frozenset[int], flip: frozenset[int]) -> bytes:

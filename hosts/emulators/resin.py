@@ -54,7 +54,7 @@ def printer_of(setup: LiveSetup, resin: Mapping[str, Any], sharp: bool) -> Virtu
 
 
 class CuringCamera:
-    """Images through a vial of curing resin; the light of each turn acts at its end.
+    """Images through a vial of curing resin; the light of each turn takes effect at its end.
 
     emulated: the rig; None without one.  part: fractions [x, y, z].  seen: light of the frames so far, and ``light``
     that of the beam.  sensor: None if the camera's pixels are those of the beam.
@@ -73,7 +73,7 @@ class CuringCamera:
         self._random = np.random.default_rng(printer.seed)
 
     def expose(self, exposure_us: float) -> None:
-        """The camera's images have the same brightness at any exposure."""
+        """The camera's images have the same brightness for every exposure."""
 
     def grab(self) -> np.ndarray:
         """The image at the vial's present angle, [row, column]."""
@@ -89,7 +89,7 @@ class CuringCamera:
         return self.printer.camera.noise.expose(image, int(self._random.integers(2**31)))
 
     def cure(self) -> None:
-        """Let the light since the last turn act."""
+        """Let the light since the last turn take effect."""
         assert self._seen is not None
         seen = self._seen()
         self.printer.turn(self.printer.dose(self._light(seen - self._before)))

@@ -18,7 +18,7 @@ from vamgpu.hosts.emulators.array import ArrayModel
 from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.dose import DoseRecorder
-from vamgpu.hosts.emulators.lens import EmulatedLens
+from vamgpu.hosts.emulators.lens import EmulatedLens, LensInput
 from vamgpu.hosts.emulators.line import Cable, Faults, VirtualPort, plug
 from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage, EmulatedStepper
@@ -95,7 +95,7 @@ class EmulatedMirrorRig(_TriggeredRig):
         self.controller.on_trigger = self._trigger
         self.controller.on_light = self.recorder.lamp
         if self.lens is not None:
-            cable = Cable(self.lens, LENS_BAUD)
+            cable = Cable(LensInput(self.lens), LENS_BAUD)
             self.clock.attach(cable)
             self.controller.on_lens = cable.send
 
@@ -141,7 +141,7 @@ class EmulatedStageRig(_TriggeredRig):
         self.recorder.lamp((1 << len(self.alps)) - 1 if high else 0, self.clock.now())
 
     def turn(self, speed: float) -> None:
-        """Something other than the host drives the stage [poses/s]."""
+        """Something other than the host drives the stage [angles/s]."""
         self.stage.track.run(self.clock.now(), speed * self.microsteps)
 
     def machines(self, microsteps_per_unit: float) -> StageMachines:

@@ -50,7 +50,7 @@ class WebLatePolicy:
     @property
     def stopped(self) -> str:
         """Why `drop` returned stop."""
-        return f"more than {self.allowed} of {self.window} poses were lost"
+        return f"more than {self.allowed} of {self.window} angles were lost"
 
     def pending_repeats(self) -> Counter[int]:
         """Nothing: a web has no further turn."""

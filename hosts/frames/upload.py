@@ -22,7 +22,7 @@ from vamgpu.hosts.schedules.schedule import NONE
 
 log: logging.Logger = logging.getLogger(__name__)
 NAP = 2_000_000  # sleep of a thread when mirrors have no room [ns]
-BUFFERS = 2  # buffers of prepared frames, each as long as a sequence of the mirrors
+BUFFERS = 2  # number of buffers of prepared frames, each as long as a sequence of the mirrors
 GUARD = 0.06  # time ahead of the counter at which a missing frame is given up [s]: three polls of the print
 HELD = 2**28  # most bytes of a sequence, for rates at which a second of frames is too much for a host
 
@@ -130,7 +130,7 @@ class UploadQueue:
         finally:
             self._sending.release()
 
-    # ---- one step of each side -----------------------------------------------------------------------------
+    # ---- one step of each thread ---------------------------------------------------------------------------
     def make(self, timeout: float = 0.0) -> bool:
         """Pack the next frames if a buffer is free within ``timeout`` seconds."""
         if self.made >= self._limit or (buffer := self.ring.claim(timeout)) is None:
@@ -230,13 +230,13 @@ class UploadQueue:
         self.uploaded += len(planes)
 
     def pump(self) -> int:
-        """Pack and upload until neither can go on; returns how many frames went to the mirrors."""
+        """Pack and upload until neither thread can continue; returns how many frames went to the mirrors."""
         before = self.uploaded
         while self.upload() or self.make():
             pass
         return self.uploaded - before
 
-    # ---- in a print ----------------------------------------------------------------------------------------
+    # ---- during a print ------------------------------------------------------------------------------------
     def prime(self) -> None:
         """Raise the error of a thread; without threads, pack and upload while there is room."""
         self.check()
@@ -258,7 +258,7 @@ class UploadQueue:
             if self._order[slot] == NONE:  # black was right
                 continue
             pose = int(self._poses[slot - self._preroll])
-            log.warning("pose %d is black: its frame is missing", pose)
+            log.warning("angle %d is black: its frame is missing", pose)
             if self._policy.drop(pose) is Action.STOP:
                 raise Underrun(
                     f"{self._policy.stopped}, the last at angle {pose}: the light is off; print slower, or make "

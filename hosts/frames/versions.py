@@ -286,7 +286,7 @@ class VersionedPacker(PlanePacker):
         made = None if packs is None else packs(self._batch)
         if made is None or made.shape != self.shape:
             raise BadInput(
-                f"the frames of version {number} are no frames of {self.shape} for the job's device: put them there"
+                f"the frames of version {number} are not of shape {self.shape} on the job's device: put them there"
             )
         self._made[number] = made
 

@@ -57,8 +57,9 @@ class Watched:
         for told in self.decisions:
             found = ", ".join(f"{name} {value:.3g} ± {error:.2g}" for name, (value, error) in
                               told["parameters"].items())  # fmt: skip
+            begins = "not shown" if told["effective"] is None else f"from turn {told['effective']} on"
             rows.append(
-                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {_begins(told['effective'])}, "
+                f"turn {told['turn']:2}  {told['action']:4}  light {told['version']}, {begins}, "
                 f"{told['turns']} to go, {told['seconds']:.2f} s  "
                 + (f"inhibitor {told['inhibitor']:.2f}, {found}" if found else told["reason"])
             )
@@ -161,7 +162,7 @@ def watched_plan(
 
 
 def _even_vial(planned: PrintPlan, path: Path) -> tuple[Frames, Any, float]:
-    """Frames, operator, and threshold of the method's dose, of a round vial in even light, or `BadInput`."""
+    """Frames, operator, and threshold of the method's dose, of a round vial with uniform light, or `BadInput`."""
     frames, proof = planned.jobs[0].frames, prove(path).proof
     A = proof.operator
     round_vial = isinstance(A, Projection) and isinstance(A.vessel, Vial)

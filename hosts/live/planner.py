@@ -143,6 +143,8 @@ class Following:
         self._state, decision = self._loop.decide(state, stack)
         self._lights[decision.version] = decision.light
         decided = time.perf_counter()
+        checks = [(name, turn, *pair) for name, pair in decision.checks.items()]
+        self._planner.checked(checks, "" if state.doubt else decision.doubt)
         self._told(decision)
         packed = time.perf_counter()
         decision = replace(decision, stages={"sense": sense} | decision.stages | {"pack": packed - decided})

@@ -86,6 +86,15 @@ class PlannerClient:
         told: dict[str, Any] = {"parameters": [list(each) for each in parameters]}
         self.tell(told if maps is None else told | {"maps": dict(maps)})
 
+    def checked(self, checks: Sequence[tuple[str, int, float, float]], doubt: str = "") -> None:
+        """Send checks of a turn's images for display.
+
+        Args:
+            checks: Name, turns shown so far, value and limit of each.
+            doubt: Why images no longer decide, for the record, once; empty if they do.
+        """
+        self.tell({"checks": [list(each) for each in checks], "doubt": doubt})
+
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message as it is."""
         send(self._line, message)

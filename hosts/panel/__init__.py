@@ -1,6 +1,5 @@
 """The live page of a print, and its interface for programs, with access control. Needs the extra ``panel``."""
 
-from vamgpu.hosts.panel.auth import loopback
 from vamgpu.hosts.panel.server import Panel
 
-__all__ = ["Panel", "loopback"]
+__all__ = ["Panel"]

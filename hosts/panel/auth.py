@@ -1,4 +1,4 @@
-"""Who may see the page and press its buttons."""
+"""Access control: who may see the page and press its buttons."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import socket
 import time
 from collections import deque
 from http.cookies import CookieError, SimpleCookie
+from math import inf
 from typing import Any
 from urllib.parse import parse_qs
 
-WRONG = 10  # wrong tokens of one address in `WINDOW` after which its tokens are ignored
+WRONG = 10  # wrong tokens of one address in `WINDOW` after which its tokens are ignored, if a person chose the token
 WINDOW = 60.0  # [s]
 REMEMBERED = 1000  # browsers, and addresses with wrong tokens
 HEADERS = {
@@ -24,26 +25,11 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""Headers of every answer that does not set its own. Nothing of the page is inline."""
-# After a link from another site, a redirect carries no strict cookie; a page that continues by itself does.
+"""Headers of every answer that does not set its own. The page has no inline scripts or styles."""
+# After a link from another site, a redirect does not carry strict cookies; a page that reloads itself does.
 ENTER = b'<!doctype html><meta http-equiv="refresh" content="0;url=/"><title>vamgpu</title><a href="/">The page</a>'
-REFUSED = "open this page with the address printed at its start, with the token"
+REFUSED = "open this page with the address printed at its start, which contains the token"
 LOCKED = "too many wrong tokens came from this address; wait a minute, then open the printed address"
-
-
-def loopback(host: str) -> bool:
-    """Whether only this machine can reach a server.
-
-    Args:
-        host: The name or address of the server.
-
-    Returns:
-        Whether it is a loopback address or localhost.
-    """
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _name(host: str) -> str:
@@ -53,7 +39,7 @@ def _name(host: str) -> str:
 
 
 def _number(name: str) -> bool:
-    """Whether a name is an address, so that no other site's name can point to it."""
+    """Whether a name is a numeric address, which no other site's name can point to."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -62,14 +48,15 @@ def _number(name: str) -> bool:
 
 
 class TokenAuth:
-    """Admits requests to this machine's own names with the token, or with a browser's cookie made for it."""
+    """Admits requests that use this machine's own names, with the token or with a browser's cookie made from it."""
 
     app: Any
-    token: str | None
+    token: str
     cookie: str
 
-    def __init__(self, app: Any, token: str | None, host: str = "localhost", port: int = 0) -> None:
+    def __init__(self, app: Any, token: str, host: str = "localhost", port: int = 0, chosen: bool = True) -> None:
         self.app, self.token, self.cookie = app, token, f"vam-{port}"
+        self._most = WRONG if chosen else inf  # nobody guesses a random one, and accounts share this machine's address
         own = socket.gethostname().lower()
         self._names = {host.lower(), "localhost", own, f"{own}.local", socket.getfqdn().lower()}
         self._browsers: deque[str] = deque(maxlen=REMEMBERED)
@@ -89,7 +76,7 @@ class TokenAuth:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         if not self._addressed(headers):
             return await _answer(send, 403, REFUSED.encode())
-        if self.token is None or self._known(headers):
+        if self._known(headers):
             return await self.app(scope, receive, send)
         entering = scope["method"] == "GET" and scope["path"] == "/"
         query = parse_qs(scope.get("query_string", b"").decode("latin-1")) if entering else {}
@@ -98,7 +85,7 @@ class TokenAuth:
         if not given:
             return await _answer(send, 403, REFUSED.encode())
         wrong = self._recent(scope)
-        if len(wrong) >= WRONG:
+        if len(wrong) >= self._most:
             return await _answer(send, 429, LOCKED.encode(), (b"retry-after", b"%d" % WINDOW))
         if not secrets.compare_digest(given.encode(), self.token.encode()):
             wrong.append(time.monotonic())
@@ -110,11 +97,10 @@ class TokenAuth:
         return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")
 
     def _addressed(self, headers: dict[bytes, str]) -> bool:
-        """Whether a request names this machine, and does not come from a page of another."""
+        """Whether a request names this machine, and does not come from a page of another site."""
         host, origin = headers.get(b"host", ""), headers.get(b"origin")
         name = _name(host)
-        meant = loopback(name) if self.token is None else name in self._names or _number(name)
-        return meant and (origin is None or origin.partition("//")[2] == host)
+        return (name in self._names or _number(name)) and (origin is None or origin.partition("//")[2] == host)
 
     def _known(self, headers: dict[bytes, str]) -> bool:
         try:
@@ -125,7 +111,7 @@ class TokenAuth:
         return any([secrets.compare_digest(given.encode(), each.encode()) for each in self._browsers])
 
     def _recent(self, scope: Any) -> deque[float]:
-        """When the client's address last gave wrong tokens."""
+        """The last time that the client's address gave wrong tokens."""
         address = (scope.get("client") or ("?", 0))[0]
         if address not in self._wrong and len(self._wrong) >= REMEMBERED:
             del self._wrong[next(iter(self._wrong))]

@@ -6,16 +6,18 @@ import re
 from pathlib import Path
 from typing import Any
 
+from vamgpu.hosts.process.messages import running
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.storage.reading import open_file, parse_json, read_text
 
 NEWEST = 50  # most prints listed
 LAST = 4096  # bytes at a file's end that are searched for its last line
-LARGEST = 1 << 20  # most bytes read of a file
+LARGEST = 1 << 20  # greatest number of bytes read of a file
 REPORT = re.compile(r"(live|report(-\d+)?)\.html")
 
 
-def past(place: Path) -> list[dict[str, Any]]:
-    """The prints in a folder, newest first, from their small files; unreadable ones are left out."""
+def past(place: Path, own: str | None = None) -> list[dict[str, Any]]:
+    """The prints in a folder, newest first, from their small files, without unreadable ones. own: is not asked."""
     found = []
     try:
         folders = [(each.stat().st_mtime, each.parent) for each in place.glob("*/state.json")]
@@ -23,14 +25,14 @@ def past(place: Path) -> list[dict[str, Any]]:
         return []
     for _, folder in sorted(folders, reverse=True)[:NEWEST]:
         try:
-            found.append(_told(folder))
+            found.append(_told(folder, own))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue
     return found
 
 
 def report(place: Path, run: str, name: str) -> Path | None:
-    """A report of a listed print; None if there is none, or for a path that leads elsewhere."""
+    """A report of a listed print; None if there is none, or if the path leads outside."""
     listed = next((each for each in place.glob("*/state.json") if each.parent.name == run), None)
     if listed is None or not REPORT.fullmatch(name):
         return None
@@ -38,7 +40,7 @@ def report(place: Path, run: str, name: str) -> Path | None:
     return page if page.is_file() and not page.is_symlink() else None
 
 
-def _told(folder: Path) -> dict[str, Any]:
+def _told(folder: Path, own: str | None) -> dict[str, Any]:
     state, asked = _json(folder / "state.json"), _json(folder / "run.json")
     timing = _json(folder / "timing.json") if (folder / "timing.json").is_file() else {}
     began, last = _walls(folder / "events.jsonl")
@@ -50,7 +52,8 @@ def _told(folder: Path) -> dict[str, Any]:
         "message": str(state["message"]),
         "began": end if began is None else began,
         "seconds": 0.0 if began is None else max(end, last or end) - began,
-        "dark": timing.get("dark"),
+        "doubt": timing.get("light", {}).get("in_doubt", 0),
+        "running": folder.name != own and not PrintState(state["state"]).ended and running(folder),
         "reports": sorted(each.name for each in folder.glob("*.html") if REPORT.fullmatch(each.name)),
     }
 

@@ -21,10 +21,10 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.storage.reading import read_bytes
 
 PERIOD = 0.25  # between two polls of a page [s]
-POLLS = 40.0  # polls of all pages together per second; more pages poll less often, to leave the processor to the print
-LONGEST = 5.0  # longest pause between two polls of a page, for any number of pages [s]
+POLLS = 40.0  # polls of all pages per second; with more pages, each polls less often, to relieve the processor
+LONGEST = 5.0  # longest pause between two polls of a page with any number of pages [s]
 FRESH = 5.0  # time for which a history is reused [s]
-STOPS = 1000  # simultaneous stops; if a line hangs in one, the next can still turn the light off
+STOPS = 1000  # number of simultaneous stops; if one hangs on a line, the next can still turn the light off
 # Reports run their own script without access to this page: no cookie, no origin, no network.
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
@@ -81,7 +81,7 @@ def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
 
 
 class _Answers:
-    """One server's answers. Those without access to disks and lines run in its loop, others in threads."""
+    """One server's answers. Handlers that use no disks and lines run in its loop, others in threads."""
 
     def __init__(self, board: Board, runs: Path | None, run: str | None) -> None:
         self._board, self._runs, self._run = board, runs, run
@@ -100,7 +100,7 @@ class _Answers:
         self._stops = self._stops or CapacityLimiter(STOPS)
         try:
             await to_thread.run_sync(self._board.stop, "emergency stop at the panel", limiter=self._stops)
-        except Exception as error:  # the others were still called
+        except Exception as error:  # the other machines were still stopped
             return PlainTextResponse(f"not every machine stopped: {error}", 500)
         return JSONResponse(described(self._board.now))
 
@@ -135,9 +135,9 @@ class _Answers:
         if self._runs is None:
             return JSONResponse([])
         self._disk = self._disk or CapacityLimiter(1)
-        async with self._disk:  # a disk that hangs holds one thread
+        async with self._disk:  # a disk that hangs blocks only one thread
             if time.monotonic() - self._past[0] >= FRESH:
-                found = await to_thread.run_sync(past, self._runs)
+                found = await to_thread.run_sync(past, self._runs, self._run)
                 self._past = (time.monotonic(), found)
         return JSONResponse(self._past[1])
 

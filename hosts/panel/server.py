@@ -9,13 +9,14 @@ import threading
 import time
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import quote
 
 from vamgpu.errors import BadInput, DeviceError
-from vamgpu.hosts.panel.auth import TokenAuth, loopback
+from vamgpu.hosts.panel.auth import TokenAuth
 from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.timing import whole
 
-STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a print before
+STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a print before it is up
 PORTS = 65535
 
 
@@ -24,9 +25,10 @@ class Panel:
 
     Args:
         board: The board of the print to show and stop.
-        host: The address to serve at; beyond this machine only with a token.
-        port: Port of the server; 0 finds a free one.
-        token: Token for browsers, 16 characters or more; generated for hosts beyond this machine.
+        host: The address to serve at.
+        port: Port of the server; 0 selects a free one.
+        token: Token for browsers and programs, 16 characters or more; None generates one. Other accounts of this
+            machine need it too.
         page: False serves only programs.
         runs: The folder whose run folders are the history; None shows none.
         run: The name of this print's run folder.
@@ -56,7 +58,8 @@ class Panel:
             raise BadInput("the panel's token is not text of 16 characters or more; leave it out to generate one")
         self.board, self.host, self.page = board, host, page
         self.runs, self.run = None if runs is None else Path(runs), run
-        self.token: str | None = token if token is not None or loopback(host) else secrets.token_urlsafe(24)
+        self.token: str = secrets.token_urlsafe(24) if token is None else token
+        self._chosen = token is not None
         self._server, self._thread = None, None
         self._failed: BaseException | None = None
         self._socket = _listening(host, int(port))
@@ -66,7 +69,7 @@ class Panel:
     def url(self) -> str:
         """Address of the page, with its token."""
         name = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+        return f"http://{name}:{self.port}/?token={quote(self.token)}"
 
     def __enter__(self) -> Self:
         try:
@@ -89,14 +92,14 @@ class Panel:
             app = served(self.board, self.page, self.runs, self.run)
         except ImportError as error:
             raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
-        guarded = TokenAuth(app, self.token, self.host, self.port)
+        guarded = TokenAuth(app, self.token, self.host, self.port, self._chosen)
         config = uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off", server_header=False)
         return uvicorn.Server(config)
 
     def _serve(self, server: Any) -> None:
         try:
             server.run(sockets=[self._socket])
-        except BaseException as error:  # a server that cannot start exits, which stays in its thread
+        except BaseException as error:  # a server that cannot start raises SystemExit, which ends only its thread
             self._failed = error
             logging.getLogger(__name__).error("the panel's web server ended: %s", error)
 
@@ -113,7 +116,7 @@ class Panel:
 
     def __exit__(self, *_: object) -> None:
         if self._server is not None and self._thread is not None:
-            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports cut connections
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # it reports closed connections
             self._server.should_exit = True
             self._server.force_exit = True  # browsers keep their connections open
             self._thread.join(timeout=5.0)

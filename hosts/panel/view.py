@@ -26,7 +26,7 @@ WANTED = {
 def described(now: Snapshot) -> dict[str, Any]:
     """A snapshot as plain values, without images; None for numbers that are not finite, which JSON lacks."""
     plain = {name: value for name, value in vars(now).items() if name not in ARRAYS}
-    plain["parameters"] = [vars(each) for each in now.parameters]
+    plain |= {name: [vars(each) for each in plain[name]] for name in ("parameters", "checks")}
     return {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in plain.items()}
 
 
@@ -44,7 +44,7 @@ def told(board: Board, store: ImageStore) -> dict[str, Any]:
 
 
 def refusal(now: Snapshot, name: str) -> str | None:
-    """Why a button does not work now; None if it does."""
+    """Reason why a button does not work now; None if it works."""
     if now.state.ended:
         return f"the print is {now.state.value}; start another one"
     if name == "resume" and now.resuming:
@@ -88,7 +88,7 @@ class ImageStore:
             return count
 
     def png(self, name: str, image: np.ndarray) -> bytes:
-        """An image, thinned out to the page's size."""
+        """An image, thinned to the page's size."""
         with self._encoding:
             made = self._made.get(name)
             if made is None or made[0] is not image:

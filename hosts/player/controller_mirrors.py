@@ -9,7 +9,7 @@ from vamgpu.errors import DeviceError, OriginLost
 from vamgpu.hosts.drivers.cleanup import run_all
 from vamgpu.hosts.drivers.controller_protocol import ControllerRow, Status
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.player.machines import MirrorMachines
+from vamgpu.hosts.player.machines import MirrorMachines, recover
 from vamgpu.hosts.player.mirrors import MirrorPlayer
 from vamgpu.hosts.player.motor import Approach, Origin, SpeedMonitor, own_number
 from vamgpu.hosts.player.player import Renew, StatusPoll
@@ -107,7 +107,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         lost = {} if self._lost is None else {"lost": self._lost}
         return {"origin": self._origin.at, "preroll": PREROLL} | own | lost
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Let the controller play its rows."""
         self._polled = self.clock.now()
@@ -149,7 +149,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
             speed = float(self.schedule.speed) * self.machines.microsteps
             overdue = (status.position - self._row(status.shown).at) / speed - self._longest * 1e-9
             if overdue > PATIENCE:
-                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, though the motion is there"
+                return f"no trigger for {1e3 * overdue:.0f} ms after frame {status.shown}, although the axis turns"
         return None
 
     def feed(self) -> None:
@@ -190,8 +190,8 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         return status.shown if status.play == self._play else 0
 
     def recover(self) -> None:
-        """Reconnect to the controller, and drop its remaining rows."""
-        self.machines.controller.revive()
+        """Reconnect to controller and lens, and drop remaining rows."""
+        recover(self.machines)
         self.machines.controller.stop()
 
     def halt(self) -> None:

@@ -119,7 +119,7 @@ class ScatterWatch:
             self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
             self._thread.start()
 
-    # ---- asked by the print ----------------------------------------------------------------------------------
+    # ---- called by the print ---------------------------------------------------------------------------------
     def enough(self) -> str | None:
         """Why the part has enough light; None before. Raises the error of the camera or the disk."""
         if self._origin is None and (lit := self._lit()) >= 0:

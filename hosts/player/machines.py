@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.frames.lateness import LatePolicy, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
-from vamgpu.hosts.player.player import Renew
+from vamgpu.hosts.player.player import Renew, no_lease
 from vamgpu.hosts.safety.light import Lamp, LampGate
 from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.limits import HdmiTiming
@@ -82,7 +82,7 @@ def gate(controller: Controller | None, lamp: Lamp | None, schedule: Schedule) -
     """A steady light, and the renewal of the controller's lease, if any. lamp: lamp that the host switches."""
     own = () if lamp is None else (lamp,)
     if controller is None:
-        return Lamps(*own), lambda length: None
+        return Lamps(*own), no_lease
     found = LampGate(controller, range(schedule.engines), steady=True, shares=schedule.power[0])
     return Lamps(found, *own) if own else found, found.renew
 
@@ -99,12 +99,19 @@ def shows(schedule: Schedule) -> None:
     gap = schedule.gap
     if gap - int(schedule.on[0]) < REST:
         raise BadInput(
-            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of {gap / 1000:.6g} us; mirrors "
-            f"need {REST // 1000} us more for the next trigger: plan with MirrorTiming(dark=…)"
+            f"frames are lit for {int(schedule.on[0]) / 1000:.6g} of {gap / 1000:.6g} us; mirrors need {REST // 1000} "
+            "us more for the next trigger: plan with MirrorTiming(dark=…)"
         )
 
 
 RATES = 0.01  # greatest difference between the expected refresh and that of the screen
+
+
+@runtime_checkable
+class Inspected(Protocol):
+    """A lamp that tells whether it does its work."""
+
+    def inspect(self) -> None: ...  # raises `DeviceError` if not
 
 
 @dataclass
@@ -153,6 +160,25 @@ def senses(machines: Machines) -> dict[str, bool | float | None]:
         if not isinstance(machines, VideoMachines) and machines.lens is not None:
             told["lens_temperature"] = machines.lens.temperature()
     return told
+
+
+def inspect(machines: Machines, powers: Set[float]) -> None:
+    """Ask the machines that no status poll reads. powers: of the lens for the present frames [1/m]; empty in the dark.
+
+    Raises `DeviceError` for one that does not answer, has a fault, or does something else.
+    """
+    lens = getattr(machines, "lens", None)
+    if lens is not None:
+        lens.inspect(powers)
+    if isinstance(machines, VideoMachines) and isinstance(machines.lamp, Inspected):
+        machines.lamp.inspect()
+
+
+def recover(machines: Machines) -> None:
+    """Reconnect to the controller and the lens of a held print. Raises `DeviceError`."""
+    for machine in (machines.controller, getattr(machines, "lens", None)):
+        if machine is not None:
+            machine.revive()
 
 
 class VideoFrames(Protocol):

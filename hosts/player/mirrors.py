@@ -113,7 +113,7 @@ class MirrorPlayer(ABC, Generic[M]):
         """Boundaries for versions: a sequence of the mirrors is filled while the one before it is shown."""
         return None if self.versions is None else Boundaries(self.versions.count, self._first, guard + self._depth)
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def _since(self, shown: int) -> tuple[FrameRecord, ...]:
         """The frames shown since the last poll; their lateness is an upper bound."""
         first, table, found = self._first, self.schedule, []
@@ -206,6 +206,16 @@ class MirrorPlayer(ABC, Generic[M]):
             self._orders[engine] = np.concatenate([self._orders[engine], frames])
             repeats.added()
         return True
+
+    def repeat(self, slots: range) -> None:
+        """Show frames of a vial once more, in an added turn."""
+        for slot in slots:
+            for engine, repeats in enumerate(self._missed):
+                number = int(self._orders[engine][slot])
+                version, frame = (0, number) if self.versions is None else self.versions.split_number(number)
+                if frame != NONE:
+                    repeats.policy.drop(frame)
+                    repeats.miss(frame, version)
 
     def restore(self, lost: Sequence[Sequence[int]]) -> None:
         """Poses of each projector that were black under an earlier host."""

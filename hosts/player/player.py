@@ -37,6 +37,10 @@ class Renew(Protocol):
     def __call__(self, length: int) -> None: ...  # keep the light on for ``length`` [ns] more
 
 
+def no_lease(length: int) -> None:
+    """Renew nothing: no controller holds a lease."""
+
+
 class Player(Protocol):
     """Machines that play one schedule."""
 
@@ -73,6 +77,7 @@ class Player(Protocol):
 
     def recover(self) -> None: ...  # before a print continues: reconnect to unplugged machines
     def halt(self) -> None: ...  # stop everything, even after failures; raises the first one afterwards
+    def repeat(self, slots: range) -> None: ...  # show frames of a vial once more, in an added turn
     # at the end: whether slots were added for missed frames. Raises `Underrun` for too many.
     def add_repeats(self) -> bool: ...
     def frame(self, number: int, engine: int = 0) -> np.ndarray: ...  # frame for display, uint8 [row, column]

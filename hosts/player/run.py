@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -18,13 +18,14 @@ import numpy as np
 from vamgpu.errors import BadInput, OriginLost, Underrun, VamError
 from vamgpu.geometry import positive
 from vamgpu.hosts.drivers.cleanup import run_all
-from vamgpu.hosts.player.player import Player, StatusPoll
+from vamgpu.hosts.player.player import Player, StatusPoll, no_lease
 from vamgpu.hosts.records.account import account, wanted_light
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState, PrintStates, StateChange, WrongState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH, Budget, InterlockOpen, Lease, OverDose
 from vamgpu.hosts.safety.light import LightGuard
 from vamgpu.hosts.schedules.timing import SECOND, whole
+from vamgpu.printing.given_dose import GivenDose
 
 log: logging.Logger = logging.getLogger(__name__)
 SIGN = SECOND // 2  # longest time between two records of a print [ns]
@@ -57,7 +58,9 @@ class PrintObserver(Protocol):
 class Print:
     """One print: a player's schedule with one holder of the light.
 
-    enough: called at every poll for why the part has enough light.  short: message for a print without.
+    enough: called at every poll for why the part has enough light.  short: message for a print without.  watch: asks
+    the machines that no poll reads; called with the focal powers of the present frames [1/m].  mend: show frames in
+    doubt again, as far as dose and budget allow.  dose: of the plan, if it is known.
     """
 
     player: Player
@@ -73,18 +76,24 @@ class Print:
         self, player: Player, folder: RunFolder, *, limits: SafetyLimits = SafetyLimits(), board: Board | None = None,
         power: float = 1.0, enough: Callable[[], str | None] = lambda: None, short: Callable[[], str] = lambda: "",
         recover: Callable[[], None] = lambda: None, senses: Callable[[], Mapping[str, object]] = dict,
-        live: PrintObserver | None = None,
+        live: PrintObserver | None = None, watch: Callable[[Set[float]], None] = lambda powers: None,
+        mend: bool = False, dose: GivenDose | None = None,
     ) -> None:  # fmt: skip
         if (share := positive("power", power)) > 1:
             raise BadInput(f"power is {power!r}; expected a share of the schedule's: at most 1")
         self.player, self.folder, self.limits, self.power = player, folder, limits, share
         self._enough, self._short, self._recover, self._live = enough, short, recover, live
-        self._senses, self._sensed = senses, -SIGN
+        self._senses, self._sensed, self._watch, self._watched = senses, -SIGN, watch, 0
+        self._vouched = self._opened = 0  # slots of the last answer of all watched machines, and of the first light
+        self._silent = False  # whether one of them did not answer
+        self._mend, self._dose, self._mended = mend, dose, Counter[int]()
         self.board, self.states = board or Board(), PrintStates()
+        self._leased = player.renew is not no_lease
         self.lease: Lease = Lease(player.clock, player.renew, limits.lease)
         schedule = player.schedule
         self._wanted = wanted_light(schedule)
-        total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
+        self._planned = total = float((schedule.on[:, None] * schedule.power).sum()) * 1e-9 * share
+        self._repeated = 0.0  # light of frames in doubt that are shown again, as the plan's
         self.guard: LightGuard = LightGuard(
             player.lamp, self.lease, tolerance=limits.tolerance, budget=Budget(total * limits.budget),
             others=player.switches, notify=self._notified,
@@ -93,11 +102,13 @@ class Print:
         self.dark_since: int | None = None
         self._cancelled = self._pausing = self._finishing = self._lit = self._begun = self._final = False
         self._signed = self._seen = 0
+        self._why = ""  # why the part has enough light
         self._unwritten: deque[Callable[[], None]] = deque()
         self.states.listen(folder.state)
         self.states.listen(self._told)
         self.board.on_stop(self.stop)
-        self.board.show(slots=len(schedule), unit=schedule.unit)
+        period = schedule.frames if schedule.unit == "deg" else 0
+        self.board.show(slots=len(schedule), unit=schedule.unit, period=period)
         self._arm()  # for a print that continues with a version
 
     # ---- from any thread -------------------------------------------------------------------------------------
@@ -150,6 +161,7 @@ class Print:
                 self._write()
                 self._recover()
                 self.player.recover()
+                self._silent = False
             self.sense()
             with self.guard:
                 going = self.begin(start)
@@ -169,6 +181,8 @@ class Print:
         """Prime the machines and turn the light on from a slot on; False if a pause was requested meanwhile."""
         self.next, self._finishing, self._lit = first, False, False
         self._swap()
+        self._opened = first
+        self._ask(first)
         ahead = self.player.prime(first, self._alive)
         self.states.to(PrintState.PRINTING, "" if first == 0 else f"from slot {first}")
         dark = 0 if self.dark_since is None else self.player.clock.now() - self.dark_since
@@ -188,9 +202,9 @@ class Print:
         """Poll the machines once; False if the print is over or paused."""
         if self._cancelled:
             return self._rest(PrintState.CANCELLED)
-        if self._pausing and not self._finishing:
+        if (self._pausing or self._why) and not self._finishing:
             self._finishing = True
-            self.player.finish()
+            self.player.finish()  # no frame is cut
         seen = self.player.poll()
         self._final = seen.final or seen.shown != seen.scheduled
         try:
@@ -202,13 +216,22 @@ class Print:
         self._seen = self.player.clock.now()
         self._show(seen)
         self._swap()
-        if (why := self._enough()) is not None:
-            return self._rest(PrintState.COMPLETE, why)
+        self._why = self._why or self._enough() or ""
         if not seen.running or self._at_stop:
             return self._over()
+        if self._seen >= self._watched + SIGN:
+            self._ask(self.next)
         self.player.feed()
         self._alive()
         return True
+
+    def _ask(self, slot: int) -> None:
+        """Ask the machines that no poll reads; what was shown since their last answer is in doubt if one is silent."""
+        focus, near = self.player.schedule.focus, NEAR + round(self.player.schedule.rate * NEAR_TIME)
+        powers = focus[max(slot - near, 0) : slot + near if slot > self._opened else 0]  # before, it may be anywhere
+        self._silent = True
+        self._watch(set(powers[~np.isnan(powers)].tolist()))
+        self._silent, self._vouched, self._watched = False, slot, self.player.clock.now()
 
     def ended(self, error: BaseException) -> None:
         """Stop everything after an error, in the dark. The first error is raised, a second one is logged."""
@@ -250,7 +273,7 @@ class Print:
     def _account(self, why: str = "") -> None:
         """The state of a finished print, from the record of its light."""
         self._write()
-        found = account(read_run(self.folder.path), self._wanted)
+        found = account(read_run(self.folder.path), self._wanted, ended=True)
         assert found is not None
         if found.complete:
             self.states.to(PrintState.COMPLETE, why)
@@ -258,12 +281,14 @@ class Print:
             self.states.to(PrintState.INCOMPLETE, str(found) + (f" ({why})" if why else ""))
 
     def _doubt(self) -> None:
-        """Record the frames shown when the light went off unexpectedly; they are not lit again."""
+        """Record the frames that were cut, and those since the last answer of a silent machine."""
         try:
             doubtful = self.player.doubtful()
         except VamError:
             self._final = True  # the dose of the resin is not known
             raise
+        if self._silent:
+            doubtful = range(min(self._vouched, doubtful.start), max(self.next, doubtful.stop))
         if not len(doubtful):
             return
         schedule, given = self.player.schedule, []
@@ -279,9 +304,32 @@ class Print:
                 given.append((float(schedule.power[slot, engine]), on))
         self.next = max(self.next, doubtful.stop)
         self._unwritten.append(partial(self._event, "unseen", first=doubtful.start, stop=doubtful.stop))
+        self._repeat(range(doubtful.start, min(doubtful.stop, self._end_slot)))
         for power, on in given:  # after all records are queued, because it raises if the budget is used up
             self.guard.spend(self.power * power, on)
         self._write()
+
+    def _repeat(self, slots: range) -> None:
+        """Show frames in doubt again in an added turn of a vial, if neither dose nor budget forbid it."""
+        schedule, dose = self.player.schedule, self._dose
+        if not self._mend or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
+            return
+        counts = self._mended + Counter(schedule.frame[slots].tolist())
+        light = float((schedule.on[:, None] * schedule.power)[slots].sum()) * 1e-9 * self.power
+        spare = self._planned * (self.limits.budget - 1.0)
+        most = 0.0 if dose is None else dose.share * (1.0 + max(counts.values(), default=0) / dose.turns)
+        why = ""
+        if dose is None:
+            why = "the proved dose is not known"
+        elif most > dose.proved.most:
+            why = f"the dose could reach ×{most:.3f}; expected ×{dose.proved.most:.3f} at most"
+        elif self._repeated + light > spare:
+            why = f"they take {self._repeated + light:.3g} of light; the budget has {spare:.3g} over the plan"
+        else:
+            self._mended, self._repeated = counts, self._repeated + light
+            self.player.repeat(slots)
+        facts = {"first": slots.start, "stop": slots.stop} | ({"why": why} if why else {})
+        self._unwritten.append(partial(self._event, "not mended" if why else "mended", **facts))
 
     def _check_pause(self, ahead: int = 0) -> None:
         """Raise `BadInput` if it was dark for too long. ahead: time until light [ns]."""
@@ -331,10 +379,16 @@ class Print:
 
     def _over(self) -> bool:
         """Handle the end of the light: a pause, the end, or another turn for missed frames."""
-        if self._pausing and self.next < self._end_slot:
+        paused = self._pausing and not self._why and self.next < self._end_slot
+        self.guard.off(PrintState.PAUSED.value if paused else "complete")
+        if paused:
+            self.dark_since = self.player.clock.now()
+        self._ask(self.next)
+        if paused:
             return self._rest(PrintState.PAUSED)
-        self.guard.off("complete")
         self._lit = False
+        if self._why:
+            return self._rest(PrintState.COMPLETE, self._why)
         if self._sooner and self.next >= self._end_slot:
             assert self.player.versions is not None
             self.player.halt()
@@ -356,11 +410,14 @@ class Print:
         return False
 
     def _rest(self, state: PrintState, why: str = "") -> bool:
-        """Go dark, then stop; the frames shown until then are recorded."""
+        """Go dark, then stop; the frames shown until then are recorded, and one that was cut is in doubt."""
         self.guard.off(why or state.value)
         if self.dark_since is None:
             self.dark_since = self.player.clock.now()
+        lit = self._lit
         self._last_poll()
+        if lit and state is PrintState.CANCELLED:
+            self._doubt()
         self.player.halt()
         self.states.to(state, self.guard.fault or why)
         return False
@@ -403,8 +460,7 @@ class Print:
             self._live.saw(seen)
             for kind, facts in self._live.notices():
                 self._event(kind, **facts)
-        # a poll without a write would not detect a full disk
-        if not seen.frames or self.player.clock.now() >= self._signed + SIGN:
+        if self.player.clock.now() >= self._signed + SIGN:
             self._event("poll", shown=seen.scheduled)
 
     def _write(self) -> None:
@@ -416,13 +472,14 @@ class Print:
     def _show(self, seen: StatusPoll) -> None:
         schedule, slot = self.player.schedule, max(self.next - 1, 0)
         frame, focus, budget = int(schedule.frame[slot]), float(schedule.focus[slot]), self.guard.budget
+        last = max(self._end_slot - 1, slot)
         self.board.show(
             slot=slot, frame=frame, position=seen.position, focus=None if np.isnan(focus) else focus, fill=seen.fill,
             margin=round(seen.margin * SECOND), spent=0.0 if budget is None else budget.spent / budget.limit,
             dark=self.board.now.dark + sum(shown.dark for shown in seen.frames),
-            left=float(schedule.light[-1] + schedule.on[-1] - schedule.light[slot]) / SECOND,
-            lease=self.limits.lease / SECOND, renewed=None if (age := self.lease.age()) is None else age / SECOND,
-            polled=time.monotonic(),
+            left=float(schedule.light[last] + schedule.on[last] - schedule.light[slot]) / SECOND,
+            lease=self.limits.lease / SECOND if self._leased else None,
+            renewed=None if (age := self.lease.age()) is None else age / SECOND, polled=time.monotonic(),
         )  # fmt: skip
 
     def _notified(self, what: str, why: str) -> None:
@@ -430,13 +487,16 @@ class Print:
         try:
             self._event("light", to=what, why=why)
         except VamError as error:  # a full disk must not keep the light on
-            log.error("the event could not be kept: %s", error)
+            log.error("the event could not be recorded: %s", error)
 
     def _event(self, kind: str, **facts: object) -> None:
         self._signed = self.player.clock.now()
         self.folder.event(kind, self._signed, **facts)
+        if kind == "unseen":
+            self.board.show(doubt=(*self.board.now.doubt, (facts["first"], facts["stop"])))
 
 
+NEAR, NEAR_TIME = 2, 0.05  # slots, and time [s], around the present one, in which a lens may be at their powers
 _RECORDED = ("frame", "pose", "light", "on")
 
 

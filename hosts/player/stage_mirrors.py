@@ -12,7 +12,7 @@ from typing import Any
 
 from vamgpu.hosts.drivers.cleanup import run_all
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.player.machines import StageMachines, gate
+from vamgpu.hosts.player.machines import StageMachines, gate, recover
 from vamgpu.hosts.player.mirrors import PRIMING, MirrorPlayer
 from vamgpu.hosts.player.motor import POLL, SpeedMonitor
 from vamgpu.hosts.player.player import Renew, StatusPoll
@@ -119,7 +119,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         """Position of pose 0 on the stage."""
         return {"origin": self._zero}
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Nothing to start: frames already follow the stage."""
         self._polled = self.clock.now()
@@ -179,9 +179,8 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         return self._triggers(self._stage.position())[1]
 
     def recover(self) -> None:
-        """Reconnect to the controller that gates the light."""
-        if self.machines.controller is not None:
-            self.machines.controller.revive()
+        """Reconnect to the lens, and to the controller that gates the light."""
+        recover(self.machines)
 
     def halt(self) -> None:
         """Stop triggers and the stage, turn the mirrors dark; each even if the one before fails."""

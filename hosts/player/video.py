@@ -19,7 +19,7 @@ from vamgpu.hosts.drivers.cleanup import run_all
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.frames.lateness import Action, Repeats, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
-from vamgpu.hosts.player.machines import ScreenBlackout, VideoFrames, VideoMachines, gate
+from vamgpu.hosts.player.machines import ScreenBlackout, VideoFrames, VideoMachines, gate, recover
 from vamgpu.hosts.player.motor import SpeedMonitor
 from vamgpu.hosts.player.player import Renew, StatusPoll
 from vamgpu.hosts.records.record import FrameRecord
@@ -261,7 +261,7 @@ class SpinningPlayer:
         """Position of pose 0 on the stage [deg], in whole turns."""
         return {"origin": self._turning.origin}
 
-    # ---- in the light ----------------------------------------------------------------------------------------
+    # ---- during the light ----------------------------------------------------------------------------------
     def start(self) -> None:
         """Read the controller's events from now on; frames follow the stage."""
         if self.machines.controller is not None:
@@ -380,8 +380,8 @@ class SpinningPlayer:
 
     def recover(self) -> None:
         """Reconnect to the controller, and drop its earlier events."""
+        recover(self.machines)
         if self.machines.controller is not None:
-            self.machines.controller.revive()
             self.machines.controller.poll()
 
     def halt(self) -> None:
@@ -404,6 +404,12 @@ class SpinningPlayer:
         self.schedule = self.schedule.turned_again({slot // self._repeats for slot in due})
         self._missed.added()
         return True
+
+    def repeat(self, slots: range) -> None:
+        """Show frames of a vial once more, in an added turn."""
+        for slot in range(slots.start * self._repeats, slots.stop * self._repeats):
+            self._missed.policy.drop(slot % self._turn)
+            self._missed.miss(slot % self._turn, self._version(slot))
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
         """A frame for display, of the only projector."""

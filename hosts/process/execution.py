@@ -17,7 +17,7 @@ from vamgpu.geometry import positive
 from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
 from vamgpu.hosts.player.exposure import ScatterWatch, StopRule
-from vamgpu.hosts.player.machines import Machines, SourceFrames, StageMachines, VideoMachines, senses
+from vamgpu.hosts.player.machines import Machines, SourceFrames, StageMachines, VideoMachines, inspect, senses
 from vamgpu.hosts.player.motor import Origin
 from vamgpu.hosts.player.operator import attended, print_with_operator
 from vamgpu.hosts.player.player import Player
@@ -69,7 +69,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
     if isinstance(machines, VideoMachines) or planned.display is not None:
         if not isinstance(machines, VideoMachines) or planned.display is None:
             raise WrongDevice(
-                "the plan and the machines differ: one is for a video cable; expected both for the same rig"
+                "the plan and the machines differ: only one of them is for a video cable; expected the same rig"
             )
         machines.check(planned.schedule, planned.display)
         return None
@@ -81,7 +81,7 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
     for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
         fits((dmd.height, dmd.width), timing)
     if len(planned.focus) > 1 and machines.lens is None:
-        raise WrongDevice("the plan changes its focus, and no lens was opened; open the rig of the plan")
+        raise WrongDevice("the plan changes its focus, but no lens was opened; open the rig of the plan")
     if not isinstance(machines, StageMachines):
         answered(planned.schedule, machines.controller, machines.clock, min(seconds, LINE))
     return judged(planned.schedule, machines.mirrors, machines.clock, bits=planned.bits, seconds=seconds,
@@ -124,7 +124,7 @@ def carry_out(
     planned: PrintPlan, machines: Machines, folder: str | Path, board: Board | None = None,
     found: Judged | None = None, resume: bool = False, *, unattended: int = 0,
     go_on: Callable[[Print], bool] | None = None, process: Mapping[str, str] | None = None,
-    live: LiveOrder | None = None,
+    live: LiveOrder | None = None, mend: bool = False,
 ) -> tuple[PrintState, Print]:  # fmt: skip
     """Print a plan and record it in a run folder.
 
@@ -139,6 +139,7 @@ def carry_out(
         go_on: Returns whether a held print continues; None asks at the board, and never continues without one.
         process: Priority of this process from the system, for the record.
         live: Planner of the frames of coming turns or segments, in a separate process, and the light that it may add.
+        mend: Show frames of a vial whose light is in doubt again, where the proved dose and the budget of light allow.
 
     Returns:
         The state at the end, and the print with its record.
@@ -155,18 +156,21 @@ def carry_out(
     left = left_by_a_host(planned, machines, folder) if resume else None
     versions = _versions(planned, live, left)
     playing = _playing(planned, machines, found, left, versions)
-    for one in planned.guarantees.lacking:
-        log.warning("%s %s", one.about, one)
+    if lacking := planned.guarantees.lacking:
+        log.warning("not guaranteed: %s", ", ".join(f"{one.about} ({one.kind})" for one in lacking))
     with ExitStack() as held:
         record = _record(held, planned, machines, folder, left, versions, process)
         shown = board or Board()
+        shown.show(rehearsed=planned.rehearsed, guarantees=tuple(one.record() for one in planned.guarantees))
         watch = _scatter_watch(planned, machines, record, shown)
         ends: Any = {} if watch is None else {name: getattr(watch, name) for name in ("enough", "short", "recover")}
         if live is not None and versions is not None:
             ends["live"] = _linked(held, live, planned, machines, record, versions, shown, images=watch is None)
-        job = Print(playing, record, limits=limits(planned.rig), board=shown, senses=partial(senses, machines), **ends)
+        ends |= {"senses": partial(senses, machines), "watch": partial(inspect, machines)}
+        job = Print(playing, record, limits=limits(planned.rig), board=shown, mend=mend, dose=planned.dose, **ends)
         if left is not None:
-            job.restore(read_run(folder).shown, left.pause)
+            job.restore((run := read_run(folder)).shown, left.pause)
+            shown.show(doubt=run.doubt)
         first, asked = None if left is None else left.first, None if go_on is None else partial(go_on, job)
         with nullcontext() if watch is None else _before_the_light(watch, job):
             if board is not None:
@@ -290,10 +294,10 @@ def _before_the_light(watch: ScatterWatch, job: Print) -> Iterator[None]:
 def _may_begin(planned: PrintPlan, machines: Machines, resume: bool) -> None:
     """Raise `WrongDevice` for a stop without a camera, `BadInput` for a stop that is too late, `InterlockOpen`."""
     if planned.stop is not None and machines.camera is None:
-        raise WrongDevice("the plan stops by a camera, and none was opened; use opened(rig, camera=True)")
+        raise WrongDevice("the plan stops by a camera, but none was opened; use opened(rig, camera=True)")
     if planned.stop is not None and resume:
         raise BadInput(
-            "lit resin already scatters, so a print with a stop cannot be resumed: start again with fresh resin"
+            "lit resin already scatters; a print with a stop therefore cannot be resumed: start again with fresh resin"
         )
     if machines.controller is not None and not machines.controller.status().interlock_closed:
         raise InterlockOpen("the interlock is open: close the enclosure, then print again")

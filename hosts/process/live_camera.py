@@ -63,17 +63,11 @@ class LiveCamera:
         if not self._gone and not self._silent and age > self._patience:
             self._silent = True
             self._tell("live camera silent", f"the camera gave no image for {age / SECOND:.2g} s")
-        found = []
-        while self._images:
-            found.append(self._images.popleft())
-        return found
+        return [self._images.popleft() for _ in range(len(self._images))]
 
     def notices(self) -> list[tuple[str, dict[str, Any]]]:
         """Events since the last call."""
-        found = []
-        while self._notices:
-            found.append(self._notices.popleft())
-        return found
+        return [self._notices.popleft() for _ in range(len(self._notices))]
 
     def _run(self) -> None:
         while not self._leave.is_set() and not self._gone:

@@ -26,7 +26,7 @@ from vamgpu.hosts.frames.versions import FrameVersions
 from vamgpu.hosts.player.player import StatusPoll
 from vamgpu.hosts.process.live_camera import LiveCamera
 from vamgpu.hosts.process.messages import answered, receive, send, spawned
-from vamgpu.hosts.process.proposals import frames_of, maps, parameters, proposal, relative_light
+from vamgpu.hosts.process.proposals import checks, frames_of, maps, parameters, proposal, relative_light
 from vamgpu.hosts.process.versions import boundary, replaced, sources_of
 from vamgpu.hosts.records.plans import keep, last_kept
 from vamgpu.hosts.records.state import Board
@@ -36,6 +36,7 @@ from vamgpu.hosts.schedules.timing import SECOND
 
 log: logging.Logger = logging.getLogger(__name__)
 WAITING = 256  # most messages queued for the other process; older images are dropped
+CHECKS = 1024  # most checks of images on the page
 LEAVE = 1.0  # longest time for that process to end [s]
 COLUMNS = ("slot", "frame", "version", "position", "on_time", "engine", "dark")
 
@@ -241,6 +242,10 @@ class LiveLink:
                 self._ended("live ended", f"the planning process has finished; the {self._versions.unit}s are {now}")
             if "parameters" in told:
                 self._board.show(parameters=parameters(told["parameters"]))
+            if "checks" in told:
+                self._board.show(checks=(*self._board.now.checks, *checks(told["checks"]))[-CHECKS:])
+            if told.get("doubt"):
+                self._tell("live doubted", f"images do not decide: {told['doubt']}; the planned light continues")
             if "maps" in told:
                 self._board.show(maps=maps(told["maps"]))
             if "version" in told:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,15 +17,18 @@ from enum import Enum
 from functools import cache
 from math import isfinite
 from multiprocessing.connection import Connection, Listener
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
 from vamgpu.hosts.records.state import Snapshot
-from vamgpu.storage.reading import parse_json
+from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 
+ANSWER = 0.3  # longest wait for an answer before a stop becomes a signal, or a process counts as ended [s]
 LONGEST = 1 << 28  # most bytes of a message or array
 NUMBERS = "biuf"  # kinds of arrays in messages
+LIVE = "live.json"  # in a run's folder: address of the process that prints it
 
 
 def send(line: Connection, message: dict[str, Any]) -> None:
@@ -132,6 +136,20 @@ def ordered() -> tuple[Any, Callable[[str], None]]:
         os.close(out)
 
     return parse_json(sys.stdin.buffer.readline()), answer
+
+
+def running(folder: Path) -> bool:
+    """Whether the process named in a run's folder takes connections."""
+    try:
+        place = parse_json(read_text(folder / LIVE, MOST_TOML))["address"]
+        if place.startswith(r"\\"):
+            return os.path.exists(place)  # a named pipe
+        with socket.socket(socket.AF_UNIX) as line:
+            line.settimeout(ANSWER)
+            line.connect(place)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+    return True
 
 
 def address(listener: Listener, key: bytes) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.hosts.records.state import Estimated
+from vamgpu.hosts.records.state import Estimated, ImageCheck
 from vamgpu.printing.frames import Frames
 
 MOST = 64  # most parameters shown
@@ -101,6 +101,19 @@ def _estimated(name: Any, value: Any, error: Any, *usual: Any) -> Estimated:
         return Estimated(str(name), float(value), float(error))
     low, high = usual
     return Estimated(str(name), float(value), float(error), (float(low), float(high)))
+
+
+def checks(told: Any) -> tuple[ImageCheck, ...]:
+    """Checks of a turn's images for a board. Raises `BadInput`."""
+    try:
+        found = tuple(
+            ImageCheck(str(name), _turn(turn), float(value), float(limit)) for name, turn, value, limit in told
+        )
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"got no checks: {error}; expected name, turn, value and limit of each") from error
+    if len(found) > MOST or not all(isfinite(each.value) and 0.0 < each.limit < inf for each in found):
+        raise BadInput(f"got checks {found[:MOST]}; expected at most {MOST}, finite values, and limits above 0")
+    return found
 
 
 def maps(told: Any) -> dict[str, np.ndarray]:

@@ -10,7 +10,6 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.controller_protocol import Status
 from vamgpu.hosts.player.machines import Machines, MirrorMachines
 from vamgpu.hosts.player.motor import Origin
 from vamgpu.hosts.player.run import SafetyLimits, may_resume
@@ -91,8 +90,8 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
     """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock, so the pause is "
-            "not known; start again with fresh resin"
+            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
+            "therefore not known; start again with fresh resin"
         )
     may_resume(pause, limits)
 
@@ -110,11 +109,13 @@ def interrupted(
         )
     slots = run.shown["slot"]
     recorded = int(slots.max()) + 1 if len(slots) else 0
-    shown = segment["first"] + _counted(now, segment)
+    # frames of a run segment shown by the controller; none if the host died before it let the controller play
+    counted = max(now.shown - segment["preroll"], 0) if now.play == segment["play"] else 0
+    shown = segment["first"] + counted
     if now.play not in (segment["play"], segment["before"]) or shown < recorded:
         raise BadInput(
-            f"another program used the controller after {str(path)!r}, so the dose of the resin is not known; start "
-            "again with fresh resin"
+            f"another program used the controller after {str(path)!r}; the dose of the resin is therefore not known; "
+            "start again with fresh resin"
         )
     dark = run.shown[run.shown["dark"] > 0]
     if shown >= len(schedule):
@@ -126,11 +127,6 @@ def interrupted(
     since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
     _check_pause(path, since, limits)
     return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
-
-
-def _counted(now: Status, segment: dict[str, Any]) -> int:
-    """Frames of a run segment shown by the controller; 0 if the host died before it let the controller play."""
-    return max(now.shown - segment["preroll"], 0) if now.play == segment["play"] else 0
 
 
 def _since(wall: float) -> int:
@@ -156,7 +152,7 @@ def asked_for(planned: PrintPlan) -> dict[str, Any]:
     table, jobs = planned.schedule, [each.path for each in planned.jobs]
     return {
         "jobs": jobs, "digests": [digest(Path(job)) for job in jobs], "kind": planned.kind, "rig": planned.rig.source,
-        "slots": len(table), "unit": table.unit, "speed": float(table.speed),
+        "slots": len(table), "seconds": table.duration / SECOND, "unit": table.unit, "speed": float(table.speed),
         "stop": None if planned.stop is None else planned.stop.threshold, "settings": planned.rig.settings,
         "guarantees": [one.record() for one in planned.guarantees],
         "calibrations": dict(planned.calibration.used),
@@ -178,8 +174,8 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     """
     if driver_of(planned.rig.setup.clock) == "stage":
         raise BadInput(
-            "the stage triggered the mirrors to the end of their frames, and it is not known which were lit: it "
-            "cannot be resumed; start again with fresh resin"
+            "the stage triggered the mirrors to the end of their frames, and it is not known which of them were lit: "
+            "it cannot be resumed; start again with fresh resin"
         )
     if planned.display is not None:
         raise BadInput(

@@ -17,11 +17,10 @@ from multiprocessing.connection import Connection, Listener, answer_challenge, d
 from pathlib import Path
 from typing import Any
 
-from vamgpu.hosts.process.messages import address, receive, send
+from vamgpu.hosts.process.messages import LIVE, address, receive, send
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.records.state import Board, PrintState, Snapshot
 
-LIVE = "live.json"  # in a run's folder: address of the process that prints it
 PERIOD = 0.1  # between two snapshots [s]
 SAYS = {"resume": True, "cancel": False}  # button → whether a held print continues
 LEAVE = 2.0  # longest time for the last snapshot [s]

@@ -21,7 +21,7 @@ def boundary(planned: PrintPlan) -> int:
     if planned.kind == "slices":
         raise BadInput("frames are replaced at turns of a vial or segments of a web; this is a print of slices")
     first = planned.jobs[0]
-    return planned.schedule.frames if planned.kind == "vial" else first.segment * _planes(first)
+    return planned.schedule.frames if planned.kind == "vial" else first.segment * max(len(first.depths), 1)
 
 
 def planned_versions(planned: PrintPlan, allowance: float = 0.0) -> FrameVersions:
@@ -71,10 +71,6 @@ def replaced(planned: PrintPlan, turn: int, poses: int) -> tuple[list[Frames], i
         )
     frames = [each.stretch(turn * segment, stop) for each in planned.jobs if each.stretch is not None]
     return frames, None if stop == total else stop // segment
-
-
-def _planes(job: PrintJob) -> int:
-    return max(len(job.depths), 1)
 
 
 def restored(

@@ -19,16 +19,14 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, StorageError, VamError
 from vamgpu.hosts.player.operator import Viewer
-from vamgpu.hosts.process.messages import answered, receive, send, spawned
+from vamgpu.hosts.process.messages import ANSWER, LIVE, answered, receive, send, spawned
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.process.resume import may_go_on
-from vamgpu.hosts.process.service import LIVE
 from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 
 log: logging.Logger = logging.getLogger(__name__)
-ANSWER = 0.3  # time after which an unanswered stop becomes a signal [s]
 PATIENCE = 2.0  # time after which an unresponsive process is ended, and the lease closes the light [s]
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.schedules.schedule import NONE, Schedule
 from vamgpu.printing.given_dose import GivenDose
 
@@ -35,6 +36,8 @@ class LightAccount:
     unsure: np.ndarray  # uncertain light: it went off at an unknown time
     versions: Mapping[int, LightAccount] = field(default_factory=dict)  # the same for each version of the frames
     dose: GivenDose | None = None  # dose of all planned light, relative to the proved one; None if unknown
+    stopped: bool = False  # whether the print ended before its turns, because the resin scattered enough
+    open: bool = False  # whether the record ends in the light, so that it is not known what was lit after it
 
     @property
     def views(self) -> int:
@@ -44,13 +47,20 @@ class LightAccount:
     @property
     def short(self) -> np.ndarray:
         """Views that may lack more than `WITHIN` of their light, in any version, bool (engines, frames)."""
-        lacking = self.sure < self.wanted * (1 - WITHIN)
+        lacking = self.sure < self.wanted * (1 - WITHIN) if not self.stopped else self.unsure > self.wanted * WITHIN
         return np.any([lacking, *(each.short for each in self.versions.values())], axis=0)
 
     @property
     def complete(self) -> bool:
-        """Whether every view has its light, and the exposure, if known, is complete."""
-        return not self.short.any() and (self.dose is None or self.dose.whole)
+        """Whether every view has its light for certain, and the exposure, if known, is complete."""
+        whole = self.dose is None or self.dose.whole or self.stopped
+        return whole and not self.open and not self.short.any() and not self.excess.any()
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Views whose uncertain light may be more than plan and dose allow, bool (engines, frames)."""
+        allowed = 1 + WITHIN if self.dose is None else max(1 + WITHIN, self.dose.proved.most / self.dose.share)
+        return (self.unsure > 0) & (self.sure + self.unsure > self.wanted * allowed)
 
     def share(self, unsure: float) -> np.ndarray:
         """Light relative to the plan, (engines, frames); 1 without planned light. unsure: share of unknown light."""
@@ -64,21 +74,34 @@ class LightAccount:
         return {
             "views": self.views, "short": int(short.sum()), "complete": self.complete,
             "least_share": float(least.min(initial=1.0)), "most_share": float(most.min(initial=1.0)),
+            "in_doubt": int(np.count_nonzero(self.unsure)), "open": self.open, "stopped": self.stopped,
         } | ({} if self.dose is None else {"dose": self.dose.share}) | (
             {"versions": {str(number): each.facts() for number, each in self.versions.items()}} if self.versions else {}
         )  # fmt: skip
 
     def __str__(self) -> str:
         told = self.facts()
+        doubt = f"; {told['in_doubt']} were lit for an unknown time" if told["in_doubt"] else ""
+        doubt += "; the record ends in the light: what was lit after it is not known" if self.open else ""
+        if self.stopped:
+            shares = self.share(0.0)[self.wanted > 0]
+            low, high = (100 * float(each) for each in (shares.min(initial=1.0), shares.max(initial=0.0)))
+            return f"each of {self.views} frames has {low:.0f} to {high:.0f} % of the light of all turns{doubt}"
         if not told["short"]:
-            return f"all {self.views} frames have their light" + ("" if self.dose is None else f"; dose {self.dose}")
+            dose = "" if self.dose is None else f"; dose {self.dose}"
+            return f"all {self.views} frames have their light{doubt}{dose}"
         low, high = (100 * told[name] for name in ("least_share", "most_share"))
         band = f"{low:.0f} %" if round(low) == round(high) else f"{low:.0f} to {high:.0f} %"
-        return f"{told['short']} of {self.views} frames are underexposed: the darkest has {band} of its light"
+        return f"{told['short']} of {self.views} frames are underexposed: the darkest has {band} of its light{doubt}"
 
 
-def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True) -> LightAccount | None:
-    """The light of a run's frames; None for folders without it. versions: also count frames by version."""
+def account(
+    run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool = True, ended: bool = False
+) -> LightAccount | None:
+    """The light of a run's frames; None for folders without it.
+
+    versions: also count frames by version.  ended: whether the light is off, although the state is still printing.
+    """
     kept: Mapping[str, Any] | None = run.asked.get("views")
     if wanted is None and kept is None:
         return None
@@ -89,9 +112,13 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
     lit = (shown["dark"] == 0) & (shown["frame"] >= 0)
     engines = max(int((kept or {}).get("engines", 1)), int(shown["engine"].max(initial=0)) + 1)
     unsure = np.zeros(len(shown), bool)
-    for event in run.events:
-        if event["event"] == "unseen":
-            unsure |= (shown["slot"] >= event["first"]) & (shown["slot"] < event["stop"])
+    for first, stop in run.doubt:
+        unsure |= (shown["slot"] >= first) & (shown["slot"] < stop)
+
+    died = run.state is PrintState.PRINTING and not ended
+    for engine in range(engines) if died else ():  # its last frame may have been cut
+        unsure[np.flatnonzero(shown["engine"] == engine)[-1:]] = True
+    stopped = any(event["event"] == "enough" for event in run.events)
 
     def counted(wanted: np.ndarray, among: np.ndarray | bool = True) -> LightAccount:
         got = []
@@ -99,7 +126,9 @@ def account(run: RunRecord, wanted: np.ndarray | None = None, *, versions: bool 
             light = np.zeros((engines, len(wanted)), np.int64)
             np.add.at(light, (shown["engine"][those], shown["frame"][those]), shown["on_time"][those])
             got.append(light)
-        return LightAccount(np.broadcast_to(wanted, (engines, len(wanted))), *got, dose=dose)
+        return LightAccount(
+            np.broadcast_to(wanted, (engines, len(wanted))), *got, dose=dose, stopped=stopped, open=died
+        )
 
     shares = version_shares(run.events, len(wanted)) if versions else None
     if shares is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from vamgpu.hosts.records.plans import kept_frames
 from vamgpu.hosts.records.record import RunRecord, digest, read_run
 from vamgpu.jobs.run import Proven, prove
 from vamgpu.printing.frames import Frames
-from vamgpu.printing.given_dose import prove_given
+from vamgpu.printing.given_dose import GivenDose
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.simulate import ShownLight, simulate
+from vamgpu.targets.target import Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,3 +121,15 @@ def _of(version: LightAccount, planned: LightAccount, engine: int, unsure: float
     """Light of a version's frames, relative to all turns of the plan."""
     got = version.sure[engine] + unsure * version.unsure[engine]
     return got / np.maximum(planned.wanted[engine], 1)
+
+
+def prove_given(known: Proof, frames: ShownLight, dose: GivenDose | None) -> Proof:
+    """Prove the frames that a print showed, at the dose that it gave."""
+    whole = Target.from_array(known.target.numpy(), known.operator.grid.pitch, known.name)
+    target = replace(whole, solid=known.solid, limits=known.limits)
+    threshold = None if dose is None else known.scores.threshold / dose.share
+    proof = simulate(known.operator, frames, target, threshold=threshold)
+    if dose is None:
+        return proof
+    got = proof.scores.total_in / known.scores.total_in
+    return replace(proof, given=replace(dose, share=dose.share * got))

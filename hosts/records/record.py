@@ -1,18 +1,21 @@
 """The folder of a run: its request, its events, and every shown frame, written as they happen.
 
-Each frame is one record with a check sum, written before the next frame is shown, so that a killed host loses none.
+Each frame is one record with a check sum, written before the next frame is shown; a killed host therefore loses none.
 """
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import json
 import os
 import struct
+import sys
 import threading
 import time
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -27,7 +30,10 @@ from vamgpu.storage.atomic import explained
 from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
 
 FULL = (errno.ENOSPC, errno.EDQUOT)  # errors of a full disk, or of a full quota
-RESERVE = ".reserve"  # bytes reserved for the last state on a full disk
+RESERVE = ".reserve"  # bytes reserved for the timing on a full disk
+KEEP_SIZE = 1  # of the system's fallocate: the file takes space beyond its end
+LONGEST = 2000  # characters of a state's message that are kept
+EVENTS = 1 << 16, 400  # space for the events of a run [bytes], and more for each second
 MAGIC = b"VAMSHOWN\x02\x00\x00\x00"
 _TIMES = ("slot", "frame", "position", "start", "on_time", "late")
 FRAME_RECORD = np.dtype(
@@ -83,8 +89,8 @@ class RunFolder:
             place, text, told = Path(path), rig.encode(), json.dumps(dict(asked), indent=2) + "\n"
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
             raise BadInput(
-                f"the folder of a run cannot store the request: {error}; expected a path, values for "
-                "JSON, and the text of the rig's file"
+                f"the folder of a run cannot store the request: {error}; expected a path, values for JSON, and the "
+                "text of the rig's file"
             ) from error
         try:
             place.mkdir(parents=True)
@@ -96,14 +102,34 @@ class RunFolder:
         except OSError as error:
             raise explained("write", place, error) from error
         folder = cls(place)
-        folder.state(StateChange(PrintState.STANDBY, PrintState.STANDBY, ""))
+        try:
+            folder.state(StateChange(PrintState.STANDBY, PrintState.STANDBY, ""))
+            folder.take_space(asked)
+        except BaseException:
+            with suppress(StorageError):
+                folder.close()
+            raise
         return folder
+
+    def take_space(self, asked: Mapping[str, Any]) -> None:
+        """Take the space that the run needs, before the light. Raises `StorageError` on a full disk."""
+        views = asked.get("views") or {}
+        slots = int(asked.get("slots", 0)) + 2 * int(views.get("frames", 0))  # with added turns
+        events = EVENTS[0] + round(EVENTS[1] * float(asked.get("seconds", 0.0)))
+        sizes = ((self._shown, slots * int(views.get("engines", 1)) * FRAME_RECORD.itemsize), (self._events, events))
+        for file, size in sizes:
+            try:
+                take(file, size)
+            except OSError as error:
+                raise explained(f"take {size} bytes for the record of the run in", self.path, error) from error
 
     @classmethod
     def again(cls, path: str | Path) -> Self:
         """The folder of a resumed run; an incomplete last record is cut off."""
-        read_run(path)
-        return cls(Path(path), resume=True)
+        asked = read_run(path).asked
+        folder = cls(Path(path), resume=True)
+        folder.take_space(asked)
+        return folder
 
     def event(self, kind: str, at: int, **facts: Any) -> None:
         """Write an event. at: the rig's clock [ns]."""
@@ -116,17 +142,21 @@ class RunFolder:
 
     def state(self, change: StateChange) -> None:
         """Write the state atomically."""
-        text = json.dumps({"state": change.after.value, "message": change.message, "wall": round(time.time(), 3)})
-        draft = self.path / ".state.json"
-        for room in (True, False):
+        told = {"state": change.after.value, "message": change.message[:LONGEST], "wall": round(time.time(), 3)}
+        text, place, draft = json.dumps(told) + "\n", self.path / "state.json", self.path / ".state.json"
+        try:
             try:
-                draft.write_text(text + "\n", encoding="utf-8")
-                os.replace(draft, self.path / "state.json")
-                return
+                draft.write_text(text, encoding="utf-8")
+                os.replace(draft, place)
             except OSError as error:
-                if error.errno not in FULL or not room:
-                    raise explained("write", self.path / "state.json", error) from error
-                (self.path / RESERVE).unlink(missing_ok=True)  # free space, so that the final state fits on a full disk
+                if error.errno not in FULL:
+                    raise
+                with suppress(OSError):
+                    draft.unlink(missing_ok=True)
+                with place.open("r+b", buffering=0) as file:  # its block is taken already
+                    file.write(text.encode().ljust(place.stat().st_size))
+        except OSError as error:
+            raise explained("write", place, error) from error
 
     def close(self) -> None:
         """Write the timing and close the files; may be called more than once."""
@@ -134,6 +164,7 @@ class RunFolder:
             if self._events < 0:
                 return
             for file in (self._events, self._shown):
+                os.ftruncate(file, os.fstat(file).st_size)  # gives back the space that was not used
                 os.close(file)
             self._events = self._shown = -1
         try:
@@ -183,6 +214,21 @@ class RunRecord:
     shown: np.ndarray  # `FRAME_RECORD`, one per frame, in order
     events: tuple[dict[str, Any], ...]
     torn: int  # bytes of an incomplete last record
+
+    @property
+    def doubt(self) -> tuple[tuple[int, int], ...]:
+        """First and stop of slots that were lit for an unknown time."""
+        return tuple((each["first"], each["stop"]) for each in self.events if each["event"] == "unseen")
+
+
+def take(file: int, size: int) -> None:
+    """Take space for the next bytes of an open file, where the system can. Raises `OSError` if there is too little."""
+    if sys.platform != "linux" or size <= 0:
+        return
+    allocate = getattr(ctypes.CDLL(None, use_errno=True), "fallocate64", None)
+    place = ctypes.c_int64(os.fstat(file).st_size), ctypes.c_int64(size)
+    if allocate is not None and allocate(file, KEEP_SIZE, *place) and (number := ctypes.get_errno()) in FULL:
+        raise OSError(number, os.strerror(number))
 
 
 def read_run(path: str | Path) -> RunRecord:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -118,15 +119,26 @@ class Estimated:
     usual: tuple[float, float] | None = None  # range expected before the print
 
 
+@dataclass(frozen=True)
+class ImageCheck:
+    """A check of a turn's images against the light shown; beyond its limit, images do not decide."""
+
+    name: str  # what is compared
+    turn: int  # turns shown so far
+    value: float
+    limit: float
+
+
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A print as it is now."""
+    """A print in its present state."""
 
     state: PrintState = PrintState.STANDBY
     message: str = ""
     job: str = ""
     slot: int = 0
     slots: int = 0  # 0 without an end
+    period: int = 0  # slots of a turn; 0 where nothing turns
     frame: int = -1  # frame shown now
     position: float = 0.0
     unit: str = "deg"
@@ -155,6 +167,10 @@ class Snapshot:
     parameters: Sequence[Estimated] = ()  # parameters of live estimation
     maps: Mapping[str, np.ndarray] = field(default_factory=dict)  # uint8 [row, column, color] by name
     live: str = ""  # state of the planning process
+    checks: Sequence[ImageCheck] = ()  # oldest first
+    doubt: Sequence[Sequence[int]] = ()  # first and stop of slots that were lit for an unknown time
+    rehearsed: bool = False  # whether the machines are emulated
+    guarantees: Sequence[Mapping[str, Any]] = ()  # what the rig guarantees, as in the record of the run
 
 
 class Board:

@@ -79,8 +79,8 @@ def place_of(rig: RigConfig) -> Path:
     """Folder of a rig's calibrations. Raises `BadInput` for a rig without a file."""
     if (place := folder_of(rig)) is None:
         raise BadInput(
-            f"the rig {rig.source!r} is not a file ending in .toml, so it has no folder of calibrations; give such a "
-            "file, or --out for a separate result"
+            f"the rig {rig.source!r} is not a file ending in .toml and therefore has no folder of calibrations; give "
+            "such a file, or --out for a separate result"
         )
     return place
 

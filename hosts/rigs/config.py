@@ -263,7 +263,9 @@ def _completed(data: dict[str, Any]) -> None:
         raise JobError(f"[{old[0]}] is a table of version 0.2; expected [{OLD[old[0]]}], see hosts/README.md")
     controller, light = data.get("controller"), data.setdefault("light", {})
     if isinstance(controller, dict):
-        data.setdefault("motion", {"driver": "emulated" if controller.get("driver") == "emulated" else "controller"})
+        moves = data.setdefault("motion", {})
+        if isinstance(moves, dict):
+            moves.setdefault("driver", "emulated" if controller.get("driver") == "emulated" else "controller")
     if isinstance(light, dict):
         light.setdefault("driver", "display" if controller is None else "controller")
     if "clock" in data or not isinstance(motion := data.get("motion"), dict):

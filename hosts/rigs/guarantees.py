@@ -1,11 +1,11 @@
-"""Guarantees of a rig, derived from its roles: step, position, light and lease, or why the rig is rejected."""
+"""What a rig guarantees, watches and only believes, derived from its roles; or why the rig is rejected."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import ceil, floor, log10
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from vamgpu.errors import BadInput
 from vamgpu.schema.registry import name_of
@@ -18,22 +18,30 @@ MINUTE = 60.0
 SLACK = 1e-9  # relative tolerance of compared drifts, for rounding
 
 
+Kind = Literal["guaranteed", "watched", "believed", "not there"]
+"""By the machine itself; by a sensor that is asked during the print; by the rig's file alone; or absent."""
+
+
 @dataclass(frozen=True)
 class Guarantee:
-    """One condition of a print."""
+    """One condition of a print, and what ensures it."""
 
-    about: str  # step, position, light or lease
-    holds: bool
+    about: str  # step, display, position, scale, light, lease, interlock, lamp or lens
+    kind: Kind
     why: str  # the reason, in words
     remedy: str = ""  # how to guarantee it
 
+    @property
+    def holds(self) -> bool:
+        """Whether a machine guarantees or watches it."""
+        return self.kind in ("guaranteed", "watched")
+
     def __str__(self) -> str:
-        said = "" if self.holds else "not guaranteed: "
-        return f"{said}{self.why}{f'; {self.remedy}' if self.remedy else ''}"
+        return f"{self.kind}: {self.why}{f'; {self.remedy}' if self.remedy else ''}"
 
     def record(self) -> dict[str, Any]:
         """For the record of a run."""
-        return asdict(self)
+        return asdict(self) | {"holds": self.holds}
 
 
 @dataclass(frozen=True)
@@ -152,37 +160,42 @@ def _indexed(setup: RigFile) -> bool:
 
 
 def guarantees(setup: RigFile, speed: float, unit: str = "deg") -> Guarantees:
-    """Derive a rig's guarantees at a speed [unit/s]: step of frames and motion, position, light and lease."""
-    step, drift = _step(setup, speed, unit)
-    return Guarantees((step, _position(setup), _light(setup), _lease(setup)), drift)
+    """Derive a rig's guarantees at a speed [unit/s]."""
+    (step, drift), lens = _step(setup, speed, unit), () if setup.lens is None else (LENS,)
+    rest = (_display(setup), _position(setup), _scale(setup, unit), _light(setup))
+    return Guarantees((step, *rest, _lease(setup), _interlock(setup), LAMP, *lens), drift)
 
 
 def _step(setup: RigFile, speed: float, unit: str) -> tuple[Guarantee, float]:
     """Whether frames stay in step with the motion, and how fast they drift apart."""
     clock = driver_of(setup.clock)
     if clock == "controller":
-        return Guarantee("step", True, "each frame is triggered by the controller's own steps"), 0.0
+        return Guarantee("step", "guaranteed", "each frame is triggered by the controller's own steps"), 0.0
     if clock == "stage":
-        return Guarantee("step", True, "each frame is triggered by the stage at its pose"), 0.0
+        return Guarantee("step", "guaranteed", "each frame is triggered by the stage at its angle"), 0.0
     if clock == "vblank" and setup.motion.reports:
-        return Guarantee("step", True, "the angle that the stage reports selects the frame of every refresh"), 0.0
+        why = "the angle that the stage reports selects the frame of every refresh"
+        return Guarantee("step", "watched", why), 0.0
     display: Any = setup.display[0]  # only a video cable's is left
     cable, motion = display.tolerance, setup.motion.tolerance
     apart = 1e-6 * (cable + motion)
     if _indexed(setup):
-        return Guarantee("step", True, f"the index corrects the angle once per turn, within {360 * apart:.2g} deg"), 0.0
+        why = f"the index corrects the angle once per turn, within {360 * apart:.2g} deg"
+        return Guarantee("step", "watched", why), 0.0
     drift = MINUTE * speed * apart
     enough = _rounded_up(drift)
+    accepts = drift <= setup.safety.drift * (1 + SLACK)
     return Guarantee(
-        "step", False,
+        "step", "believed",
         f"free-running video with a {driver_of(setup.motion)} drifts {enough:g} {unit} per minute (two clocks with "
-        f"errors up to {cable:g} and {motion:g} ppm, at {speed:g} {unit}/s)",
-        f"give it a trigger or an index, or accept drift = {enough:g} in [safety]",
+        f"errors up to {cable:g} and {motion:g} ppm, at {speed:g} {unit}/s)"
+        + (f", and [safety] accepts {setup.safety.drift:g}" if accepts else ""),
+        "give it a trigger or an index" + ("" if accepts else f", or set drift = {enough:g} in [safety]"),
     ), drift  # fmt: skip
 
 
 def _rounded_up(drift: float) -> float:
-    """Round a drift up to two digits, so that the number in the message is enough to accept it."""
+    """Round a drift up to two digits, which makes the number in the message large enough to accept it."""
     if drift <= 0:
         return 0.0
     digit = 10.0 ** (floor(log10(drift)) - 1)
@@ -199,35 +212,78 @@ def accepted(setup: RigFile, speed: float, unit: str) -> Guarantees:
     found = guarantees(setup, speed, unit)
     if refused(found, setup):
         step = found.each[0]
-        raise BadInput(f"{step.why}, and [safety] accepts drift = {setup.safety.drift:g}; {step.remedy}")
+        raise BadInput(f"{step.why}, and [safety] accepts {setup.safety.drift:g}; {step.remedy}")
     return found
 
 
-def _position(setup: RigFile) -> Guarantee:
-    if setup.motion.measured or any(driver_of(each) == "encoder" for each in setup.feedback):
-        return Guarantee("position", True, "an encoder measures the position")
-    if _indexed(setup):
-        return Guarantee("position", True, "an index marks each turn; between two, steps are counted")
+def _display(setup: RigFile) -> Guarantee:
+    if not setup.video:
+        return Guarantee("display", "watched", "the mirrors count the frames that they show")
+    if setup.display[0].lamps:
+        return Guarantee("display", "watched", "the projector is asked whether its patterns run")
     return Guarantee(
-        "position", False, "the position is not measured: lost steps of the motor go unnoticed",
+        "display", "believed", "no machine tells what the projector shows: a dead lamp, a blank screen or a scaled "
+        "image go unnoticed", "watch the first turn",
+    )  # fmt: skip
+
+
+def _encoded(setup: RigFile) -> bool:
+    return setup.motion.measured or any(driver_of(each) == "encoder" for each in setup.feedback)
+
+
+def _position(setup: RigFile) -> Guarantee:
+    if _encoded(setup):
+        return Guarantee("position", "watched", "an encoder measures the position")
+    if _indexed(setup):
+        return Guarantee("position", "watched", "an index marks each turn; between two, steps are counted")
+    return Guarantee(
+        "position", "believed", "the position is not measured: lost steps of the motor go unnoticed",
         'add [[feedback]] with driver = "encoder" or "index", or set encoder = true if the stage has one',
     )  # fmt: skip
 
 
+def _scale(setup: RigFile, unit: str) -> Guarantee:
+    """Whether a microstep is as large as the rig's file says."""
+    count = f"{setup.motion.microsteps:.6g} microsteps per {unit}"
+    if setup.motion.scaled and unit == "deg":
+        return Guarantee("scale", "watched", f"the stage tells its own, compared with the file's {count}")
+    if any(each.sees == "motion" for each in setup.feedback):
+        return Guarantee("scale", "watched", f"[[feedback]] shows whether {count} are right")
+    return Guarantee(
+        "scale", "believed", f"{count} are the file's: were they wrong by 2, so were every angle or place",
+        "measure one turn or travel by hand, or add [[feedback]]",
+    )  # fmt: skip
+
+
 def _light(setup: RigFile) -> Guarantee:
-    why = {
-        "controller": "the controller gates it", "line": "a line of the host and the projector switch it",
-        "display": "black frames switch it off, as dark as the projector's black",
-    }  # fmt: skip
-    if setup.light.gate == "display" and setup.display[0].lamps:
-        return Guarantee("light", True, "the host switches the projector's LEDs")
-    return Guarantee("light", True, why[setup.light.gate])
+    if setup.light.gate == "controller":
+        return Guarantee("light", "guaranteed", "the controller gates it")
+    if setup.light.gate == "line":
+        return Guarantee("light", "believed", "a line of the host and the projector switch it, and none answers")
+    if setup.display[0].lamps:
+        return Guarantee("light", "watched", "the host switches the projector's LEDs, which tell whether they are on")
+    return Guarantee("light", "believed", "black frames switch it off, as dark as the projector's black")
 
 
 def _lease(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
-        return Guarantee("lease", True, f"{1e3 * setup.safety.lease:.0f} ms after the host's last signal it is dark")
+        why = f"{1e3 * setup.safety.lease:.0f} ms after the host's last signal it is dark"
+        return Guarantee("lease", "guaranteed", why)
     return Guarantee(
-        "lease", False, "if the host dies or hangs, the light may stay on: no controller gates the lamp",
+        "lease", "not there", "if the host dies or hangs, the light may stay on: no controller gates the lamp",
         'let the controller gate it: [light] driver = "controller"',
     )  # fmt: skip
+
+
+def _interlock(setup: RigFile) -> Guarantee:
+    if setup.light.gate == "controller":
+        return Guarantee("interlock", "guaranteed", "the controller closes the light when the enclosure opens")
+    if setup.controller is not None:
+        return Guarantee("interlock", "watched", "the controller tells whether the enclosure is closed")
+    return Guarantee("interlock", "not there", "no machine tells whether the enclosure is closed")
+
+
+LAMP = Guarantee(
+    "lamp", "believed", "nobody measures its brightness during the print", "measure it with vam calibrate gray or flat"
+)
+LENS = Guarantee("lens", "watched", "its driver tells its power and its faults, in the dark and during the print")

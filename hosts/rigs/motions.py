@@ -25,6 +25,7 @@ class ControllerMotion(MotionPart):
     """
 
     triggers: ClassVar[bool] = True
+    microsteps: Microsteps  # type: ignore[assignment]  # of motor and gear: no machine tells them
     ramp: Annotated[float, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
@@ -42,13 +43,14 @@ class ZaberMotion(StagePart):
     """
 
     triggers: ClassVar[bool] = True
+    scaled: ClassVar[bool] = True
     port: str
     microsteps: Microsteps = 6400.0 / 3.0
     device: Count = 1
     axis: Count = 1
 
     def open(self, unit: str) -> Stage:
-        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis)
+        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis, encoder=self.encoder)
 
 
 class StandaMotion(StagePart):
@@ -58,7 +60,7 @@ class StandaMotion(StagePart):
     """
 
     port: str
-    microsteps: Microsteps = 6400.0 / 3.0
+    microsteps: Microsteps  # type: ignore[assignment]  # it differs between their stages
 
     def open(self, unit: str) -> Stage:
         return StandaStage.open(self.port, self.microsteps, unit)
@@ -107,7 +109,7 @@ class StepperMotion(MotionPart):
     reports: ClassVar[bool] = False
     chip: Annotated[int, Field(ge=0)] = 0
     channel: Annotated[int, Field(ge=0)] = 0
-    microsteps: Microsteps = 3200.0 / 360.0
+    microsteps: Microsteps  # type: ignore[assignment]  # of motor and gear: no machine tells them
     ramp: Annotated[float, Field(gt=0)] = 100.0
     tolerance: Ppm = CRYSTAL
 

@@ -92,12 +92,13 @@ class PrintPlan:
 
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Name and value of each line shown before a print."""
-        table, shape, setup = self.schedule, self.jobs[0].shape, self.rig.setup
+        table, shape = self.schedule, self.jobs[0].shape
         planes = len(self.jobs[0].depths)
         focus = ", ".join(f"{power:.3f}" for power in self.focus) + " dpt"
         unit, speed = UNITS[self.kind], float(table.speed) * (HOUR if self.kind == "slices" else 1.0)
         rows = (
             ("frames", f"{len(table)} of {shape[0]} × {shape[1]}, {self.bits} bits, {table.frames} different"),
+            ("machines", "emulated: no real machine moves or shines" if self.rehearsed else ""),
             ("projectors", f"{len(self.jobs)} in step" if len(self.jobs) > 1 else ""),
             ("focus planes", f"{planes} at {focus}" if self.focus else ""),
             ("duration", f"{table.duration * 1e-9:.2f} s at {speed:.4g} {unit}"),
@@ -105,13 +106,12 @@ class PrintPlan:
             ("light per frame", f"{int(table.on[0]) * 1e-6:.3f} ms"),
             ("memory", f"{self.bits * len(table)} bit planes in total" if self.display is None else ""),
             ("calibrations", ", ".join(self.calibration.used.values())),
-            ("lease", f"{1e3 * setup.safety.lease:.0f} ms" if setup.light.gate == "controller" else ""),
             ("stop", "" if self.stop is None else f"at scatter density {self.stop.threshold:g}, or after its turns"),
             *self._exposure(),
         )
-        lacking = ((f"no {one.about}", one.why) for one in self.guarantees.lacking)
+        claims = ((one.about, f"{one.kind}: {one.why}") for one in self.guarantees)
         notes = (("note", note) for note in self.calibration.notes)
-        return (*(row for row in rows if row[1]), *lacking, *notes)
+        return (*(row for row in rows if row[1]), *claims, *notes)
 
     def _exposure(self) -> tuple[tuple[str, str], ...]:
         """Turns of a vial, and their dose."""
@@ -126,6 +126,7 @@ class PrintPlan:
             ("exposure", f"{shown} for {light:.3g} s of full light"),
             ("dimmed", dose.dimming if dose.lit < 1.0 else ""),
             ("dose", str(dose)),
+            ("proof", "" if dose.proved.right else f"does not print: {dose.proved.faults}"),
         )
 
 
@@ -263,7 +264,7 @@ def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
             raise BadInput(f"speed {speed!r}: {error}, or a plain number of {unit}") from error
     text = str(speed).removesuffix("deg/s").strip()
     if not _number(text):
-        raise BadInput(f"speed is {speed!r}; expected a number of {unit} > 0")
+        raise BadInput(f'speed is {speed!r}; expected a number of {unit} > 0: write it like "{USUAL:g} {unit}"')
     return float(text) / (HOUR if first.kind == "slices" else 1.0)
 
 

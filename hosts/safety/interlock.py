@@ -33,7 +33,7 @@ class Observation:
 
 
 def reason_dark(seen: Observation, tolerance: float) -> str | None:
-    """Why light must be off; None if it may be on. tolerance: the greatest error of motion."""
+    """Reason why light must be off; None if it may be on. tolerance: the greatest error of motion."""
     if seen.fault is not None:
         return seen.fault
     if not seen.armed:
@@ -93,9 +93,9 @@ SHORTEST = 10_000_000  # least length of a lease [ns]
 
 
 class Lease:
-    """A lease [ns] that is renewed for signs of work, never for elapsed time."""
+    """A lease [ns] that is renewed when work was done, never by elapsed time alone."""
 
-    # A host whose GPU, disk or upload hangs gives no signs for longer than ``stall`` [ns]: its light goes off, even if
+    # A host whose GPU, disk or upload hangs shows no work for longer than ``stall`` [ns]: its light goes off, even if
     # other threads still run.
 
     def __init__(
@@ -112,14 +112,14 @@ class Lease:
         self._revoked = False
 
     def begin(self) -> None:
-        """Take the lease, with a sign of work now."""
+        """Take the lease; this counts as work."""
         with self._lock:
             self._revoked = False
             self._sign = self._clock.now()
         self.keep(force=True)
 
     def beat(self) -> None:
-        """Give a sign of work."""
+        """Renew the lease."""
         self._sign = self._clock.now()
 
     def keep(self, force: bool = False) -> bool:

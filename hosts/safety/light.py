@@ -37,7 +37,7 @@ class Lamp(Switch, Protocol):
 
 
 class LightGuard:
-    """Holds the light of one rig, entered last and left first; a fault latches until it is left."""
+    """Controls the light of one rig, entered last and left first; a fault latches until it is left."""
 
     # ``others`` are named switches, always tried after the lamp. ``signals``: SIGINT, SIGTERM and SIGHUP turn the light
     # off before their usual effect, in the main thread; an ignored signal, as under nohup, stays ignored.
@@ -228,7 +228,7 @@ def _as_before(number: int, frame: FrameType | None, before: Any) -> None:
 
 
 class LampGate:
-    """The light behind a controller's gate: with ``steady`` it is on at once, else row by row."""
+    """The light behind a controller's gate: with ``steady`` it is on at once, otherwise row by row."""
 
     def __init__(
         self, controller: Controller, channels: Sequence[int] = (0,), steady: bool = False,

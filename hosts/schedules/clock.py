@@ -14,7 +14,7 @@ _now = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME) if hasattr(time, "CLO
 
 @runtime_checkable
 class Clock(Protocol):
-    """A clock with sleep. real: it advances by itself, so that threads must work ahead of it."""
+    """A clock with sleep. real: it advances by itself, and threads must work ahead of it."""
 
     real: bool
 

@@ -17,15 +17,15 @@ from vamgpu.hosts.schedules.timing import SECOND, Cadence, Number, below, every,
 from vamgpu.printing.focus import slots
 
 FULL = 360
-NANODEGREES = 10**9  # angles are multiples of this, so that files keep them exactly
+NANODEGREES = 10**9  # angles are multiples of this, which files keep exactly
 
 
 def rising(motion: Turntable) -> tuple[Fraction, ...]:
     """Angles [deg] of a turn, rising from 0 to below 360. Raises `BadInput` for others, and for unequal times."""
     if motion.dwell is not None:
         raise BadInput(
-            f"a schedule got {motion} angles; expected frames that are lit as long, because mirrors use one time for "
-            "all: solve for a Turntable without dwell"
+            f"a schedule got {motion} angles; expected frames that are lit equally long, because mirrors use one time "
+            "for all: solve for a Turntable without dwell"
         )
     degrees = [Fraction(round(angle * NANODEGREES), NANODEGREES) for angle in np.degrees(motion.poses).tolist()]
     late = next((k for k in range(1, len(degrees)) if degrees[k] <= degrees[k - 1]), None)
@@ -127,7 +127,7 @@ def _scanned(motion: Turntable, turns: int, speed: Fraction, pose: _Pose, power:
         on=np.full(count, on, np.int64), frame=number % len(angles), pose=number, plane=np.zeros(count, np.int64),
         position=(FULL * np.arange(turns)[:, None] + np.array([float(angle) for angle in angles])).ravel(),
         focus=np.full(count, nan), power=np.tile(np.array(power), (count, 1)),
-        cadence=Cadence(period), advance=way, unit="deg", delay=0, frames=len(angles),
+        cadence=Cadence(period), advance=way, unit="deg", frames=len(angles),
     )  # fmt: skip
 
 
@@ -225,5 +225,5 @@ def _table(
         position=pose_number * float(way), focus=np.array(focus)[plane] if focus else np.full(light.size, nan),
         power=np.tile(np.array(shown.power), (light.size, 1)),
         cadence=cadence, advance=way, unit="mm" if repeat is None else "deg",
-        delay=0, frames=(poses if repeat is None else repeat) * planes,
+        frames=(poses if repeat is None else repeat) * planes,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """The table of a print: time, position, focus, power and duration of each frame. No I/O.
 
-Times are whole nanoseconds since the start, computed only from the slot's number, so errors never add up.
+Times are whole nanoseconds since the start, computed only from the slot's number; errors therefore never add up.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch
+from vamgpu.geometry import PlaneTime
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.timing import SECOND, Cadence
-from vamgpu.printing.planes import PlaneTime
 
 NONE = -1  # no time or frame
 
@@ -59,7 +59,6 @@ class Schedule:
     cadence: Cadence  # times of the poses, and so of the motion
     advance: Fraction  # distance from pose to pose, exact; for measured angles between the nearest two
     unit: str  # "mm" or "deg"
-    delay: int  # delay from trigger to light [ns], the same for every engine
     frames: int  # number of frames
 
     def __post_init__(self) -> None:

@@ -55,7 +55,7 @@ def whole(name: str, value: Number, least: int = 1) -> int:
 
 
 def nanoseconds(name: str, seconds: Number) -> int:
-    """Seconds ≥ 0 as whole nanoseconds, rounded up so that a machine has its time. Raises `BadInput`."""
+    """Seconds ≥ 0 as whole nanoseconds, rounded up to give a machine its full time. Raises `BadInput`."""
     time = ceil(exact(name, seconds, zero=True) * SECOND)
     if time > DAY:
         raise BadInput(f"{name} is {_told(seconds)}; expected at most a day")

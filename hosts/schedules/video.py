@@ -51,7 +51,7 @@ def _table(
         command=np.full(count, NONE, np.int64), trigger=received, light=light, dark=end - pause,
         on=end - light - repeats * pause, frame=pose % number, pose=pose, plane=np.zeros(count, np.int64),
         position=pose * float(way), focus=np.full(count, nan), power=np.tile(np.array(shares), (count, 1)),
-        cadence=Cadence(slot * repeats, begin), advance=way, unit=unit, delay=begin, frames=number,
+        cadence=Cadence(slot * repeats, begin), advance=way, unit=unit, frames=number,
     )  # fmt: skip
 
 

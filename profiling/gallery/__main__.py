@@ -13,7 +13,7 @@ from vamgpu.jobs.read import toml_value
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draw what the command line asks for; lists every entry where it asks for none."""
+    """Draw the entries named on the command line; without a name, list all entries."""
     parser = ArgumentParser("python -m profiling.gallery", description="Draw the picture of one capability, or of all.")
     parser.add_argument("name", nargs="?", help='which picture; "all" draws every one')
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the index and of its gallery folder")

@@ -1,4 +1,4 @@
-"""Beams that are not the ideal one: where their light goes, and each against its formula."""
+"""Beams that are not ideal: their light, compared with formulas."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PITCH = 0.1
-"""Of the beam [mm]; voxels are half as large."""
+"""Pitch of the beam [mm]; voxels are half as large."""
 WAVELENGTH = 442e-6
 
 

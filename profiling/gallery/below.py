@@ -1,4 +1,4 @@
-"""One part by four lights, each judged below the voxel while the vial turns."""
+"""One part with four sets of patterns, each judged on finer voxels while the vial turns."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 Places = tuple[np.ndarray, np.ndarray]
 """Centers of a picture's voxels along x and z [mm]."""
 COARSE = 2.0
-"""Width of coarse voxels over that of a pixel in the resin."""
+"""Ratio of the width of coarse voxels to that of a pixel in the resin."""
 LIGHTS = (
     ("L-BFGS, voxels of 2 pixels", "lbfgs", COARSE, 1.0),
     ("L-BFGS, voxels of ¾ pixel", "lbfgs", 0.75, 1.0),
     ("as b, optimized for rest", "lbfgs", 0.75, 0.0),
     ("default", "ramp", 0.75, 1.0),
 )
-"""Title, method, width of voxels over that of a pixel, and lit share with which the light is found."""
+"""Title, method, width of voxels relative to a pixel, and lit share used to find the patterns."""
 MISSING, EXCESS, RIGHT, VOID = style.BLUE, style.RED, "#8d97a5", "#ffffff"
 BRIGHTEST = 1.25
-"""Dose over the threshold at which colors end."""
+"""Dose, relative to the threshold, at the end of the color scale."""
 
 
 def below(
     device: Device, quick: bool = False, shape: str = "boat", size: float = 32.0, angles: int = 60,
     evaluations: int = 120,
 ) -> Picture:  # fmt: skip
-    """A part of ``size`` pixels' radius; light found on coarse voxels, on fine ones, for rest, and by the default."""
+    """A part with a radius of ``size`` pixels; patterns from coarse voxels, fine ones, rest, and the default method."""
     if shape not in SHAPES:
         raise BadInput(f"shape is {shape!r}; expected one of {', '.join(SHAPES)}")
     size, most, turn = (8.0, 8, 24) if quick else (float(size), int(evaluations), int(angles))
@@ -46,7 +46,7 @@ def below(
     judge, rows, doses = Judge.of(job), [], []
     for title, method, voxel, lit_share in LIGHTS:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SamplingWarning)  # of coarse voxels it warns with reason
+            warnings.simplefilter("ignore", SamplingWarning)  # coarse voxels cause a justified warning
             plan = found(posed(solid, size, device, turn, voxel, lit_share), method, most)
         light = vamgpu.pack(plan).irradiance(device).numpy()
         numbers, dose = judge.judge(light, job.A.motion)

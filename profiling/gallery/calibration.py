@@ -1,4 +1,4 @@
-"""Calibrations from recordings with noise: the line of focus over lens power, and the roller's axis on the mirrors."""
+"""Calibrations from noisy recordings: the line of focus over lens power, and the roller's axis on the mirrors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS, COLUMNS, PERIOD = 24, 80, 20
 """Pixels of a synthetic picture, and of the grating's period in it."""
 MIRRORS = 1920
 RADIUS = 7.5 / 0.0144
-"""Of the roller, in columns."""
+"""Radius of the roller, in columns."""
 
 
 def calibration(
@@ -34,7 +34,7 @@ def calibration(
     scans: float = 200,
     seed: float = 0,
 ) -> Picture:
-    """A camera that steps through focus, and a line that scans over a roller; both made up, with noise."""
+    """A camera that steps through focus, and a line that scans over a roller; both simulated, with noise."""
     rng = np.random.default_rng(int(seed))
     lens = TunableLens()
     positions = np.arange(-4.0, 4.01, 2.0 if quick else 0.5)

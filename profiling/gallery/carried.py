@@ -1,4 +1,4 @@
-"""Light through resin that carries a cured lens, and around an insert that it carries too."""
+"""Light through resin with a cured lens that turns with it, and around an insert that also turns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SIZE = 10.0  # mm, edge of the grid
 
 @dataclass(frozen=True)
 class Scene:
-    """One slice: its grid, beam and poses, a cured lump off the axis and an insert."""
+    """One slice: its grid, beam and angles, a cured lump off the axis and an insert."""
 
     grid: Grid
     beam: Beam
@@ -82,7 +82,7 @@ def carried(
 
 
 def _paths(axis: Axes, scene: Scene, step: float, width: float, center: tuple[float, float]) -> list[Fact]:
-    """Rays at three poses, and their greatest turn against the formula of a weak lens."""
+    """Rays at three angles, and their greatest deflection compared with the formula of a weak lens."""
     size, pitch = scene.grid.shape[0], scene.grid.pitch
     beam = Beam((121, 1), 0.7 * SIZE / 121)
     poses = np.radians([10.0, 130.0, 250.0])
@@ -108,7 +108,7 @@ def _paths(axis: Axes, scene: Scene, step: float, width: float, center: tuple[fl
 
 
 def _tracks(medium: np.ndarray, starts: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
-    """Middles of the steps of every ray [index of x, y]."""
+    """Midpoints of the steps of every ray [index of x, y]."""
     directions = np.stack([np.cos(poses), np.sin(poses)], axis=1)
     tracks: list[list[np.ndarray]] = [[] for _ in range(len(poses) * len(starts))]
     left, most = np.zeros(len(tracks), int), 8 * (medium.shape[0] + MARGIN)
@@ -125,7 +125,7 @@ def _turn(track: np.ndarray) -> float:
 
 
 def _lensed(before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fact]:
-    """Light planned without and with the lens, both through it."""
+    """Patterns planned without and with the lens, both exposed through it."""
     x, y = scene.plane
     part = (np.abs(np.hypot(x, y) - 2.6) < 0.7) & ~((np.abs(y) < 0.35) & (x < 0))
     lens, air = scene.traced(scene.lens), scene.traced()
@@ -145,7 +145,7 @@ def _lensed(before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fa
 
 
 def _insert(alone: Axes, before: Axes, after: Axes, scene: Scene, iterations: int) -> list[Fact]:
-    """The shadow of the rod at one pose; light planned without and with it, both around it."""
+    """The shadow of the rod at one angle; patterns planned without and with it, both exposed around it."""
     x, y = scene.plane
     blocked, free = scene.traced(CoRotatingMedium(opaque=scene.steel)), scene.traced()
     one = np.zeros(blocked.range.shape)
@@ -171,7 +171,7 @@ def _light(A: Any, part: np.ndarray, iterations: int) -> np.ndarray:
 
 
 def _window(dose: np.ndarray, part: np.ndarray, where: np.ndarray) -> float:
-    """(Least dose in the part − greatest out of it) / greatest."""
+    """(Least dose in the part − greatest outside) / greatest."""
     inside, outside = dose[part & where], dose[~part & where]
     return float((inside.min() - outside.max()) / max(inside.max(), outside.max()))
 

@@ -64,7 +64,7 @@ CATALOG: MappingProxyType[str, str] = MappingProxyType(
         "live": "A print that is watched and replanned",
     }
 )
-"""Name → title. The picture of a name is made by the function of that name in the module of that name."""
+"""Name → title. The function of that name in the module of that name makes the picture."""
 
 
 def names() -> tuple[str, ...]:
@@ -81,7 +81,7 @@ def parameters(name: str) -> dict[str, Any]:
 def draw(name: str, device: str | Device | None = None, *, quick: bool = False, **values: Any) -> Picture:
     """Make the picture of an entry; ``values`` replace its parameters. quick: small sizes, for a fast look.
 
-    Raises `BadInput` for a name or a parameter that does not exist, and what the parts raise.
+    Raises `BadInput` for a name or a parameter that does not exist, and the errors of the entry.
     """
     entry, known = _entry(name), parameters(name)
     for key in values:

@@ -1,4 +1,4 @@
-"""What two operators claim of the light that they solve for, and what is proved of it."""
+"""Windows that two operators predict for the patterns that they find, compared with the proofs."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FOOTPRINTS = {"joseph": "interpolated rays (Joseph)", "exact": "exact footprints, point spread"}
-"""How an operator weighs light, and what to call it."""
+"""How an operator weights light, and its label."""
 CHANGES = ("bodies_lost", "bodies_merged", "bodies_broken", "bodies_extra", "holes_closed", "holes_opened",
            "cavities_filled", "cavities_extra")  # fmt: skip
-"""What a print may have other than its part."""
+"""Errors that a print may have."""
 HEIGHT = 0.45
-"""Of the slices and rows that are shown, as a share."""
+"""Slices and rows that are shown, as shares."""
 
 
 def claimed(

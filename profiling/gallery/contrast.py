@@ -1,4 +1,4 @@
-"""What a narrower range of angles costs: frequencies, the spread of a point, and contrast."""
+"""Effects of a narrower range of angles: frequencies, the spread of a point, and contrast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slices corrected for cure-through: one column, a map of what can be done, and its limits."""
+"""Slices corrected for cure-through: one column, a map of the possible speed, and its limits."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import numpy as np
 from profiling.gallery.curethrough import HOUR, PAPER
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.constraints import highest_dose
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, column_dose
 from vamgpu.curethrough.feasibility import feasibility
-from vamgpu.curethrough.printer import Printer, levels_of
+from vamgpu.curethrough.printer import Printer, highest_dose, levels_of
 from vamgpu.reports import style
 from vamgpu.units import mJ_cm3, mW_cm2, um
 
@@ -63,7 +62,7 @@ def correction(
         Fact("slices added after the last", corrector.slices - len(part), "", 3),
     )
     caption = (
-        "Full light in the void behind a feature brings its back side to the critical dose. Inside, the dose rises as "
+        "Full light in the void behind a feature gives its back side the critical dose. Inside, the dose rises as "
         "far as allowed and falls to the critical dose at the front; everything else is dark. Only the first feature "
         "lies on the platform and keeps its light. The map shows the highest speed at which every feature of a pixel "
         "gets its dose with the slices shown. Below: slices from the side, the height over which full light reaches "

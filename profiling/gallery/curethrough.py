@@ -1,4 +1,4 @@
-"""Doses of a continuous print: constraint curves of a feature, and how the printer's settings move them."""
+"""Doses of a continuous print: constraint curves of a feature, and the effect of the printer's settings on them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.constraints import build_up, die_down, highest_dose, highest_place
 from vamgpu.curethrough.dose import closed_sum, doses
-from vamgpu.curethrough.printer import Printer, levels_of
+from vamgpu.curethrough.printer import Printer, build_up, die_down, highest_dose, highest_place, levels_of
 from vamgpu.reports import style
 from vamgpu.units import mJ_cm3, mW_cm2, um
 
@@ -30,7 +29,7 @@ def curethrough(
     speed_mm_h: float = 1000.0, critical_mJ_cm3: float = 576.0, full_mW_cm2: float = 100.0, dark_mW_cm2: float = 1.0,
     height: float = 1.0,
 ) -> Picture:  # fmt: skip
-    """The region that corrected doses must lie in."""
+    """The region in which corrected doses must lie."""
     light = levels_of(full_mW_cm2 * mW_cm2, dark_mW_cm2 * mW_cm2)
     base = Printer(absorption_height, critical_mJ_cm3 * mJ_cm3, slice_height, speed_mm_h / HOUR, light)
     figure, axes = style.sheet("aab;cde;fgh", 8.4)
@@ -49,7 +48,7 @@ def curethrough(
         _curves(axes[letter], title, printers, tall)
     apart = _streamed(axes["h"], base, device, 300 if quick else 3000)
     facts = (
-        Fact("dose left by level 0 alone", base.phi_min * base.critical_dose / mJ_cm3, "mJ/cm³", 4, 36.0, "paper"),
+        Fact("dose of level 0", base.phi_min * base.critical_dose / mJ_cm3, "mJ/cm³", 4, 36.0, "paper"),
         Fact("Φ of full light", base.phi_max, "", 4),
         Fact("height over which full light reaches the critical dose", base.build_up_height() / um, "µm", 4),
         Fact("Ω* of the feature", float(highest_dose(height / slice_height, base.phi_min, base.phi_max, base.eta))),
@@ -57,9 +56,9 @@ def curethrough(
              "float32", "≤"),
     )  # fmt: skip
     caption = (
-        "A slice that lights the window also lights what was printed before; its light falls to a tenth over each "
-        "absorption height. So the dose in a feature must stay within three limits: at least the critical dose (i), at "
-        "most what full light builds up from its back side (ii), and low enough to fall to the critical dose at its "
+        "A slice also lights the slices that were printed before it; over each absorption height, the light falls to "
+        "a tenth. The dose in a feature must therefore stay within three limits: at least the critical dose (i), at "
+        "most what full light builds up from its back side (ii), and low enough to decay to the critical dose at its "
         "front (iii). Blue curves lower a setting by half, orange curves raise it by half. The critical dose is 576 "
         "mJ/cm³ unless stated otherwise."
     )
@@ -104,7 +103,7 @@ def _curves(axis: Axes, title: str, printers: list[Printer], heights: list[float
 
 
 def _streamed(axis: Axes, printer: Printer, device: Device, slices: int) -> float:
-    """Draw a random column's dose, and return how far the device is from the closed sum."""
+    """Draw a random column's dose, and return the device's deviation from the closed sum."""
     rng = np.random.default_rng(0)
     stack = np.repeat(rng.integers(0, 256, (-(-slices // 50), 4, 16)), 50, axis=0)[:slices].astype(np.uint8)
     found = np.empty(stack.shape)

@@ -25,7 +25,7 @@ BASE, SPAN, BEHIND = 1.0, 3.0, 1.0
 """Heights [mm] of the plate at the platform, of the void below the bridges, and of that behind them."""
 TICKS = (0.2, 0.5, 1.0, 2.0, 4.0)
 LONG, WIDE, POST = 24, 8, 3
-"""Pixels of a bridge, and of the posts on both its sides."""
+"""Pixels of a bridge, and of the posts on both sides of it."""
 
 
 def curethrough_part(
@@ -66,8 +66,8 @@ def curethrough_part(
         "correction, the light of every bridge cures the void before it (orange), and its back side lacks dose (red). "
         "Corrected slices begin the light in the void behind a bridge and end it early, so that both its sides just "
         "reach the critical dose. Judged by the critical dose, little remains but the rounding to 256 levels. Judged "
-        "by the gel dose, a fraction of the critical one, everything between the two counts as error, whatever the "
-        "dose inside. All scores are computed from the 8-bit slices."
+        "by the gel dose, which is a fraction of the critical dose, all doses between the two count as errors, "
+        "regardless of the dose inside. All scores are computed from the 8-bit slices."
     )
     header = ("dose inside", "mean ratio, critical dose", "largest", "mean ratio, gel dose")
     table = Table(header, (".2g", ".2g", ".3f"), tuple(rows))
@@ -90,7 +90,7 @@ def bridges(heights: np.ndarray, slice_height: float) -> np.ndarray:
 
 
 def ratios(outcome: Outcome, heights: np.ndarray, critical: float) -> tuple[np.ndarray, np.ndarray]:
-    """Heights [mm] of the bridges, and their errors corrected over uncorrected where ``critical`` doses cure."""
+    """Heights [mm] of the bridges, and their corrected over uncorrected errors, if ``critical`` doses cure."""
     assert outcome.after is not None
     step, solid = outcome.machine.slice_height, outcome.solid
     errors = [_errors(features(outcome.machine, levels, solid, critical), heights, step)

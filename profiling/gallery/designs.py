@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.color_contrast import Contrast
 from profiling.gallery.dualcolor import slice_colors, verdict
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
 from vamgpu.methods.dual import DualColor, LeastSquares, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.reports import style
 from vamgpu.targets.designs import BLOCKS, PIXELS, dot_array, gray_wedges, usaf, usaf_bars
 from vamgpu.targets.target import Target
@@ -63,7 +63,7 @@ def designs(device: Device, quick: bool = False, pixels: int = 300, angles: int 
 
 
 def made(n: int) -> tuple[Target, ...]:
-    """The designs at a resolution; dots as dense as four pixels a period, at most the paper's 80."""
+    """The designs at a resolution; dots at most as dense as four pixels per period, and at most the paper's 80."""
     return (dot_array(min(80, int(n * 2**0.5 / 4)), n), usaf(pixels=n), gray_wedges(8, n), BLOCKS["W1"].level(n))
 
 

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 STOPS = (0.94, 1.0, 1.06)
-"""Doses at which three prints are stopped, over the dose of the best overlap."""
+"""Doses at which three prints are stopped, relative to the dose with the best overlap."""
 
 
 def deviation(device: Device, quick: bool = False, pitch: float = 0.12, angles: int = 360) -> Picture:
-    """The boat, printed three times with the stop six percent early, in time, and six percent late."""
+    """The boat, printed three times, with the stop six percent early, on time, and six percent late."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     dose = optimize(A, target, iterations=4 if quick else 40).dose().numpy()
@@ -43,16 +43,16 @@ def deviation(device: Device, quick: bool = False, pitch: float = 0.12, angles: 
     caption = (
         "Points sampled evenly on the surface of a print and aligned to the target by iterative closest points; red "
         "where the print is too thick, blue where it is too thin. The mean distance shows how early or late the light "
-        "was stopped; the width of the Gaussian shows what the light cannot resolve. The prints are simulated, so "
-        "these numbers do not include flow or shrinkage of the resin: real prints of the papers have σ of 200–310 µm, "
-        "and an RMS of 53 µm from print to print."
+        "was stopped; the width of the Gaussian shows how finely light resolves. The prints are simulated; flow and "
+        "shrinkage of the resin are not included. Real prints of the papers have σ of 200–310 µm, and an RMS of 53 µm "
+        "from print to print."
     )
     return Picture(figure, caption, tuple(facts), papers=(ROLL_TO_ROLL,))
 
 
 def _map(axis: Axes, found: SurfaceDistance, title: str) -> None:
     along, up = found.points[:, 0], found.points[:, 2]
-    near = np.argsort(-found.points[:, 1])  # what is nearer is drawn over what is farther
+    near = np.argsort(-found.points[:, 1])  # nearer points are drawn over farther ones
     limit = 1e3 * float(np.quantile(np.abs(found.distance), 0.99))
     drawn = axis.scatter(along[near], up[near], c=1e3 * found.distance[near], s=2.0, cmap="RdBu_r", vmin=-limit,
                          vmax=limit, linewidths=0)  # fmt: skip

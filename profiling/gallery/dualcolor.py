@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.color_contrast import Contrast
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
 from vamgpu.geometry import Beam, Turntable
 from vamgpu.methods.dual import METHODS, Colors, DualPlan, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat
 from vamgpu.reports import style
@@ -73,7 +73,7 @@ def dualcolor(
 
 
 def slice_colors(target: Target, angles: int, device: Device, extinctions: tuple[float, float]) -> Colors:
-    """Both colors on a square slice whose diagonal is the diameter of the resin, matched vat, a pixel a voxel."""
+    """Both colors on a square slice as wide diagonally as the resin, in a matched vat, one voxel per pixel."""
     n, pitch = target.grid.shape[0], target.grid.pitch
     radius = 0.5 * n * pitch * sqrt(2.0)
     beam = Beam((ceil(n * sqrt(2.0)), 1), pitch)
@@ -95,7 +95,7 @@ def words(n: int) -> Target:
         path = TextPath((0, 0), text, size=0.24, prop=FontProperties(family="DejaVu Sans", weight="bold"))
         box = path.get_extents()
         path = path.transformed(_shift(-0.5 * (box.x0 + box.x1), height))
-        # the winding of outline and counter differ: parity, outline by outline
+        # outline and counter have opposite winding: combine outlines by parity
         for polygon in path.to_polygons():
             plane ^= _inside(np.asarray(polygon), x, y)
     fraction = plane.reshape(n, fine, n, fine).mean(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""What UV buys: efficiency against light, extinction, life of the radical and radius, and the dose that it takes."""
+"""Effects of UV: efficiency against light, extinction, lifetime of the radical and radius, and the dose needed."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 0.97)
-"""Radii over that of the vial."""
+"""Radii relative to that of the vial."""
 PAIRINGS = (0.0, 0.01, 0.05)
 """k₂ [1/([A]₀·s)] of the lines of S1."""
 KNOWN = (30.0, 39.1, 49.2, 68.0)
-"""Induction times that eqs 5–7 were known to reach."""
+"""Induction times that eqs 5–7 can reach."""
 
 
 def efficiency(
@@ -77,11 +77,11 @@ def efficiency(
     caption = (
         "W is the induction that UV adds, in units of the induction without it. Under constant light and without "
         "pairing it is 2β/(α − 2β), dashed. In a turning vial, light weakens on its way in, here UV more than visible "
-        "light, so W falls towards the axis. The light at a point near the rim changes most within a turn, so W "
-        "depends on the starting angle. Inhibitor radicals that pair up sooner are lost, so a shorter life lowers W. "
-        "The paper's Figs S1–S4 are not in its text, so only their trends are compared. Below: three constants fitted "
-        "to its only kinetic data. The fit drives the production of B to its maximum: k_C ends at the limit of its "
-        "range, and errors of up to a second remain."
+        "light; W therefore falls towards the axis. The light at a point near the rim changes most within a turn; W "
+        "there depends on the starting angle. Inhibitor radicals that pair up sooner are lost, so a shorter life "
+        "lowers W. The paper's Figs S1–S4 are not in its text, so only their trends are compared. Below: three "
+        "constants fitted to its only kinetic data. The fit drives the production of B to its maximum: k_C ends at the "
+        "limit of its range, and errors of up to a second remain."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 
@@ -115,7 +115,7 @@ def _constant_light(axis: Axes, rates: Rates, device: Device, quick: bool) -> No
 
 
 def _by_extinction(axis: Axes, rates: Rates, light: RotatingLight, device: Device, quick: bool) -> np.ndarray:
-    """S2: W against extinction at five radii, from angles at random; returns W at the light's own, (radii, angles)."""
+    """S2: W against extinction at five radii, for random starting angles; W for the vial's light, (radii, angles)."""
     rng, angles = np.random.default_rng(0), 8 if quick else 24
     phases = 2.0 * np.pi * (np.arange(angles) + rng.random(angles)) / angles
     radius, phase = (v.ravel() for v in np.meshgrid(np.multiply(SHARES, light.vial), phases, indexing="ij"))
@@ -153,7 +153,7 @@ def _by_life(axis: Axes, rates: Rates, light: RotatingLight, device: Device, qui
 
 
 def _uv_dose(axis: Axes, rates: Rates, light: RotatingLight, device: Device, quick: bool) -> np.ndarray:
-    """S4: UV dose at the wall for W = 1 over the visible dose of an induction at the wall, (extinctions, radii)."""
+    """S4: UV dose at the wall for W = 1 over the visible dose of an induction there, (extinctions, radii)."""
     extinctions = [factor * light.uv_extinction for factor in (0.5, 1.0, 1.5)]
     doses = []
     for extinction, hue in zip(extinctions, style.HUES, strict=False):

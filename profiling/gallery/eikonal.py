@@ -1,4 +1,4 @@
-"""Rays through media of varying index beside their formulas, and how fast the steppers converge."""
+"""Rays through media of varying index, compared with formulas, and the convergence of the steppers."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _parabolic(axis: Axes, device: Device, index: float, slope: float) -> list[F
 
 
 def _period(x: np.ndarray, z: np.ndarray, guess: float) -> float:
-    """Period [mm] of a sampled swing, by fitting a wave whose frequency is refined by Gauss and Newton."""
+    """Period [mm] of a sampled oscillation, by fitting a wave whose frequency is refined by Gauss and Newton."""
     frequency = guess
     for _ in range(20):
         wave = np.stack([np.cos(frequency * z), np.sin(frequency * z)], axis=1)
@@ -111,7 +111,7 @@ def _period(x: np.ndarray, z: np.ndarray, guess: float) -> float:
 
 
 def _slopes(axis: Axes, doublings: int) -> list[Fact]:
-    """In float64, whatever the device, so that rounding does not hide the slope."""
+    """In float64 on every device, because rounding would hide the slope."""
     lens, place, along, facts = fish_eye(1.0), [[0.7, 0.0]], [[0.2, 1.0]], []
     exact = march(lens, place, along, step=2.0 / 8192, until=2.0, device="numpy").place
     counts = 32 * 2 ** np.arange(doublings)

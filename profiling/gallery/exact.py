@@ -1,4 +1,4 @@
-"""A greyscale phantom reproduced exactly by light of both signs, and what that asks for."""
+"""A grayscale phantom reproduced exactly by light of both signs, and the requirements for it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def exact(
     device: Device, quick: bool = False, pixels: int = 100, angles: int = 360, subtraction: float = 1.0
 ) -> Picture:
     """The phantom at μR = 1; ``subtraction`` is μR of the light whose dose is subtracted."""
-    del device  # one point after another: nothing a device could do at once
+    del device  # one point after another: not suitable for a device
     n, turn = (24, 90) if quick else (int(pixels), int(angles))
     design = _phantom(n)
     plans = {w: reconstruct(design, angles=turn, width=w, subtraction=subtraction) for w in WIDTHS}
@@ -48,10 +48,9 @@ def exact(
     caption = (
         f"{n} × {n} points, {turn} angles, μR = 1 for light that adds and {subtraction:g} for light that subtracts. "
         "Points are processed one after another. Each is corrected only at angles at which no earlier point shares its "
-        "bin, so a correct dose never changes again. The buildup is absolute, never rescaled. It is exact at the "
-        "points as long as every point has a free angle, which needs narrow bins; without one the light grows without "
-        "limit. Between the points, where there is also resin, the dose is not exact; the finer buildup shows the "
-        "error."
+        "bin; a correct dose therefore never changes again. The buildup is absolute, never rescaled. It is exact at "
+        "the points if every point has a free angle, which needs narrow bins; otherwise the light grows without limit. "
+        "Between the points, where there is also resin, the dose is not exact; the finer buildup shows the error."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 

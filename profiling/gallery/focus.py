@@ -1,4 +1,4 @@
-"""A focus that follows a roller: planes, masks, binned frames, and the power the lens takes in every slot."""
+"""A focus that follows a roller: planes, masks, divided frames, and the power of the lens in every slot."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def focus(
 
 
 def _frame(roller: Roller, masks: FocusMasks, beam: Any, device: Device) -> Frames:
-    """A frame of 8 bits: the projection of a sheet gyroid to one pose."""
+    """An 8-bit frame: the projection of a sheet gyroid at one angle."""
     from scipy.sparse import csr_matrix
 
     rows = beam.pixels[1]

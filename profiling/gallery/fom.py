@@ -1,4 +1,4 @@
-"""The calibration disk printed at five stop doses, four noisy times each."""
+"""The calibration disk printed at five stop doses, four noisy prints each."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from vamgpu.targets.shapes.calibration import GAPS_PX, SPOKES_PX
 from vamgpu.targets.target import Target
 
 STOPS = (1.0, 1.06, 1.12, 1.18, 1.24)
-"""Stop doses over the dose at which the mean of the part gels."""
+"""Stop doses relative to the dose at which the mean of the part gels."""
 REPLICATES = 4
 
 
 def fom(device: Device, quick: bool = False, pixel: float = 0.067, angles: int = 360, blur: float = 0.05,
         noise: float = 0.03) -> Picture:  # fmt: skip
-    """The disk by the recipe of automatic exposure; ``blur`` [mm] is the standard deviation of what oxygen diffuses,
-    ``noise`` that of the resin's sensitivity from place to place and of the stop from print to print."""
+    """The disk by the recipe of automatic exposure. ``blur`` [mm] is the standard deviation of oxygen diffusion;
+    ``noise`` is that of the resin's local sensitivity, and of the stop of each print."""
     pitch, turn = pixel, 60 if quick else int(angles)
     target = Target.from_mesh(exposure_disk(thickness=4 * pitch), factor=1.0, pitch=pitch, device=device)
     plan = optimize(scene.straight(target, turn, device), target, "recipe")
@@ -77,7 +77,7 @@ def _blurred(dose: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _printed(dose: np.ndarray, stop: float, noise: float, length: float, rng: np.random.Generator) -> np.ndarray:
-    """What gels: the dose at the stop times the local sensitivity reaches 1."""
+    """Gelled resin: the dose at the stop, multiplied by the local sensitivity, reaches 1."""
     rough = _blurred(rng.standard_normal(dose.shape), length)
     local = 1.0 + noise * rough / rough.std()
     return dose * stop * (1.0 + noise * rng.standard_normal()) * local >= 1.0
@@ -91,7 +91,7 @@ def _judged(printed: np.ndarray, pitch: float) -> Merit:
 
 
 def _least(merits: list[Merit]) -> tuple[float, float]:
-    """Means of the thinnest spoke that holds and of the narrowest open gap; one more than the widest where none is."""
+    """Means of the thinnest spoke that holds and of the narrowest open gap; without one, the widest plus one."""
     spokes = [max(SPOKES_PX) + 1 if m.least_spoke is None else m.least_spoke for m in merits]
     gaps = [max(GAPS_PX) + 1 if m.least_gap is None else m.least_gap for m in merits]
     return float(np.mean(spokes)), float(np.mean(gaps))

@@ -1,4 +1,4 @@
-"""What a projector is handed: frames of 8 bits and of 1 bit, and the gray curve between levels and light."""
+"""Input of a projector: frames of 8 bits and of 1 bit, and the gray curve between levels and light."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def frames(
     gamma: float = 2.2,
     black: float = 0.002,
 ) -> Picture:
-    """Light for the boat packed four ways, for a projector of a gamma and a black level."""
+    """Patterns for the boat packed in four ways, for a projector with a gamma and a black level."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     plan = optimize(A, target, iterations=4 if quick else 40)
@@ -69,13 +69,13 @@ def frames(
         Fact("light of a mirror switched off, divided by full-on", 100 * curve.black, "%", 2),
     )
     caption = (
-        "Patterns are converted to bytes. A full-on pixel stands for the brightest one that is not an outlier; each "
-        "pixel gets the level whose measured light, black level included, is nearest. With 1 bit, each pixel passes "
-        "its rounding error to the next angle. The dose sums over angles, so most of the part survives; rounding to "
-        "the nearest bit loses it. Bits chosen together by their dose leave a window like that of the plan, or a wider "
-        "one if the plan's run was short. The table judges only the dose of the bytes, decoded as the mirrors show "
-        "them; their black level adds light that is not in the plan. The error is the norm of the difference in light, "
-        "divided by the norm of the light."
+        "Patterns are converted to bytes. A full-on pixel corresponds to the brightest one that is not an outlier; "
+        "each pixel gets the level whose measured light, black level included, is nearest. With 1 bit, each pixel "
+        "passes its rounding error to the next angle. The dose sums over angles; most of the part therefore survives. "
+        "Rounding to the nearest bit loses it. Bits chosen together by their dose leave a window like that of the "
+        "plan, or a wider one if the plan's run was short. The table judges only the dose of the bytes, decoded as the "
+        "mirrors show them; their black level adds light that is not in the plan. The error is the norm of the "
+        "difference in light, divided by the norm of the light."
     )
     return Picture(figure, caption, facts, table, plan.papers)
 
@@ -122,7 +122,7 @@ def _curve(axis: Axes, curve: GrayCurve) -> None:
 def _inverse(axis: Axes, curve: GrayCurve) -> None:
     wanted = np.linspace(0.0, 1.0, 2001)
     axis.plot(wanted, curve.inverse(wanted), color=style.BLUE)
-    axis.set(title="Its inverse", xlabel="light asked for, over full-on", ylabel="gray level", xlim=(0, 1),
+    axis.set(title="Its inverse", xlabel="required light, over full-on", ylabel="gray level", xlim=(0, 1),
              ylim=(0, 258), yticks=[0, 64, 128, 192, 255])  # fmt: skip
 
 

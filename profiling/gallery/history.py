@@ -1,4 +1,4 @@
-"""A resin that is used five times: print times, a model of them, and what it foresees."""
+"""A resin that is used five times: print times, a model for them, and its predictions."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def history(
     )
     caption = (
         "Print times of five generations of resin. Each print uses up oxygen in the resin around the part and removes "
-        "some resin; stirring and a night under air restore oxygen, the more the less resin there is under the same "
-        "surface. Three numbers fit five ages well, which proves little, so each age is also predicted from the other "
-        "four. The last time, longer than the one before, is not predicted. The fit returns far more oxygen to the "
-        "vial than diffusion alone would in the assumed resin. The times do not show how it returned, by stirring or "
-        "otherwise, nor that oxygen is the only cause of aging."
+        "some resin; stirring and a night in air restore oxygen. Less resin under the same surface gets more of it. "
+        "Three numbers fit five generations well, which proves little; each is therefore also predicted from the "
+        "other four. The last time, longer than the one before, is not predicted. The fit returns far more "
+        "oxygen to the vial than diffusion alone would in the assumed resin. The times do not show how it returned, by "
+        "stirring or otherwise, nor that oxygen is the only cause of aging."
     )
     return Picture(_drawn(found, measured), caption, facts, Table(titles, (".1f", ".1f", ".1f", "+.1f"), rows),
                    (AUTOMATIC_EXPOSURE,))  # fmt: skip

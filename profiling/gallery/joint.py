@@ -1,4 +1,4 @@
-"""Both colors found together through the kinetics, against those that a linear model finds."""
+"""Both colors optimized together through the kinetics, compared with the patterns of a linear model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ALPHA, PAIRING = 0.2138, 0.432
 """k_B/k_A and k₂·[A]₀ [1/s] as fitted to the measured induction times."""
 OUTSIDE = 0.7
-"""Effective dose that is asked for out of the part, at most."""
+"""Greatest effective dose outside the part."""
 LABELS = {"visible": "visible alone", "linear": "linear model's light", "joint": "through the kinetics"}
 HUES = dict(zip(LABELS, (style.ORANGE, style.QUIET, style.BLUE), strict=True))
 
@@ -76,18 +76,17 @@ def joint(
 
 
 def _caption(size: int, poses: int, model: KineticModel, early: int) -> str:
-    """early: how many kinds of light pass the end of the induction before the last turn."""
+    """early: number of cases that pass the end of the induction before the last turn."""
     turns, supply = f"{model.turns} turns of {model.period:g} s", f"{model.resin.supply:g}"
     return (
         f"{size} × {size} voxels, {poses} angles, {turns}. The figure shows effective doses: 1 is the end of the "
         "induction; inhibitor that ultraviolet adds counts as visible dose that is still needed. Light arrives in the "
         "order of rotation, each color is attenuated separately (μR = 0.5), C is used up, and B pairs up in between: α "
         f"= {ALPHA:g} and k₂ = {PAIRING:g}/s are fitted to the measured induction times; [C]₀ = {supply} [A]₀ is "
-        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay, so it relies on ultraviolet "
-        "whose effect is gone. The kinetics, differentiated exactly through all turns, place it where and when its "
-        f"effect lasts. Nothing here keeps the part clear before the last turn: in {early} of {len(LABELS)} cases its "
-        "greatest dose exceeds 1 by then. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, "
-        "excess in red."
+        "assumed. The linear model, visible − k·ultraviolet, ignores order and decay and relies on ultraviolet light "
+        "without a lasting effect. The kinetics, differentiated exactly through all turns, place ultraviolet light "
+        f"where and when its effect lasts. In {early} of {len(LABELS)} cases, the greatest dose in the part exceeds 1 "
+        "before the last turn. Middle row, the voxels with dose ≥ 1: correct in black, missing in blue, excess in red."
     )
 
 
@@ -102,7 +101,7 @@ def round_slice(n: int) -> Target:
 def round_colors(
     target: Target, poses: int, extinctions: tuple[float, float], device: Device
 ) -> tuple[Projection, Projection]:  # fmt: skip
-    """Operators of both colors in resin of the slice's radius R, μR given, a pixel a voxel."""
+    """Operators of both colors in resin of the slice's radius R, with μR, one voxel per pixel."""
     grid, radius = target.grid, 0.5 * DIAMETER
     beam = Beam((grid.shape[0], 1), grid.pitch)
     vats = (Vat(2.0 * radius, radius=radius, absorption=mu / radius) for mu in extinctions)

@@ -1,4 +1,4 @@
-"""Cure-through layer by layer: the sawtooth, the correction, and what it cannot avoid."""
+"""Cure-through layer by layer: the sawtooth, the correction, and the error that remains."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def layerwise(
     device: Device, quick: bool = False, absorption_height: float = 0.11, slice_height: float = 0.05,
     critical_mJ_cm3: float = 576.0, speed_mm_h: float = 1000.0, full_mW_cm2: float = 100.0, dark_mW_cm2: float = 1.7,
 ) -> Picture:  # fmt: skip
-    """Four blocks over each other, as sliced and corrected."""
+    """Four blocks above each other, as sliced and as corrected."""
     printer = LayerPrinter(absorption_height, critical_mJ_cm3 * mJ_cm3, slice_height, slice_height * HOUR / speed_mm_h,
                            levels_of(full_mW_cm2 * mW_cm2, dark_mW_cm2 * mW_cm2))  # fmt: skip
     part = np.zeros((90, 8, 60), np.uint8)
@@ -59,9 +59,9 @@ def layerwise(
         Fact("features whose back side full light does not cure, columns", float((corrector.missed > 0).sum()), "", 3),
     )
     caption = (
-        "The platform stops for every slice, so the dose jumps from layer to layer. The correction gives the far edge "
-        "of every layer the critical dose, and the void nothing. Because level 0 is not dark, a little of the void in "
-        "front of every feature still cures. Right: the contributions of single slices."
+        "The platform stops for every slice; the dose therefore jumps from layer to layer. The correction gives the "
+        "far edge of every layer the critical dose, and the void nothing. Because level 0 is not dark, a little of the "
+        "void in front of every feature still cures. Right: the contributions of single slices."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 

@@ -1,4 +1,4 @@
-"""What a web machine can do and what binds it: speeds, time of a pose, flow, and the frequencies light reaches."""
+"""Performance and limits of a web machine: speeds, time of an angle, flow, and the frequencies that light reaches."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     pass
 
 PAPER_DENSITY = 1.1 * kg_m3
-"""The density with which the paper computes its viscosity; a resin has a thousand times that."""
+"""The density with which the paper computes its viscosity; a resin has a thousand times this density."""
 
 
 def limits(
@@ -60,7 +60,7 @@ def limits(
     caption = (
         "Four limits on the speed of a web that turns by a fixed angle per frame: the mirrors' rate, the settling of "
         "the lens, the link to the lens, and their sum, because the machine does one after another. At the design "
-        "speed, light can be on for the part of each slot that the lens leaves. The slower the web, the longer the "
+        "speed, light can be on while the lens neither gets a command nor moves. The slower the web, the longer the "
         "uncured resin hangs in the light, and the more viscous it must be. A film in a bath of lower index gets light "
         "from a limited range of angles, so a wedge of spatial frequencies about its normal is missing."
     )

@@ -1,4 +1,4 @@
-"""A print in aged resin, by a weak lamp and off its axis, that is watched and planned anew."""
+"""A print in aged resin, with a weak lamp and an axis off center, that is watched and replanned."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vamgpu.metrics import score
 
 
 def live(device: Device, quick: bool = False, generation: int = 3, lamp: float = 0.9, along_z: float = 0.05) -> Picture:
-    """generation: of resin, of five.  lamp: its power over planned.  along_z: rise of the gain from middle to top."""
+    """generation: of the resin, of five. lamp: its power over the plan's. along_z: rise of gain from middle to top."""
     bench = Bench(24 if quick else 32, 40 if quick else 60, device.name)
     truth = Truth(inhibitor=GENERATIONS[generation - 1] / GENERATIONS[0], lamp=lamp, along_z=along_z)
     timed = bench.printer(truth, 0)

@@ -1,4 +1,4 @@
-"""Prints on emulated machines: their timing, what the resin gets, and how soon it is dark when something goes wrong."""
+"""Prints on emulated machines: their timing, the dose in the resin, and the time until dark after a fault."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def machines(
 
 
 class _Stand:
-    """A print on a bench of its own."""
+    """A print on an emulated rig of its own."""
 
     def __init__(self, schedule: Schedule, frames: Frames, powers: tuple[float, ...] = (), shift: int = 0) -> None:
         _, rows, columns = frames.shape
@@ -91,7 +91,7 @@ class _Stand:
 
 @dataclass
 class _Shifted:
-    """Pictures that come some slots late."""
+    """Frames that come some slots late."""
 
     own: Any
     late: int
@@ -131,7 +131,7 @@ def _timeline(axis: Axes, roll: _Stand) -> None:
 
 
 def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
-    """What resin gets of a vial, against the library's simulation."""
+    """Dose of a vial's resin, compared with the library's simulation."""
     A = Projection(Grid((32, 32, 8), 0.5), Beam((32, 8), 0.5), Turntable(angles), device=device)
     frames = _frames(angles, 32, 8)
     wanted = A.T(A.device.upload(frames.irradiance().numpy().astype(np.float32))).numpy()
@@ -144,12 +144,12 @@ def _errors(axis: Axes, device: Device, angles: int) -> dict[str, float]:
         light = seconds[:, ::-1].transpose(0, 2, 1) / (1e-9 * schedule.on[0])
         dose = A.T(A.device.upload(np.ascontiguousarray(light, np.float32))).numpy()
         found[name] = float(np.abs(dose - wanted).max() / wanted.max())
-    _bars(axis, found, "dose off by, of its greatest", "What the resin of a vial gets", 1e-4)
+    _bars(axis, found, "dose off by, of its greatest", "Dose in the resin of a vial", 1e-4)
     return found
 
 
 def _darkness(axis: Axes, speed: float) -> dict[str, float]:
-    """How long light lasts after a fault [ms], by the emulated lamp."""
+    """Duration of light after a fault [ms], on the emulated lamp."""
 
     def hang(stand: _Stand) -> None:
         stand.emulated.clock.sleep(SECOND)

@@ -1,4 +1,4 @@
-"""Refractive indices and absorption of what comes with the library, and how far its inhibitors diffuse."""
+"""Refractive indices and absorption of the bundled materials, and diffusion lengths of the inhibitors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig measured by its own drivers: focus, axis, gray levels and sharpness, beside the truth of emulated optics."""
+"""A rig calibrated by its own drivers: focus, axis, gray levels and sharpness against the values of its emulators."""
 
 from __future__ import annotations
 

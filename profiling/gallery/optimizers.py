@@ -24,7 +24,7 @@ SOON = 40
 def optimizers(
     device: Device, quick: bool = False, pitch: float = 0.15, angles: int = 240, evaluations: int = 120
 ) -> Picture:
-    """The boat, straight light, no absorption; every method at equal thresholds and cost."""
+    """The boat, straight light, no absorption; every method with equal thresholds and cost."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     most = 8 if quick else int(evaluations)
@@ -69,7 +69,7 @@ def optimizers(
 
 
 def _told(A: Projection, target: Target, name: str, evaluations: int) -> Plan:
-    """Best light of a method; that some diverge shows in the picture and needs no warning."""
+    """Best patterns of a method; the picture shows which methods diverge, without warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DivergenceWarning)
         return compared(A, target, name, evaluations)

@@ -1,4 +1,4 @@
-"""The widest window that any light can have: the optimum, what finds it, and what bounds it."""
+"""The widest window of any patterns: the optimum, methods that approach it, and its bound."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 LABELS = {"ramp": '"ramp", the default', "lbfgs": '"lbfgs"', "osmo": '"osmo"'}
 BOUNDED = (70, 120, 250, 500, 1000)
-"""Evaluations after which prices are asked for a bound."""
+"""Evaluations after which the bound is computed from the dual variables."""
 
 
 def optimum(device: Device, quick: bool = False, part: str = "cross", evaluations: int = 400) -> Picture:
-    """A slice of 40 × 40 voxels in straight light; one of those that `profiling.slices` names."""
+    """A slice of 40 × 40 voxels in straight light; one of those in `profiling.slices`."""
     parts = slices.slices() | slices.more()
     if part not in parts:
         raise BadInput(f"part is {part!r}; expected one of {', '.join(parts)}")
@@ -39,7 +39,7 @@ def optimum(device: Device, quick: bool = False, part: str = "cross", evaluation
     style.shown(axes["a"], dose, f'Dose of "ramp", {part}', cmap="inferno", vmin=0.0)
     axis: Axes = axes["b"]
     axis.axhline(top, color=style.INK, lw=1.2, ls=(0, (4, 3)), label="optimum, by linear programming")
-    axis.plot(list(limits), list(limits.values()), "v", color=style.RED, ms=6, label="no light has more, by prices")
+    axis.plot(list(limits), list(limits.values()), "v", color=style.RED, ms=6, label="upper limit by dual variables")
     for (name, label), color in zip(LABELS.items(), style.HUES, strict=False):
         steps = [step for step in plans[name].history if step.window > 0.0]
         axis.plot([s.evaluations for s in steps], [s.window for s in steps], color=color, label=label)

@@ -1,4 +1,4 @@
-"""Draw the live page in its states and the page of three proofs; needs Playwright and Chromium.
+"""Draw the live page in its states, the report of a live print and of three proofs; needs Playwright and Chromium.
 
 ``python -m profiling.gallery.pages [FOLDER]``
 """
@@ -22,18 +22,24 @@ from PIL import Image
 import vamgpu
 from vamgpu.errors import BadInput
 from vamgpu.hosts.panel import Panel
-from vamgpu.hosts.records.state import Board, Estimated, PrintState
+from vamgpu.hosts.records.state import Board, Estimated, ImageCheck, PrintState
+from vamgpu.hosts.rigs.config import read_rig
+from vamgpu.hosts.rigs.guarantees import guarantees
+from vamgpu.live import CuringResin, LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
 from vamgpu.live.maps import cuts
+from vamgpu.live.report import page as live_page
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading
 from vamgpu.targets import shapes
 
-DESK, PHONE = (1100, 760), (390, 844)
+DESK, PHONE = (1100, 900), (360, 800)
 SHEET: Any = {"width": 900, "height": 1200}
 COLORS = 192
 """Of the pictures of proofs, which are large otherwise."""
-KEPT = ("printing-vial", "printing-two", "held", "live", "phone")
+KEPT = ("printing-vial", "held", "live", "phone")
 """Which stand in docs/; all others are drawn to be looked at."""
+TUBE = Truth(inhibitor=0.75, lamp=0.9, across=0.3)
+"""How the print of the report differs from its plan."""
 
 
 def frame(angle: float, rows: int = 240, columns: int = 320) -> np.ndarray:
@@ -51,9 +57,14 @@ def believed() -> dict[str, np.ndarray]:
     dose = 0.35 + 0.75 / (1.0 + np.exp(12.0 * (away + 0.03)))
     part = (away < 0).astype(float)
     return {
-        "dose; brightest is 1.5 times what turns solid": cuts(dose, part, 1.5),
+        "dose; brightest is 1.5 times what solidifies": cuts(dose, part, 1.5),
         "conversion seen": cuts(np.clip(1.0 - np.exp(-4.0 * (dose - 0.65)), 0.0, 1.0), part, 1.0, "viridis"),
     }
+
+
+def claims(rig: str = "emulated") -> list[dict[str, Any]]:
+    """What a rig guarantees at a usual speed, as a print shows it."""
+    return [one.record() for one in guarantees(read_rig(rig).setup, 40.0)]
 
 
 def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
@@ -61,29 +72,43 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
     vial = {
         "state": "printing", "job": "benchy.vam", "slots": 14400, "slot": 5230, "frame": 190, "position": 5230.4,
         "light": True, "power": 0.8, "fill": 0.93, "margin": 214_000_000, "spent": 0.361, "left": 229.0,
-        "lease": 1.0, "renewed": 0.04, "preview": frame(0.4), "polled": True,
+        "lease": 1.0, "renewed": 0.04, "preview": frame(0.4), "polled": True, "period": 720, "interlock_closed": True,
+        "guarantees": claims(),
     }  # fmt: skip
-    dark = vial | {"light": False, "renewed": None, "interlock_closed": True}
+    dark = vial | {"light": False, "renewed": None}
     curve = [ScatterReading(float(t), 0.3 / (1 + np.exp((70 - t) / 9)), False) for t in range(0, 88)]
-    web = {"job": "web.vam", "unit": "mm", "focus": -1.25, "position": 871.2, "slots": 0}
+    web = {"job": "web.vam", "unit": "mm", "focus": -1.25, "position": 871.2, "slots": 0, "period": 0}
+    bare = {"guarantees": claims("docs/rigs/vialux_zaber.toml"), "interlock_closed": None, "renewed": None}
+    dry = {"rehearsed": True, "job": "dry run of benchy.vam"}
+    good = [ImageCheck("images", t, 4.1 + (t * 37 % 11) / 3, 15.0) for t in range(1, 10)]
+    good += [ImageCheck("conversion", t, 0.13 - 0.004 * t, 0.35) for t in range(3, 10)]
+    wrong = [ImageCheck("images", t, v, 15.0) for t, v in enumerate((6.1, 7.0, 9.4, 13.8, 21.3), 1)]
     ended = dark | {"left": None}
     return {
-        "standby": (DESK, {"job": "benchy.vam", "slots": 14400}),
+        "standby": (DESK, {"job": "benchy.vam", "slots": 14400, "period": 720}),
+        "dry-run": (DESK, vial | dry),
+        "printing-bare": (DESK, vial | bare),
         "printing-vial": (DESK, vial | {"scatter": curve, "threshold": 0.35, "camera": frame(1.2) // 2 + 40}),
         "printing-web": (DESK, vial | web),
         "printing-two": (DESK, vial | {"job": "visible.vam uv.vam", "others": (frame(1.3),)}),
-        "live": (DESK, vial | {
+        "live": ((DESK[0], 1150), vial | {
+            "slot": 6900, "position": 6900.4, "frame": 420, "left": 61.0, "spent": 0.712,
             "preview": frame(0.4), "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 13, "parameters": (
                 Estimated("sensitivity", 0.812, 0.021, (0.6, 1.4)), Estimated("absorption", 1.131, 0.042, (0.8, 1.2)),
                 Estimated("across", 0.062, 0.008, (-0.1, 0.1)), Estimated("inhibitor", 0.735, 0.03, (0.38, 1.62)),
                 Estimated("estimated after turn", 9, 0.0), Estimated("expected stop [turn]", 13, 0.0),
-            ), "maps": believed(),
+            ), "maps": believed(), "checks": good,
+        }),
+        "live-doubted": (DESK, vial | {
+            "camera": frame(1.2) // 2 + 40, "plan": 3, "stop": 16, "checks": wrong,
+            "live": "images do not decide: images differ from any field by 21.3 times their noise (expected at most "
+            "15): check open field, noise, orientation and place of the camera; the planned light continues",
         }),
         "paused": (DESK, dark | {"state": "paused"}),
         "held": (DESK, dark | {
             "state": "held",
             "message": "the light went off: the controller closed the light: interlock; 9169 of 14400 slots remain",
-            "interlock_closed": False, "deadline": time.monotonic() + 24.9,
+            "interlock_closed": False, "deadline": time.monotonic() + 24.9, "doubt": ((5230, 5231),),
         }),
         "complete": (DESK, ended | {"state": "complete", "slot": 14399, "spent": 0.99}),
         "incomplete": (DESK, ended | {"state": "incomplete", "slot": 14399, "dark": 7, "message": "7 lack light"}),
@@ -92,6 +117,7 @@ def states() -> dict[str, tuple[tuple[int, int], dict[str, Any]]]:
         "lost": (DESK, vial),
         "phone": (PHONE, vial | {"others": (frame(1.3),)}),
         "phone-lost": (PHONE, vial),
+        "phone-dry": (PHONE, vial | dry | {"checks": good}),
     }  # fmt: skip
 
 
@@ -114,7 +140,7 @@ def runs(place: Path) -> None:
 
 
 def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
-    """Draw the wanted pages, or all."""
+    """Draw the requested pages, or all."""
     from playwright.sync_api import sync_playwright
 
     drawn = []
@@ -153,7 +179,7 @@ def shoot(out: Path, wanted: tuple[str, ...] = ()) -> list[Path]:
 
 
 def proofs() -> Iterator[tuple[str, Proof]]:
-    """A gear in a vial: light that prints, light that does not, and the first with lit columns beside the part."""
+    """A gear in a vial: patterns that print, patterns that do not, and the first with extra lit columns beside."""
     vial = vamgpu.Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, absorption=0.05)
     beam = vamgpu.Beam((54, 32), 0.4)
     width = vamgpu.resin_pixel(beam, vial)[0]
@@ -169,7 +195,7 @@ def proofs() -> Iterator[tuple[str, Proof]]:
 
 
 def shoot_proofs(out: Path) -> list[Path]:
-    """Draw the head of the page of each proof, and the surface in three dimensions below it."""
+    """Draw the head of each proof's report, with the surface in three dimensions below it."""
     from playwright.sync_api import sync_playwright
 
     drawn = []
@@ -193,8 +219,49 @@ def shoot_proofs(out: Path) -> list[Path]:
     return drawn
 
 
+def watched(folder: Path) -> LiveRecord:
+    """A tube that prints in used resin with a displaced axis, and whose camera is pushed aside after turn 13."""
+    vial, red = (vamgpu.Vial(8.0, 0.5, 1.5, 1.5, 1.0, absorption=a) for a in (0.1, 0.0))
+    setup = LiveSetup(
+        (32, 32, 16), 0.13, (64, 16), 0.13, 60, vial, red, 800.0, SensorNoise(0.8, 0.01, 10), CuringResin(),
+        Turbidity((0.0, 1.0), (0.0, 0.25)), 1.3, 16, 32, evaluations=6.0,
+    )  # fmt: skip
+    plan = setup.projection(vial)
+    x, y, z = np.meshgrid(*plan.grid.axes(), indexing="ij")
+    part = ((abs(np.hypot(x, y) - 1.1) < 0.5) & (abs(z) < 0.7)).astype(np.float32)
+    light = (vamgpu.optimize(plan, part, "lbfgs", 20, progress=False).sinogram.numpy() / 16).astype(np.float32)
+    record = LiveRecord(folder)
+    printer = VirtualPrinter(plan, setup.camera(), setup.resin, setup.turbidity, TUBE)
+    loop = record.begin(setup, part, light)
+    state, action = loop.start(), "keep"
+    while action != "stop":
+        printer.turn(printer.dose(np.asarray(state.light)))
+        images = np.roll(printer.through(), 5 * (printer.turns > 13), axis=2)
+        state, decision = loop.decide(state, images)
+        record.add(images, decision, effective=decision.turn + 1)
+        action = decision.action
+    return record
+
+
+def shoot_live(out: Path) -> Path:
+    """Draw the report of a live print whose images stop to decide."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
+        record = watched(Path(place) / "tube.run" / "live")
+        browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1000, "height": 1240})
+        page.goto(live_page(record, TUBE).write(Path(place) / "live.html").as_uri())
+        page.screenshot(path=out / "report-live.png")
+        browser.close()
+    Image.open(out / "report-live.png").convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(
+        out / "report-live.png", optimize=True
+    )
+    return out / "report-live.png"
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     shown = folder or Path("docs")
-    for image in (*shoot(shown, () if folder else KEPT), *shoot_proofs(shown)):
+    for image in (*shoot(shown, () if folder else KEPT), shoot_live(shown), *shoot_proofs(shown)):
         print(f"drew {image}")

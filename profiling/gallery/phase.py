@@ -1,4 +1,4 @@
-"""Phase portraits of two inhibitors under two colors: where light drives them, and where it holds them."""
+"""Phase portraits of two inhibitors under two colors: where light drives them, and their stationary states."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ STARTS = ((1.0, 0.0), (1.0, 0.6), (0.55, 1.25), (1.0, 1.25), (0.1, 0.15), (0.15,
 TOP = 1.3
 LONG = 600.0
 TURNS = 3
-"""As the title of the third panel says."""
+"""Values in the title of the third panel."""
 
 
 @dataclass(frozen=True)
 class _Case:
-    """Light that does not change, and what it does."""
+    """Constant light, and its effect."""
 
     rates: Rates
     uv: float
@@ -158,7 +158,7 @@ def _origin_facts(rates: Rates, device: Device) -> tuple[Fact, ...]:
 
 
 def _held_facts(rates: Rates, uv: float, level: float, eigenvalues: np.ndarray, device: Device) -> tuple[Fact, ...]:
-    """The closed forms against where paths end, and how fast small disturbances of them fade."""
+    """The closed forms compared with the ends of paths, and the decay of small disturbances."""
     end = advance(rates, SpeciesState(1.0, 0.0, 40.0), LightCycle(1.0, uv, LONG), device=device)
     off, span = 1e-2 * level, 1.0
     pushed = advance(rates, SpeciesState([off, 0.0, 0.0], [level - off, level + off, level - off], 40.0),

@@ -1,4 +1,4 @@
-"""What an entry of the gallery returns: a figure and the numbers its caption states."""
+"""The return value of a gallery entry: a figure and the numbers in its caption."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 class Fact:
     """One number measured in the run.
 
-    expected: what it should be, and ``source`` says who says so.  bound: "≤" or "≥" where expected is a limit.
-    digits: significant ones shown.
+    expected: the true value; ``source`` names its origin. bound: "≤" or "≥" if expected is a limit. digits: number of
+    significant digits shown.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Fact:
 
     @property
     def difference(self) -> str:
-        """How far the value is from what is expected, in its unit and in percent."""
+        """Difference between the value and the expected one, in its unit and in percent."""
         if self.expected is None or self.bound:
             return ""
         gap = self.value - self.expected
@@ -63,7 +63,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure, what it shows, the numbers measured while it was made, and the papers it relies on."""
+    """A figure, its caption, the numbers measured while it was made, and the papers on which it relies."""
 
     figure: Figure
     caption: str

@@ -1,4 +1,4 @@
-"""Thin walls that oxygen would blur away, and the dose that brings them back."""
+"""Thin walls that oxygen would blur away, and the dose that restores them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def precompensation(
     blur: float = 1.0,
     background: float = 0.6,
 ) -> Picture:
-    """A gyroid whose walls thin out; blur: deviation of the diffused dose in voxels."""
+    """A gyroid whose walls become thinner; blur: standard deviation of the diffused dose in voxels."""
     n = 32 if quick else int(voxels)
     part, grid = _walls(n), Grid((n, n, n // 2), pitch)
     diffusion = Diffusion((blur * pitch) ** 2 / 60.0, 60.0)
@@ -60,12 +60,12 @@ def precompensation(
     )
     caption = (
         "Oxygen diffuses into regions that the light has depleted, so thin walls cure late. The blur is the mean of "
-        "heat kernels over the exposure. The target dose is deconvolved with a small weight on its distance from the "
-        f"plain target, and never falls below zero: a background of {100 * background:g} % lets it dip beside an edge. "
-        "The table shows the value of that background. This part's edges are smooth over more than a voxel, which "
-        "flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target dose, "
-        "not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate that "
-        "assumes 293 K and 500 g/mol, which the paper does not give."
+        "heat kernels over the exposure. The target dose is deconvolved; a small weight penalizes its distance from "
+        f"the plain target, and it never falls below zero. A background of {100 * background:g} % lets it dip beside "
+        "an edge. The table shows the value of that background. This part's edges are smooth over more than a voxel, "
+        "which flatters the numbers: sharp edges and wider blurs leave less to gain. All numbers describe the target "
+        "dose, not a print: light cannot be negative and may not reach it. The last number is a Wilke–Chang estimate "
+        "that assumes 293 K and 500 g/mol, which the paper does not give."
     )
     table = _table(part, grid, diffusion, device)
     return Picture(_drawn(part, plain, found, made_up), caption, facts, table, PAPERS)

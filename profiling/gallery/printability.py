@@ -35,7 +35,7 @@ PLAIN = TwoColorResin(visible=1.0, ultraviolet=1.0, supply=0.5, alpha=1.0)
 
 @dataclass(frozen=True)
 class _Scene:
-    """A panel of Fig. 7: doses of a turn at a power, so many turns, and thresholds."""
+    """A panel of Fig. 7: doses of a turn at a power, the number of turns, and thresholds."""
 
     title: str
     doses: TurnDoses
@@ -51,8 +51,8 @@ def printability(
 ) -> Picture:  # fmt: skip
     """Words in a round slice of Ø30 mm.
 
-    critical: T_opt [mJ/mm³].  firm: T_mec over it.  visible, uv: μR.  off: share of dose, and axis [mm], that may be
-    off.  limit: a full-on pixel [mW/cm²].
+    critical: T_opt [mJ/mm³]. firm: T_mec over it. visible, uv: μR. off: allowed error of the dose (share), and of the
+    axis [mm]. limit: a full-on pixel [mW/cm²].
     """
     n, poses, count = (40, 36, 30) if quick else (int(pixels), int(angles), 120)
     target, resin = round_slice(n), Thresholds(critical, firm * critical)
@@ -83,14 +83,14 @@ def printability(
     table = _table(every, worst, resin, int(turns))
     caption = (
         "Doses after every turn of all points of the part (blue, D_in,min to D_in,max) and of the outside point that "
-        f"gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn no "
-        "point of the part may pass T_opt, (b) after it all must pass T_mec, (c) and none outside may pass T_opt. Top, "
-        "a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough power to be firm, and "
-        "with little enough not to overcure; two colors at any turn; one color with more inhibitor and more turns. "
-        f"Below, the allowed power against the number of turns; pale: the range that also tolerates ± {100 * off:g} % "
-        f"in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has {n} × {n} voxels and {poses} "
-        f"angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, not measured; 999 stands for "
-        "any number of turns."
+        f"gets most (red), divided by T_opt; the dashed line is T_mec = {firm:g} T_opt. (a) Before the last turn, no "
+        "point of the part may exceed T_opt; (b) after it, all points must exceed T_mec; (c) no point outside may "
+        "exceed T_opt. Top, a to e, as in the paper's Fig. 7: two colors at an allowed power; one color with enough "
+        "power to be firm, and with little enough not to overcure; two colors at any turn; one color with more "
+        "inhibitor and more turns. Below, the allowed power against the number of turns; pale: the range that also "
+        f"tolerates ± {100 * off:g} % in each lamp and ± {axis:g} mm in the axis, in all combinations. The slice has "
+        f"{n} × {n} voxels and {poses} angles, doses are linear, visible − uv. T_opt = {critical:g} mJ/mm³ is assumed, "
+        "not measured; 999 stands for any number of turns."
     )
     return Picture(figure, caption, facts, table, (PAPER,))
 
@@ -121,7 +121,7 @@ def _table(every: dict[str, TurnDoses], worst: dict[str, TurnDoses], resin: Thre
 def _lights(
     target: Target, poses: int, count: int, device: Device, extinctions: tuple[float, float]
 ) -> tuple[TurnLight, TurnLight]:  # fmt: skip
-    """Light of one color, and of two."""
+    """Patterns of one color, and of two."""
     A, B = round_colors(target, poses, extinctions, device)
     weights = LossWeights(outside=0.45, inside=1.0 + 1e-3, most=1.06)
     found = optimize_colors(LinearModel(A, B, PLAIN, 1), target, weights, count)
@@ -176,7 +176,7 @@ def _map(
         axis.plot([], [], color=color, lw=4, label=name)
     axis.axhline(1.0, color=style.QUIET, lw=1)
     axis.legend(loc="upper right")
-    axis.set(xlabel="turns", ylabel="turns × power × D_in,min / T_mec", title="Legal powers over the number of turns",
+    axis.set(xlabel="turns", ylabel="turns × power × D_in,min / T_mec", title="Allowed powers over the number of turns",
              xlim=(0.4, most + 0.6))  # fmt: skip
 
 

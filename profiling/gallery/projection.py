@@ -1,4 +1,4 @@
-"""The sinogram of a tilted ellipse beside its chords by formula, and the error over the size of the grid."""
+"""The sinogram of a tilted ellipse compared with its chords by formula, and the error against the size of the grid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LIMIT = 0.4
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Semi-axes a, b, center and tilt [rad], lengths over the edge of the grid."""
+    """Semi-axes a, b, center and tilt [rad]; lengths relative to the edge of the grid."""
 
     a: float
     b: float
@@ -68,7 +68,7 @@ def projection(
     tilt: float = 0.5,
     angles: int = 360,
 ) -> Picture:
-    """An ellipse, lengths over the edge of the grid, tilt in rad."""
+    """An ellipse; lengths relative to the edge of the grid, tilt in rad."""
     body, sizes = Ellipse(a, b, x, y, tilt), (16, 32, 64) if quick else (64, 128, 256, 512)
     found = {n: _both(body, n, Turntable(24 if quick else angles, lit_share=0.0), device) for n in sizes}
     errors = [_error(got, want) for got, want in found.values()]

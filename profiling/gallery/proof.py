@@ -1,4 +1,4 @@
-"""What the frames print in the vial: dose, histogram, and the printed part over the wanted one."""
+"""The print of the frames in the vial: dose, histogram, and the printed part compared with the target."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 HEIGHTS = (0.12, 0.45, 0.7)
 NEEDED = 7.38
-"""Radius [mm] that a 3DBenchy of 11.5 mm needs, about its smallest enclosing circle."""
+"""Radius [mm] that a 3DBenchy of 11.5 mm needs, for its smallest enclosing circle."""
 
 
 def proof(

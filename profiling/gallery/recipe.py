@@ -1,4 +1,4 @@
-"""The recipe of automatic exposure, one picture for each of its steps."""
+"""The recipe of automatic exposure, one picture for each step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vamgpu.reports import style
 from vamgpu.targets.target import Target
 
 HEIGHT = 0.22
-"""Share of the boat's height at which it is cut."""
+"""Share of the boat's height at which the sections are taken."""
 
 
 def recipe(
@@ -28,7 +28,7 @@ def recipe(
     background: float = 0.6,
     passes: int = 6,
 ) -> Picture:
-    """The boat in straight light; the paper projects every degree over a background of 60 % and corrects twice."""
+    """The boat in straight light; the paper projects at every degree, over a background of 60 %, and corrects twice."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     state = OptimizerState(A, target.on(device), {})
@@ -47,17 +47,16 @@ def recipe(
     facts = (
         *(Fact(f"mean dose around the part divided by that in it, pass {k}", 100 * ratio, "%", 3, 100 * background,
                "background of the paper" if background == 0.6 else "asked for") for k, ratio in enumerate(ratios, 1)),
-        Fact("light of either sign that clipping takes away", 100 * negative, "%", 3),
+        Fact("light of either sign that clipping removes", 100 * negative, "%", 3),
         Fact("pixels that stay dark", 100 * float((kept[1][0] <= 0).mean()), "%", 3),
     )  # fmt: skip
     rows = tuple((str(k), (window,)) for k, window in enumerate(windows, 1))
     table = Table(("pass", "strict process window"), ("+.4f",), rows)
     caption = (
-        f"The target has a background of {100 * background:g} % of its dose, room for light that would have to be "
-        "negative. Its projection is filtered by a ramp and clipped at zero. Where the dose then differs from the "
-        "target, the model is corrected by the ratio, and the next pass starts from there. All sections and sinograms "
-        "are at one height, just above the deck. The table gives the strict window after each pass; the correction "
-        "does not optimize it."
+        f"The target has a background of {100 * background:g} % of its dose, because light cannot be negative. Its "
+        "projection is filtered by a ramp and clipped at zero. Where the dose then differs from the target, the model "
+        "is corrected by the ratio, and the next pass starts from there. All sections and sinograms are at one height, "
+        "just above the deck. The table gives the strict window after each pass; the correction does not optimize it."
     )
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE, RAMP))
 
@@ -91,5 +90,5 @@ def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[
     for letter in "cde":
         axes[letter].set(xlabel="r →", ylabel="pose θ →", box_aspect=1)
     style.scale_bar(axes["a"], 2.0 / pitch, "2 mm")
-    style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 as asked for in the part", shrink=0.7)
+    style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 is the required dose in the part", shrink=0.7)
     return figure

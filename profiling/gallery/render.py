@@ -1,4 +1,4 @@
-"""Solids as shaded pictures, without a display: points scattered over the surface into a depth buffer."""
+"""Solids as shaded pictures, without a display: points are scattered over the surface into a depth buffer."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from vamgpu.targets.solid import Solid
 
 FINE = 2
-"""Pixels of the buffer along an edge of a pixel of the picture."""
+"""Number of pixels of the buffer along an edge of a pixel of the picture."""
 DENSITY = 14.0
-"""Points scattered per pixel of the buffer that a surface covers, so that none stays empty."""
+"""Points scattered per pixel of the buffer that a surface covers; enough to leave none empty."""
 BASE = np.array([0.36, 0.56, 0.80])
 
 
 def rendered(solid: Solid, size: int = 260, azimuth: float = -55.0, elevation: float = 28.0) -> np.ndarray:
-    """RGB picture [row, column, 3] in 0..1 of a solid seen from an angle [°], parallel light, white behind it."""
+    """RGB picture [row, column, 3] in 0..1 of a solid from an angle [°], in parallel projection, on white."""
     view = _view(np.radians(azimuth), np.radians(elevation))
     corners = (solid.vertices - solid.vertices.mean(axis=0)) @ view.T
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
@@ -33,13 +33,13 @@ def rendered(solid: Solid, size: int = 260, azimuth: float = -55.0, elevation: f
 
 
 def _view(azimuth: float, elevation: float) -> np.ndarray:
-    """Rows: right, up, and towards the eye."""
+    """Rows: right, up, and towards the viewer."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     return np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]])
 
 
 def _scattered(triangles: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixel, depth and face of random points on the triangles that face the eye, and the normals of all faces."""
+    """Pixel, depth and face of random points on the triangles that face the viewer, and the normals of all faces."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     rng = np.random.default_rng(0)
@@ -56,14 +56,14 @@ def _scattered(triangles: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _lit(normal: np.ndarray) -> np.ndarray:
-    """Colors of surfaces by a key light, a fill light and the sky; normals as seen from the eye."""
+    """Colors of surfaces under a key light, a fill light and the sky; normals as seen by the viewer."""
     key, fill = (np.array(v) / np.linalg.norm(v) for v in ([-0.45, 0.75, 0.6], [0.8, 0.1, 0.5]))
     light = 0.34 + 0.62 * np.clip(normal @ key, 0, 1) + 0.22 * np.clip(normal @ fill, 0, 1)
     return np.clip(BASE * light[:, None] + 0.05 * (light[:, None] - 0.6), 0.0, 1.0)
 
 
 def _outlined(shade: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Darken pixels behind a jump of depth, so that one part stands out from what lies behind it."""
+    """Darken pixels behind a jump of depth, which separates a part from what lies behind it."""
     n = len(depth)
     solid = np.isfinite(depth)
     filled = np.where(solid, depth, -1e3)

@@ -1,4 +1,4 @@
-"""Light for a machine that is off by a little beside light for one that is not."""
+"""Patterns for a machine with small errors, compared with patterns for one without."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def robust(
     device: Device, quick: bool = False, pitch: float = 0.3, angles: int = 120, iterations: int = 120,
     axis: float = 0.25, least: float = 0.4, most: float = 0.8,
 ) -> Picture:  # fmt: skip
-    """The boat, straight light; the axis off by so many pixels, point spreads of so many."""
+    """The boat in straight light; the axis is off by ``axis`` pixels, and the point spread varies."""
     target = scene.boat(device, 0.6 if quick else pitch)
     A = scene.straight(target, 24 if quick else int(angles), device)
     step, steps = A.beam.pitch, 4 if quick else int(iterations)

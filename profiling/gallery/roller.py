@@ -1,4 +1,4 @@
-"""A film about a roller: rays, what they leave in it, and the same in the film laid flat."""
+"""A film about a roller: rays, the energy they leave in it, and the same in the film laid flat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN = 7.0
-"""Length of the legs that is drawn [mm]."""
+"""Drawn length of the straight runs [mm]."""
 
 
 def roller(
@@ -115,7 +115,7 @@ def _rays(axis: Axes, machine: Roller, count: int = 31) -> None:
     for i in range(s.ray.size):
         ends = np.array([[s.x[i], s.y[i]], [s.x[i] + s.length[i] * s.dx[i], s.y[i] + s.length[i] * s.dy[i]]])
         axis.plot(ends[:, 0], ends[:, 1], color=style.ORANGE, lw=1.1, alpha=0.25 + 0.75 * float(left[i]))
-    _framed(axis, machine.outer, "Rays at one pose")
+    _framed(axis, machine.outer, "Rays at one angle")
     axis.set(ylabel="y, along the light [mm]")
 
 
@@ -154,13 +154,13 @@ def _flat(axis: Axes, map: WrapMap, light: Propagation, web: WebGrid) -> None:
     axis.set(
         xlabel="l from the place nearest the light [mm]",
         ylabel="rho [mm]",
-        title="Fifteen columns in the film laid flat, root of what they leave; the legs begin at the broken lines",
+        title="Fifteen columns in the flattened film, root of the absorbed power; straight runs begin at broken lines",
     )
     axis.grid(False)
 
 
 def _depths(axis: Axes, plain: Roller, web: WebGrid, beam: Beam) -> list[Fact]:
-    """Unrefracted light in the flat film against α_V times the Jacobian."""
+    """Unrefracted light in the flat film, compared with α_V times the Jacobian."""
     light, map = plain.propagation(web, beam), plain.map(web)
     dose, alpha = flat_dose(light, web, beam), plain.film.absorption
     n_rho, n_l = dose.shape

@@ -1,4 +1,4 @@
-"""What several pictures share: the boat, straight light for it, and the vial of the automatic exposure paper."""
+"""Shared by several pictures: the boat, straight light for it, and the vial of the automatic exposure paper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def boat(device: Device, pitch: float, height: float = 11.5) -> Target:
 
 
 def straight(target: Target, angles: int, device: Device) -> Projection:
-    """A vat of the resin's index that absorbs next to nothing: a pixel a voxel."""
+    """A vat of the resin's index that absorbs almost nothing, one voxel per pixel."""
     nx, _, nz = target.grid.shape
     return Projection(target.grid, Beam((nx, nz), target.grid.pitch), Turntable(angles), device=device)
 

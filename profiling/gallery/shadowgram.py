@@ -21,7 +21,7 @@ def shadowgram(
     device: Device, quick: bool = False, contrast: float = 2e-3, resin_index: float = 1.48, focus: float = 8.0,
     pose: float = 30.0,
 ) -> Picture:  # fmt: skip
-    """A gyroid cut to a ball; focus [mm] behind the axis, pose in degrees."""
+    """A gyroid cut to a ball; focus [mm] behind the axis, angle in degrees."""
     n = 32 if quick else 96
     grid = Grid((n, n, n), 12.0 / n)
     cured = _gyroid(grid, radius=4.2, cell=3.0)

@@ -1,4 +1,4 @@
-"""The widest window of an exposure that may last so long, and the dose that it leaves outside."""
+"""The widest window for a limited exposure time, and the dose outside the part."""
 
 from __future__ import annotations
 

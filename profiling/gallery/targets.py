@@ -13,14 +13,14 @@ from vamgpu.targets.shapes import build, names
 from vamgpu.targets.target import Target
 
 FLAT = ("exposure_disk", "gears_0um", "gears_50um", "gears_100um", "crossing_channels")
-"""Parts that are looked at more from above."""
+"""Parts that are seen more from above."""
 PRINTABLE = 8.27
 
 
 def targets(
     device: Device, quick: bool = False, voxels: float = 128.0, azimuth: float = -55.0, elevation: float = 26.0
 ) -> Picture:
-    """``voxels`` across the longest edge of each part for the volumes; where from it is seen, in degrees."""
+    """``voxels`` along the longest edge of each part for the volumes; the direction of view in degrees."""
     chosen = ("boat", "nut", "gear_base", "crossing_channels") if quick else names()
     figure, axes = style.sheet([chosen[k : k + 4] for k in range(0, len(chosen), 4)], 2.65 * ((len(chosen) + 3) // 4))
     rows = []

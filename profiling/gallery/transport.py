@@ -12,9 +12,8 @@ from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import Concentrations
 from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
-from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import PAPER
-from vamgpu.chemistry.transport import Box, Transport
+from vamgpu.chemistry.transport import Box, Reaction, Transport
 from vamgpu.geometry import centers
 from vamgpu.reports import style
 
@@ -63,11 +62,11 @@ def transport(
         Fact("diffusion length of oxygen in the whole print", 1e3 * (6 * 3.27e-7 * turn_s * turns) ** 0.5, "µm", 3),
     )
     caption = (
-        "Visible light prints a cylinder while ultraviolet light converts C into inhibitor around it. The C left at "
-        "each angle attenuates its frame, so concentrations at the rim, which passes through bright and dark, rise and "
-        "fall every turn. Light makes polymer only where A and B are used up; where C runs out, ultraviolet light "
-        "itself starts to cure. At these diffusivities and voxel sizes diffusion is hardly visible. Rates are chosen "
-        "to show the course of a print; the paper's own are only in its scripts."
+        "Visible light prints a cylinder while ultraviolet light converts C into inhibitor around it. The C that is "
+        "left at each angle attenuates the light of its frame. At the rim, which passes through bright and dark, "
+        "concentrations therefore rise and fall every turn. Light makes polymer only where A and B are used up; where "
+        "C is used up, ultraviolet light itself starts to cure. At these diffusivities and voxel sizes diffusion is "
+        "hardly visible. Rates are chosen to show the course of a print; the paper's own are only in its scripts."
     )
     return Picture(figure, caption, facts, None, (PAPER,))
 
@@ -98,7 +97,7 @@ def _curves(axis: Axes, job: PrintRun, seen: dict[str, list[list[float]]], colum
 
 
 def _ripple(course: np.ndarray, angles: int) -> float:
-    """Greatest distance from a straight line over the last turn, over the mean."""
+    """Greatest deviation from a straight line over the last turn, over the mean."""
     last = course[-angles:]
     return float(np.abs(last - np.linspace(last[0], last[-1], angles)).max() / max(float(last.mean()), 1e-30))
 
@@ -112,7 +111,7 @@ def _mass(resin: Transport) -> float:
 
 
 def _beer(job: PrintRun) -> float:
-    """Even light through an even resin, within 0.9 of the radius."""
+    """Uniform light through uniform resin, within 0.9 of the radius."""
     box, color = job.exposure.box, job.exposure.extinction[1]
     even = replace(job.exposure, visible=None, ultraviolet=np.ones(job.exposure.shape, np.float32))
     found = even.irradiance(job.transport.start(0.0, 0.0, 2.0).c, 7)[1].numpy()[:, :, 0]

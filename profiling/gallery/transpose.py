@@ -1,4 +1,4 @@
-"""Two matrices of tiny geometries: the projector, and its transpose as the back projector computes it."""
+"""Two matrices for tiny geometries: the projector, and its transpose as the back projector computes it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.optics.vial import Vial
 from vamgpu.reports import style
 
 LIMIT = 3e-6
-"""Largest difference that is aimed at, over the largest entry."""
+"""Allowed difference, relative to the largest entry."""
 
 
 def transpose(device: Device, quick: bool = False, voxels: int = 8, angles: int = 8) -> Picture:

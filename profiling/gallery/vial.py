@@ -1,4 +1,4 @@
-"""Rays through a vial, what they lose, where they crowd, and the dose they leave."""
+"""Rays through a vial, their losses, where they are dense, and the dose they leave."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from profiling.deposit import deposit
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.geometry import Beam, Grid, Turntable, centers
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, VIAL
 from vamgpu.operators.projection import Projection
-from vamgpu.optics.deposit import deposit
 from vamgpu.optics.vial import Vial
 from vamgpu.reports import style
 
@@ -51,18 +51,18 @@ def vial(
         *loss, *crowd, *dose,
     )  # fmt: skip
     caption = (
-        "Parallel light meets a vial of resin that turns in air. It bends towards the axis, so the outer resin stays "
-        "dark at some angles: only inside the printable radius does exactly one ray light every point at every angle. "
-        "The farther a ray passes from the axis, the more the two faces reflect. Rays converge, so light grows denser "
-        "downstream. A uniform beam leaves more dose at the rim than on the axis. The back projection, which gathers "
-        "the ray through each voxel, agrees inside that radius with a scatter of every ray's energy, which also covers "
-        "the rim."
+        "Parallel light meets a vial of resin that turns in air. It bends towards the axis; the outer resin therefore "
+        "stays dark at some angles. Only inside the printable radius does exactly one ray light every point at every "
+        "angle. The farther a ray passes from the axis, the more the two faces reflect. Rays converge; light therefore "
+        "grows denser downstream. A uniform beam leaves more dose at the rim than on the axis. The back projection, "
+        "which gathers the ray through each voxel, agrees inside that radius with a scatter of every ray's energy, "
+        "which also covers the rim."
     )
     return Picture(figure, caption, facts, papers=(AUTOMATIC_EXPOSURE, VIAL))
 
 
 def lit_at_every_pose(glass: Vial, poses: int) -> float:
-    """Radius [mm] up to which every point of a circle is lit at every pose, to 0.4 µm, asked of the ray map alone."""
+    """Radius [mm] up to which every point of a circle is lit at every angle, to 0.4 µm, from the ray map alone."""
     angle = np.linspace(0.0, 2.0 * np.pi, poses, endpoint=False)
     low, step = 0.0, 0.031 * glass.inner_radius
     while step > 2e-5:
@@ -74,7 +74,7 @@ def lit_at_every_pose(glass: Vial, poses: int) -> float:
 
 
 def draw_rays(axis: Axes, glass: Vial, count: int = 23) -> None:
-    """Rays from the left through wall and resin, light travelling to the right."""
+    """Rays from the left through wall and resin; light travels to the right."""
     from matplotlib.patches import Circle
 
     R = glass.radius
@@ -88,7 +88,7 @@ def draw_rays(axis: Axes, glass: Vial, count: int = 23) -> None:
     axis.annotate(f"printable radius {glass.lit_radius:.2f} mm", (0, -glass.lit_radius), (-R * 1.5, -R * 1.12),
                   arrowprops={"arrowstyle": "-", "color": style.INK, "lw": 0.8}, va="center", fontsize=9)  # fmt: skip
     axis.set(xlim=(-1.55 * R, 1.35 * R), ylim=(-1.2 * R, 1.2 * R), aspect="equal", xlabel="along the light [mm]",
-             ylabel="across the light [mm]", title="Rays at one pose")  # fmt: skip
+             ylabel="across the light [mm]", title="Rays at one angle")  # fmt: skip
     axis.grid(False)
 
 
@@ -126,7 +126,7 @@ def _density(axis: Axes, glass: Vial, n: int) -> list[Fact]:
     _, weight = replace(glass, absorption=0.0).illuminate(across, along)
     weight[np.hypot(across, along) > glass.inner_radius] = np.nan
     pitch = 2.0 * glass.inner_radius / n
-    drawn = style.shown(axis, weight.T, "Light at one pose, before absorption", pitch, vmin=0.5, vmax=3.0,
+    drawn = style.shown(axis, weight.T, "Light at one angle, before absorption", pitch, vmin=0.5, vmax=3.0,
                         cmap=style.LIGHT)  # fmt: skip
     axis.set(xlabel="along the light [mm]", ylabel="across the light [mm]")
     axis.annotate("", (-0.55, 0.0), (-glass.inner_radius - 0.4, 0.0), annotation_clip=False,

@@ -1,4 +1,4 @@
-"""Partly filled voxels: the exposure disk, its spokes, and volumes over the pitch."""
+"""Partly filled voxels: the exposure disk, its spokes, and volumes against the pitch."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def voxels(device: Device, quick: bool = False, pitch: float = 0.067) -> Picture
         Fact("largest change of a voxel after moving the mesh by 10 mm", _moved(device, 0.25), "", 2),
     )  # fmt: skip
     caption = (
-        "Each voxel holds the fraction that the part fills, so details smaller than a voxel keep their size: spokes of "
-        "one pixel survive at any angle, and widths summed across them are correct although edges cut through voxels. "
-        "Volumes of the boat are accurate on coarse grids, where voxels that are either full or empty give larger, "
-        "random errors."
+        "Each voxel holds the fraction that the part fills; details smaller than a voxel therefore keep their size. "
+        "Spokes of one pixel survive at any angle, and widths summed across them are correct although edges cut "
+        "through voxels. Volumes of the boat are accurate on coarse grids; voxels that are either full or empty give "
+        "larger, random errors."
     )
     table = Table(("voxels along the height of the boat", "fractions [%]", "full or empty [%]"), ("+.5f", "+.3f"), rows)
     return Picture(figure, caption, facts, table, (AUTOMATIC_EXPOSURE,))
@@ -83,7 +83,7 @@ def _width(plane: np.ndarray, step: float, shift: np.ndarray, k: int) -> float:
 
 
 def _held(plane: np.ndarray, step: float, shift: np.ndarray) -> int:
-    """How many half disks are in one piece with the disk, voxels side by side."""
+    """Number of half disks connected to the disk, through voxel faces."""
     from scipy.ndimage import label
 
     pieces: np.ndarray = label(plane >= 0.5)[0]  # type: ignore[index]

@@ -1,4 +1,4 @@
-"""A film passes the light of a roller: its projection at every pose, and the dose of that light."""
+"""A film passes the light of a roller: its projection at every angle, and the dose of that light."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 AGREED, EXACT = 1e-5, 2e-8
-"""Largest differences that are aimed at: from the unfolded matrix, and of the transpose."""
+"""Allowed differences: from the unfolded matrix, and of the transpose."""
 
 
 def web(
@@ -44,17 +44,17 @@ def web(
     drawn = _strip(axes["d"], dose / dose.max(), grid, "Dose of that light", cmap=style.DOSE, vmin=0)
     style.bar(drawn, axes["d"], "over its largest", location="bottom", shrink=0.3, aspect=40)
     caption = (
-        "The light of one angle is traced once. At the next angle the web has moved by one column and meets the same "
-        "light, so the projection at every angle is one gather over a shifting window, and the dose its exact "
-        "transpose. Commonly the window of every angle is first copied into a matrix; here no such matrix exists. A "
-        "window that lies only partly on the web ignores what is beyond its ends. Steps that end between two columns "
+        "The light of one angle is traced once. At the next angle, the web has moved by one column and meets the same "
+        "light. The projection at every angle is therefore one gather over a shifting window, and the dose is its "
+        "exact transpose. Usually the window of every angle is first copied into a matrix; here no such matrix exists. "
+        "A window that lies only partly on the web ignores what is beyond its ends. Steps that end between two columns "
         "interpolate."
     )
     return Picture(figure, caption, _facts(A, film.numpy(), shown), papers=(ROLL_TO_ROLL,))
 
 
 def _gyroid(grid: WebGrid, cell: float) -> np.ndarray:
-    """Sheet gyroid, 1 inside; the web's own beginning and the roller's side are where a cell begins."""
+    """Sheet gyroid, 1 inside; a cell starts at the web's beginning and at the roller's side."""
     x, y, z = np.meshgrid(*(2.0 * np.pi * axis / cell for axis in grid.axes()), indexing="ij")
     level = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
     return (np.abs(level) < 0.5).astype(np.float32)
@@ -70,24 +70,24 @@ def _strip(axis: Axes, plane: np.ndarray, grid: WebGrid, title: str, **options: 
 
 
 def _light(axis: Axes, A: WebProjection, light: np.ndarray) -> None:
-    """One row of light at every pose."""
+    """One row of light at every angle."""
     half = 0.5 * A.beam.pixels[0] * A.beam.pitch
     drawn = axis.imshow(light.T, origin="lower", extent=(0, A.motion.poses, -half, half), aspect="auto",
                         cmap=style.LIGHT, vmin=0)  # fmt: skip
-    axis.set(title="Its projection at every pose", xlabel="pose", ylabel="column r [mm]")
+    axis.set(title="Its projection at every angle", xlabel="pose", ylabel="column r [mm]")
     axis.grid(False)
     style.bar(drawn, axis, "absorbed share", fraction=0.03)
 
 
 def _pose(axis: Axes, A: WebProjection) -> None:
-    """All light of one pose in its window of the flat film."""
+    """All light of one angle in its window of the flat film."""
     rays, layers, window = A.light.shape
     field = np.zeros((window, layers))
     np.add.at(field, (A.light.l, A.light.rho), A.light.weight)
     dl, drho, _ = A.grid.edges
     extent = (0, window * dl, 0, layers * drho)
     axis.imshow(field.T, origin="lower", extent=extent, aspect="auto", cmap=style.LIGHT, vmin=0)
-    axis.set(title=f"One pose: {rays} rays", xlabel="l in the window [mm]", ylabel="ρ [mm]")
+    axis.set(title=f"One angle: {rays} rays", xlabel="l in the window [mm]", ylabel="ρ [mm]")
     axis.grid(False)
 
 
@@ -102,12 +102,12 @@ def _facts(A: WebProjection, film: np.ndarray, light: np.ndarray) -> tuple[Fact,
              _gap(A, film, light), "", 2, AGREED, bound="≤"),
         Fact("gap between ⟨Ax, y⟩ and ⟨x, Aᵀy⟩ over the norms of Ax and y", A.dot_test(), "", 2, EXACT, bound="≤"),
         Fact("the unfolded matrix would take", 4e-6 * layers * window * poses * slices, "MB", 4),
-        Fact("tables that both directions keep instead", 1e-6 * A.nbytes, "MB", 3),
+        Fact("tables that both directions use instead", 1e-6 * A.nbytes, "MB", 3),
     )  # fmt: skip
 
 
 def _gap(A: WebProjection, film: np.ndarray, light: np.ndarray) -> float:
-    """Against the unfolded matrix of the middle slice, in float64."""
+    """Comparison with the unfolded matrix of the middle slice, in float64."""
     window, middle = A.light.shape[2], film.shape[2] // 2
     ends = np.zeros((window - 1, film.shape[1]))
     long = np.concatenate([ends, film[..., middle].astype(np.float64), ends])

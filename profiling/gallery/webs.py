@@ -1,4 +1,4 @@
-"""An endless web solved in segments: its frames, its print, and that no seam is left."""
+"""An endless web solved in segments: its frames, its print, and a test for seams."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def webs(
 
 
 def _light(job: Stream) -> tuple[np.ndarray, float]:
-    """Light of all poses [pose, r, z], before it becomes bytes, and that of a full-on pixel."""
+    """Light of all angles [angle, r, z], before it becomes bytes, and that of a full-on pixel."""
     found, scale = [], 0.0
     for segment in job:
         found.append(job.solver.buffer().numpy()[job.layout.overlap :][: len(segment.images)])

@@ -12,11 +12,11 @@ from vamgpu.reports.style import png
 from vamgpu.storage.atomic import replacing
 
 FOLDER = "gallery"
-"""Where the pages lie, beside the index."""
+"""Folder of the pages, beside the index."""
 
 
 def write_page(picture: Picture, name: str, out: str | Path, device: str = "", **values: Any) -> tuple[Path, Path]:
-    """Write ``out``/gallery/NAME.png and NAME.md, replacing earlier ones. values: the parameters that were given.
+    """Write ``out``/gallery/NAME.png and NAME.md, replacing earlier ones. values: the given parameters.
 
     Raises `StorageError`.
     """

@@ -77,8 +77,8 @@ def test_pictures_without_a_usable_edge_are_told() -> None:
         (noise, "with a noise of"),
         (np.full((64, 64), 7.0), "expected an edge"),
         (edge(2.0, angle=0.3), "turn the camera or the edge"),
-        (edge(60.0), "let the camera see more"),
-        (edge(0.2, noise=0.0), "look closer"),
+        (edge(60.0), "use a wider view"),
+        (edge(0.2, noise=0.0), "move the camera closer"),
         (np.zeros(9), "expected \\[row, column\\]"),
         (np.full((64, 64), np.nan), "not finite"),
     ):

@@ -11,8 +11,7 @@ import pytest
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.exposure import ColorExposure, ColorExtinction
 from vamgpu.chemistry.printrun import PrintRun
-from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.transport import Box, Transport
+from vamgpu.chemistry.transport import Box, Reaction, Transport
 from vamgpu.errors import BadInput, ShapeMismatch, StorageError, UnstableStep
 from vamgpu.geometry import Turntable, centers
 

@@ -9,9 +9,8 @@ from scipy.integrate import solve_ivp
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import NEVER, Concentrations
 from vamgpu.chemistry.kinetics import advance
-from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import LightCycle, Rates
-from vamgpu.chemistry.transport import Box, Transport
+from vamgpu.chemistry.transport import Box, Reaction, Transport
 
 BOX = Box((2, 2, 5), (1.0, 1.0, 1.0))
 VISIBLE, ULTRAVIOLET = 1.3, 0.4

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from vamgpu.backend.device import Device
-from vamgpu.chemistry.reaction import Reaction
 from vamgpu.chemistry.species import SPECIES
-from vamgpu.chemistry.transport import FACES, Boundary, Box, Transport
+from vamgpu.chemistry.transport import FACES, Boundary, Box, Reaction, Transport
 from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
 from vamgpu.geometry import centers
 

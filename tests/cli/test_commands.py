@@ -210,7 +210,7 @@ def test_the_doctor_survives_a_driver_that_hangs_or_dies(monkeypatch: pytest.Mon
     assert examine() == [
         Finding(
             "all devices", "the driver ended its process with signal 11", False,
-            "a driver breaks its process; remove it or update it",
+            "a driver crashes its process; remove it or update it",
         )
     ]  # fmt: skip
 

@@ -97,7 +97,7 @@ def test_an_sl1_of_other_layers_is_warned_of(job: Path, capsys: pytest.CaptureFi
         file.writestr("config.ini", "layerHeight = 0.1\n")
         file.writestr("a00000.png", encode(part()[0], ".png"))
     assert main(["curethrough", "model", str(job), "--slices", str(job.parent / "a.sl1")]) == 0
-    assert "has layers of 100 µm, the job has 50 µm and is used" in capsys.readouterr().err
+    assert "has layers of 100 µm, but the job has 50 µm, which is used" in capsys.readouterr().err
 
 
 def test_where_nothing_can_stay_uncured(job: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,7 +59,7 @@ def test_doctor_and_solve_work_where_home_cannot_be_written(tmp_path: Path, hidd
     solved = vam("solve", str(tmp_path / "job.toml"), env=env)
     assert solved.returncode == 0, solved.stderr
     said = vam("doctor", env=env).stdout
-    assert "cache of kernels" in said and "XDG_CACHE_HOME" in said and "breaks its process" not in said
+    assert "cache of kernels" in said and "XDG_CACHE_HOME" in said and "crashes its process" not in said
     listed = vam("devices", env=env).stdout.split()
     assert all(any(line.startswith(f"works   {name}") for line in said.splitlines()) for name in listed)
 

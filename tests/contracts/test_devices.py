@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import gc
+import threading
+import time
+import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pyopencl.array
 import pytest
 import warp as wp
@@ -33,6 +38,33 @@ def test_what_goes_up_in_parts_comes_down_in_strips(
     values = np.random.default_rng(0).random(shape).astype(np.float32)
     field = device.gather(shape, [values[:3], values[3:]])
     assert np.array_equal(field.numpy(), values) and np.array_equal(field.part(2, 5), values[2:5])
+
+
+def test_compilers_that_talk_are_not_heard_from_any_thread(
+    opencl_processor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Filters belong to the process: a thread that ends its build must not open those of another."""
+    both, build = threading.Barrier(2), cl.Program.build
+
+    def talk(program: cl.Program, *given: Any, **named: Any) -> cl.Program:
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.5)
+        if threading.current_thread() is threads[1]:
+            threads[0].join(5.0)
+        warnings.warn("Non-empty compiler output encountered", cl.CompilerWarning, stacklevel=1)
+        return build(program, *given, **named)
+
+    monkeypatch.setattr(cl.Program, "build", talk)
+    device: Any = vamgpu.open_device(opencl_processor)
+    threads = [threading.Thread(target=device.compile, args=(linear, 16)) for _ in range(2)]
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        for each in threads:
+            each.start()
+            time.sleep(0.05)
+        for each in threads:
+            each.join()
+    assert not heard
 
 
 def test_memory_is_booked_and_given_back(device: Device) -> None:

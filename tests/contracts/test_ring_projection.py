@@ -224,7 +224,7 @@ def test_projector_without_memory_for_rings(monkeypatch: pytest.MonkeyPatch) -> 
     def full(_: Any, shape: tuple[int, ...]) -> Any:
         raise OutOfMemory(f"no room for {shape}")
 
-    monkeypatch.setattr("vamgpu.backend.device.Device.room", full)
+    monkeypatch.setattr("vamgpu.backend.device.Device.reserve", full)
     monkeypatch.setattr("vamgpu.operators.projector.prefers_rings", lambda _: True)
     assert isinstance(vam.projector(*GEOMETRIES["refracted and absorbed"], device="numpy"), vam.Projection)
     with pytest.raises(OutOfMemory, match="no room"):

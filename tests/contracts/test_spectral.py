@@ -12,10 +12,11 @@ import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.backend.slabs import SlabDevice
 from vamgpu.errors import BadInput
-from vamgpu.kernels.spectrum import FACTOR, factors
-from vamgpu.operators.polar import PolarGrid, pose_on_rings
+from vamgpu.kernels.spectrum import FACTOR, ROWS, factors
+from vamgpu.operators.polar import PolarGrid, tiles_of_vessel
 from vamgpu.operators.ray_table import OpenAir
-from vamgpu.operators.spectral import SpectralProjection, straight_passes
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.transforms import straight_passes
 
 VIAL = vam.Vial(radius=1.0, wall=0.08, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.5)
 ASIDE = vam.Misaligned(VIAL, offset=0.07)
@@ -43,12 +44,16 @@ def operator(geometry: str, device: Device | str) -> SpectralProjection:
 def summed(A: SpectralProjection, slices: np.ndarray) -> np.ndarray:
     """The dose pose by pose, of light with one row a slice."""
     grid, dose = A.grid, np.zeros(A.grid.shape)
-    for band, pose in zip(grid.bands, pose_on_rings(grid, A.beam, A.vessel or OpenAir()), strict=True):
-        turned = [np.roll(pose, angle * band.samples, axis=1) for angle in range(grid.angles)]
-        ring = np.einsum("arsc,acz->rsz", turned, slices)
-        cells = ring.reshape(band.rings, grid.angles, band.samples, -1).transpose(1, 2, 0, 3)
-        stop = band.cell + band.rings * band.samples
-        dose[:, band.cell : stop] = cells.reshape(grid.angles, -1, grid.slices)
+    given = iter(tiles_of_vessel(grid, A.beam, A.vessel or OpenAir()))
+    for band in grid.bands:
+        own = dose[:, band.cell : band.cell + band.rings * band.samples]
+        own = own.reshape(grid.angles, band.samples, band.rings // ROWS, ROWS, -1)
+        for number in range(band.rings // ROWS):
+            pose = vam.open_device("numpy").empty((grid.angles, band.samples * ROWS, A.beam.pixels[0]))
+            next(given).pose(A.beam, 0, 1.0, pose)
+            turned = [np.roll(pose.numpy(), angle, axis=0) for angle in range(grid.angles)]
+            cells = np.einsum("atqc,acz->tqz", turned, slices)
+            own[:, :, number] = cells.reshape(grid.angles, band.samples, ROWS, -1)
     return dose
 
 

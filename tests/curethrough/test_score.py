@@ -90,7 +90,7 @@ def test_features_out_of_reach_are_counted_and_told() -> None:
     assert "6 voids are too short" in page_of(found, "x", {}).html()
     bare = correct_stack(Correction(PRINTER, tail=0), stack[:40], device="numpy")
     assert bare.missed is not None and int(bare.missed.sum()) == 6
-    assert "6 features have too little room behind" in page_of(bare, "x", {}).html()
+    assert "6 features have too little space behind" in page_of(bare, "x", {}).html()
 
 
 def test_whole_columns_are_weighed_only_where_something_is_out_of_reach(device: Device) -> None:

@@ -35,6 +35,7 @@ class EmulatedLightCrafter:
 
     def __init__(self, polls: int = 2) -> None:
         self.settings: dict[int, bytes] = {p.LED_ENABLE: b"\x08"}
+        self.locked = True  # to the video cable
         self.refuse: set[int] = set()
         self.silent = self.unplugged = self.closed = False
         self.polls, self._left, self._status = polls, 0, 0
@@ -62,6 +63,8 @@ class EmulatedLightCrafter:
             flags |= p.REFUSED
         elif flags & p.READ:
             data = bytes([self._check()]) if command == p.VALIDATE else self.settings.get(command, b"")
+            if command == p.MAIN_STATUS:
+                data = bytes([p.RUNNING if self.locked and self.settings.get(p.DISPLAY) == b"\2" else 0])
         else:
             self.settings[command] = message.data
             if command == p.VALIDATE:

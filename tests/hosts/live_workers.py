@@ -47,10 +47,21 @@ def nonsense(planner: PlannerClient) -> None:
     planner.tell({"version": 5})
     planner.tell({"parameters": [("gain", float("nan"), 1.0)]})
     planner.tell({"parameters": [("gain", 1.0, 0.1, 1.2, 0.8)]})
+    for checks in (5, [("images", 1, float("nan"), 15.0)], [("images", 1.5, 2.0, 15.0)], [("images", 1, 2.0, 0.0)]):
+        planner.tell({"checks": checks})
     for maps in (5, {"dose": np.zeros((4, 4), np.uint8)}, {"dose": np.zeros((4, 4, 3))}, {"dose": "red"}):
         planner.tell({"maps": maps})
     planner._line.send_bytes(b"\xff no message")
     planner.tell({"version": right})
+    for _ in planner:
+        pass
+
+
+def doubts(planner: PlannerClient) -> None:
+    """Finds images right, then wrong, and proposes nothing but what is planned."""
+    planner.checked([("images", 1, 3.0, 15.0), ("conversion", 1, 0.1, 0.35)])
+    planner.checked([("images", 2, 30.0, 15.0)], "the camera moved")
+    planner.propose(levels(planner, 9), 1)
     for _ in planner:
         pass
 

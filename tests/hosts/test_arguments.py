@@ -127,6 +127,8 @@ def test_plans_want_a_rig_and_paths(job: Path) -> None:
     for speed in (float("nan"), True, [1], HUGE, 1e308, 1e-308):
         with pytest.raises(BadInput):
             plan(job, rig, speed=speed, turns=1)  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match=r"expected a number of deg/s > 0: write it like .40 deg/s"):
+        plan(job, rig, speed="40 mm/s", turns=1)
     for turns in (None, 0, 1.5, "1"):
         with pytest.raises(BadInput, match="turns"):
             plan(job, rig, turns=turns)  # type: ignore[arg-type]

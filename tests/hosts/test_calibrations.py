@@ -161,7 +161,7 @@ def test_light_is_sought_with_the_point_spread_of_its_rig(
     name, runs = written(rig, "mtf"), written(rig, "runout")
     found, said = spread()
     assert found == pytest.approx(np.sqrt(0.04**2 - (0.1**2 + 0.0078**2) / 12)) and f"measured by {name}" in said
-    assert f"runout left 0.02, from {runs}" in said
+    assert f"runout 0.02, from {runs}" in said
     found, said = spread("--set", 'beam.spread="70 um"')
     assert found == pytest.approx(0.07) and "as the job sets it" in said
 

@@ -161,7 +161,7 @@ def test_the_third_in_a_turn_puts_the_light_out_and_then_stops_the_web(
         moving.append((channels, web.velocity(now)))
 
     at.emulated.controller.on_light = watched
-    with pytest.raises(Underrun, match="more than 2 of 360 poses were lost, the last at angle 458"):
+    with pytest.raises(Underrun, match="more than 2 of 360 angles were lost, the last at angle 458"):
         at.print.run()
     assert moving[-1][0] == 0 and moving[-1][1] > 0, "dark while the web still moves"
     assert web.velocity(at.emulated.clock.now() + SECOND) == 0

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -275,6 +276,34 @@ def test_the_latitude_is_that_of_the_verdict_and_none_where_it_does_not_print(pr
     dim = replace(proof, scores=replace(proof.scores, threshold=1.01 * proof.scores.threshold / least))
     bad = ProvedDose.of(dim)
     assert not bad.right and (bad.least, bad.most) == (0.99, 1.01)
+    assert not known.faults and bad.faults and f"Does not print: {bad.faults}." == dim.verdict.sentence
+
+
+def test_a_part_that_does_not_print_is_printed_only_on_purpose(
+    part: Path, proof: Proof, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = replace(ProvedDose.of(proof), right=False, faults="1 hole of the part is closed")
+    planned = {right: plan(part, read_rig("emulated"), exposure=replace(bad, right=right)) for right in (False, True)}
+    shown = {right: dict(made.lines()) for right, made in planned.items()}
+    assert shown[False]["proof"] == "does not print: 1 hole of the part is closed" and "proof" not in shown[True]
+    prints: list[Any] = []
+    asked: list[str] = []
+    monkeypatch.setattr("vamgpu.cli.print._printed", lambda *given: prints.append(given) or 0)
+
+    def status(*words: str, answer: str | None = None, right: bool = False, emulated: bool = False) -> int:
+        made = replace(planned[right], rehearsed=emulated)
+        monkeypatch.setattr("vamgpu.hosts.rig.plan", lambda *_, **__: made)
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: answer is not None))
+        monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or answer)
+        return main(["print", str(part), "--rig", "emulated", "--out", str(tmp_path / "run"), *words])
+
+    assert status() == status(answer="n") == 1 and not prints, "nobody agreed"
+    said = capsys.readouterr().err
+    assert "does not print: 1 hole of the part is closed" in said and f"vam prove {part}" in said
+    assert status(answer="y") == 0 and len(prints) == 1 and len(asked) == 2
+    assert "1 hole of the part is closed" in asked[0] and "[y/N]" in asked[0]
+    assert status("--anyway") == status(right=True) == status(emulated=True) == 0
+    assert len(prints) == 4 and len(asked) == 2, "only a real print of a part that fails asks"
 
 
 def test_a_run_keeps_its_dose_and_the_rest_gets_the_same_light(part: Path, proof: Proof, tmp_path: Path) -> None:

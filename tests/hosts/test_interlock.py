@@ -31,7 +31,7 @@ from vamgpu.hosts.emulators.rigs import EmulatedMirrorRig
 from vamgpu.hosts.frames.sources import MirrorArray, VialFrames
 from vamgpu.hosts.player.controller_mirrors import TriggeredPlayer
 from vamgpu.hosts.player.motor import POLL
-from vamgpu.hosts.player.run import Print
+from vamgpu.hosts.player.run import SIGN, Print
 from vamgpu.hosts.records.record import RunFolder, read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.schedules.limits import MirrorTiming
@@ -90,7 +90,7 @@ class Printing(RuleBasedStateMachine):
 
     def is_wrong(self) -> bool:
         frames = self.emulated.alps[0].counts["shown"] != self.emulated.controller.shown
-        full = self.folder._write is not WRITE
+        full = self.folder._write is not WRITE and self.now > self.print._signed + SIGN  # then something is written
         return frames or full or self.motion_error() > TOLERANCE + 0.01
 
     # ---- what the host does ----------------------------------------------------------------------------------

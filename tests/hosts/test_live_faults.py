@@ -93,20 +93,32 @@ def test_a_planning_process_replaces_coming_turns_and_ends_the_print(made: Calla
 
 def test_nonsense_is_refused_and_told_and_the_print_goes_on(made: Callable[..., Live]) -> None:
     live = made("nonsense")
-    live.waits = {3: answered(23)}
+    live.waits = {3: answered(27)}
     told = live.run()
     whys = [event["why"] for event in told.events if event["event"] == "live refused"]
     wanted = [
         "levels from nan", "levels from -1", "256; expected 0 to 255", "inf; expected 0 to 255", r"levels [35, 6, 10]",
         "levels for 2 projectors", "times the light of a turn", "another print", "turns 0 to None", "turns 99 to None",
         "no version of the frames", "turns 1 to 1", "no version of the frames", "levels for 0 projectors",
-        "another print", "parameters", "usual values in order", "no images", *3 * ["the image 'dose'"],
+        "another print", "parameters", "usual values in order", "no checks",
+        "finite values", "no checks", "limits above 0", "no images", *3 * ["the image 'dose'"],
         "invalid message",
     ]  # fmt: skip
     assert len(whys) == len(wanted) and all(part in why for part, why in zip(wanted, whys, strict=True)), whys
     assert told.shown["version"].tolist() == [0] * COUNT + [1] * 3 * COUNT, "the one that is right was taken"
     assert plans.last_kept(live.run_path) == 1, "what is refused is not kept"
-    assert not live.board.now.parameters and not live.board.now.maps
+    assert not live.board.now.parameters and not live.board.now.maps and not live.board.now.checks
+
+
+def test_images_that_do_not_decide_are_told_and_recorded(made: Callable[..., Live]) -> None:
+    live = made("doubts")
+    live.waits = {3: answered(1)}
+    told = live.run()
+    (event,) = (event for event in told.events if event["event"] == "live doubted")
+    assert "the camera moved" in event["why"] and "images do not decide" in live.board.now.live
+    assert [(each.name, each.turn, each.value, each.limit) for each in live.board.now.checks] == [
+        ("images", 1, 3.0, 15.0), ("conversion", 1, 0.1, 0.35), ("images", 2, 30.0, 15.0),
+    ]  # fmt: skip
 
 
 def test_a_killed_planning_process_leaves_the_last_version(made: Callable[..., Live]) -> None:

@@ -28,7 +28,7 @@ from vamgpu.hosts.rigs.guarantees import guarantees
 HEAD = '[rig]\nname = "lab"\nmachine = "vial"\n'
 MOTOR = '[motion]\ndriver = "controller"\nmicrosteps = 1000\n'
 ZABER = '[motion]\ndriver = "zaber"\nport = "{}"\nmicrosteps = 1000\n'
-STEPPER = '[motion]\ndriver = "stepper"\n'
+STEPPER = '[motion]\ndriver = "stepper"\nmicrosteps = 80.0\n'
 ALP = '[display]\ndriver = "alp"\nlibrary = "libalp.so"\n'
 VIDEO = '[display]\ndriver = "video"\n'
 CRAFTER = '[display]\ndriver = "lightcrafter"\nsize = [8, 12]\ncurrent = 0.5\n'

@@ -29,6 +29,11 @@ from vamgpu.printing.scatter import ScatterReading
 
 
 def asked(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
+    """The answer to a program that has the token."""
+    return stranger(panel, path, method, **{"Authorization": f"Bearer {panel.token}"} | headers)
+
+
+def stranger(panel: Panel, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
     line = http.client.HTTPConnection("127.0.0.1", panel.port)
     line.request(method, path, headers=headers)
     answer = line.getresponse()
@@ -291,40 +296,48 @@ def test_all_stops_are_called_though_one_fails() -> None:
     assert heard == ["x"]
 
 
-def test_beyond_this_machine_a_token_is_needed() -> None:
-    with Panel(Board(), host="0.0.0.0") as panel:
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_every_account_needs_the_token(host: str) -> None:
+    with Panel(Board(), host=host) as panel:
         assert panel.token and len(panel.token) >= 24 and panel.token in panel.url
-        for path in ("/", "/state", "/page.js", f"/state?token={panel.token}"):
-            assert asked(panel, path)[0] == 403, "a token is taken at the page alone"
-        assert asked(panel, "/stop", "POST")[0] == 403
-        status, body, cookie = asked(panel, f"/?token={panel.token}")
+        for path in ("/", "/state", "/page.js", "/history", "/runs/x/report.html", f"/state?token={panel.token}"):
+            assert stranger(panel, path)[0] == 403, "a token is taken at the page alone"
+        for path in ("/stop", "/press/pause"):
+            assert stranger(panel, path, "POST")[0] == 403
+        status, body, cookie = stranger(panel, f"/?token={panel.token}")
         assert status == 200 and b'url=/"' in body and panel.token.encode() not in body and panel.token not in cookie
         assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
         known = {"Cookie": cookie.split(";")[0]}
-        assert asked(panel, "/state", **known)[0] == 200
-        assert asked(panel, "/state", Authorization=f"Bearer {panel.token}")[0] == 200
-        assert asked(panel, "/state", Host=f"evil.example:{panel.port}", **known)[0] == 403
-        assert asked(panel, "/stop", "POST", Origin="http://evil.example", **known)[0] == 403
-        assert asked(panel, "/stop", "POST", Origin="null", **known)[0] == 403
-        assert asked(panel, "/stop", "POST", Origin=f"http://127.0.0.1:{panel.port}", **known)[0] == 200
+        assert stranger(panel, "/state", **known)[0] == 200
+        assert stranger(panel, "/state", Authorization=f"Bearer {panel.token}")[0] == 200
+        assert stranger(panel, "/state", Host=f"evil.example:{panel.port}", **known)[0] == 403
+        assert stranger(panel, "/stop", "POST", Origin="http://evil.example", **known)[0] == 403
+        assert stranger(panel, "/stop", "POST", Origin="null", **known)[0] == 403
+        assert stranger(panel, "/stop", "POST", Origin=f"http://127.0.0.1:{panel.port}", **known)[0] == 200
     with pytest.raises(BadInput, match="16 characters"):
         Panel(Board(), token="short")
 
 
 def test_tokens_are_not_guessed_and_an_open_page_is_not_locked_out() -> None:
     with Panel(Board(), token="a token of the lab") as panel:
-        known = {"Cookie": asked(panel, "/?token=a%20token%20of%20the%20lab")[2].split(";")[0]}
-        tried = [asked(panel, f"/?token=wrong{number}")[0] for number in range(auth.WRONG + 1)]
+        known = {"Cookie": stranger(panel, panel.url.partition(str(panel.port))[2])[2].split(";")[0]}
+        tried = [stranger(panel, f"/?token=wrong{number}")[0] for number in range(auth.WRONG + 1)]
         assert tried == [403] * auth.WRONG + [429]
-        assert asked(panel, "/state", Authorization="Bearer a token of the lab")[0] == 429
-        assert asked(panel, "/stop", "POST", **known)[0] == 200
+        assert asked(panel, "/state")[0] == 429
+        assert stranger(panel, "/stop", "POST", **known)[0] == 200
+
+
+def test_another_account_locks_nobody_out_by_wrong_tokens() -> None:
+    with Panel(Board(), page=False) as panel:
+        assert {stranger(panel, "/state", Authorization="Bearer wrong")[0] for _ in range(2 * auth.WRONG)} == {403}
+        assert asked(panel, "/stop", "POST")[0] == 200
 
 
 def test_every_answer_keeps_other_sites_out() -> None:
     with Panel(Board()) as panel:
         for path, headers in (("/", {}), ("/state", {}), ("/nothing", {}), ("/", {"Host": "evil.example"})):
             line = http.client.HTTPConnection("127.0.0.1", panel.port)
-            line.request("GET", path, headers=headers)
+            line.request("GET", path, headers={"Authorization": f"Bearer {panel.token}"} | headers)
             given = line.getresponse()
             policy = given.getheader("content-security-policy") or ""
             assert "frame-ancestors 'none'" in policy and "unsafe" not in policy and "default-src 'none'" in policy

@@ -77,7 +77,7 @@ class Host:
     def line(self, method: str, path: str) -> Any:
         """Ask its server."""
         line = http.client.HTTPConnection(self.url.split("/")[2], timeout=30)
-        line.request(method, path)
+        line.request(method, path, headers={"Authorization": f"Bearer {self.url.partition('token=')[2]}"})
         return json.loads(line.getresponse().read())
 
     def prints(self, slots: int) -> None:

@@ -342,4 +342,4 @@ def test_the_command_prints_each_kind(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["print", film, "--rig", "emulated"]) == 1
     assert "has no speed" in capsys.readouterr().err
     assert main(["print", film, "--rig", "emulated", "--speed", "1", "--resume", str(tmp_path)]) == 1
-    assert "no machines that keep" in capsys.readouterr().err
+    assert "a dry run cannot be resumed" in capsys.readouterr().err

@@ -21,8 +21,9 @@ import pytest
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.process import messages
+from vamgpu.hosts.process.messages import LIVE
 from vamgpu.hosts.process.order import PrintOrder
-from vamgpu.hosts.process.service import LIVE, ServedBoard, Service
+from vamgpu.hosts.process.service import ServedBoard, Service
 from vamgpu.hosts.process.watch import LightProcessLost, Watch, attached, may_begin, started, watched
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState, Snapshot, WrongState

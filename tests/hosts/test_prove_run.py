@@ -179,6 +179,22 @@ def test_an_error_leaves_a_print_held_or_is_raised(tmp_path: Path, capsys: pytes
     assert capsys.readouterr().err == "held: the process is gone\n"
 
 
+def test_a_run_has_the_first_free_folder_and_a_chosen_one_must_be_free(tmp_path: Path) -> None:
+    for name in ("part.run", "part-2.run", "part.dry-run"):
+        assert place_of(None, str(tmp_path / "part.vam"), name.endswith(".dry-run")) == tmp_path / name
+        (tmp_path / name).mkdir()
+    assert place_of(None, str(tmp_path / "part.vam"), False).name == "part-3.run"
+    with pytest.raises(StorageError, match=r"part\.run' exists; a run needs a new folder: choose another with --out"):
+        place_of(tmp_path / "part.run", str(tmp_path / "part.vam"), False)
+
+
+def test_a_job_file_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--live"]):
+        assert main(["print", str(tmp_path / "part.toml"), "--rig", "emulated", *words]) == 1
+        said = capsys.readouterr().err
+        assert "is a job file" in said and f"vam print {tmp_path / 'part.vam'}" in said
+
+
 def test_names_with_a_dot_have_runs_of_their_own() -> None:
     places = [str(place_of(None, job, False)) for job in ("a/part-0.1", "part-0.2", "part.vam", "slices.zip", "demo")]
     assert places == ["a/part-0.1.run", "part-0.2.run", "part.run", "slices.run", "vamgpu-demo.run"]

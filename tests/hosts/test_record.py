@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from vamgpu.errors import StorageError
-from vamgpu.hosts.records.record import RESERVE, FrameRecord, RunFolder, read_run, timing
+from vamgpu.hosts.records.record import MAGIC, FrameRecord, RunFolder, read_run, timing
 from vamgpu.hosts.records.state import PrintState, PrintStates, StateChange
 
 RIG = 'name = "lab"\n'
@@ -75,24 +75,48 @@ def test_a_full_disk_still_learns_how_the_print_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     folder = RunFolder.begin(tmp_path / "run", {}, RIG)
-    reserve, write = tmp_path / "run" / RESERVE, Path.write_text
+    write = Path.write_text
 
     def full(place: Path, *rest: Any, **options: Any) -> int:
-        if place.name == ".state.json" and reserve.exists():
+        if place.name == ".state.json":
             raise OSError(number, os.strerror(number))
         return write(place, *rest, **options)
 
     monkeypatch.setattr(Path, "write_text", full)
-    folder.state(StateChange(PrintState.PRINTING, PrintState.ERROR, "the disk is full"))
-    assert not reserve.exists()
+    for state, message in ((PrintState.HELD, "the disk is full; " * 20), (PrintState.ERROR, "held for too long")):
+        folder.state(StateChange(PrintState.PRINTING, state, message))
+        told = read_run(tmp_path / "run")
+        assert (told.state, told.message) == (state, message)
     folder.close()
-    assert read_run(tmp_path / "run").state is PrintState.ERROR
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems take no space beforehand")
+def test_space_for_the_whole_run_is_taken_before_the_light(tmp_path: Path) -> None:
+    asked = {"slots": 100_000, "seconds": 3600.0, "views": {"frames": 360, "engines": 2, "on_ns": 1}}
+    with RunFolder.begin(tmp_path / "run", asked, RIG) as folder:
+        shown, events = (tmp_path / "run" / name for name in ("shown.bin", "events.jsonl"))
+        assert shown.stat().st_size == len(MAGIC) and 512 * shown.stat().st_blocks >= 2 * 100_720 * 60
+        assert 512 * events.stat().st_blocks > 3600 * 400
+        folder.shown(FrameRecord(0, 0, 0, 0, 1))
+        assert len(read_run(tmp_path / "run").shown) == 1
+    assert shown.stat().st_size == len(MAGIC) + 60
+
+
+def test_a_disk_without_space_for_the_run_is_told_before_the_light(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: int, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("vamgpu.hosts.records.record.take", full)
+    with pytest.raises(StorageError, match="cannot take 600 bytes for the record of the run"):
+        RunFolder.begin(tmp_path / "run", {"slots": 10}, RIG)
 
 
 def test_a_killed_host_loses_no_frame(tmp_path: Path) -> None:
     script = """
         import sys
-        from vamgpu.hosts.records.record import RESERVE, FrameRecord, RunFolder
+        from vamgpu.hosts.records.record import FrameRecord, RunFolder
         folder = RunFolder.begin(sys.argv[1], {}, "")
         for number in range(10**9):
             folder.shown(FrameRecord(number, number, 0, 0, 1))

@@ -20,7 +20,7 @@ from vamgpu.hosts.player.controller_mirrors import PREROLL
 from vamgpu.hosts.player.run import Print
 from vamgpu.hosts.process.resume import asked_for, left_by_a_host
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
-from vamgpu.hosts.records.state import PrintState
+from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import EMULATED, parse_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
@@ -191,8 +191,12 @@ def test_what_the_last_lease_showed_is_told_as_unseen(job: Path, tmp_path: Path)
     wanted, path = planned(job, "safety.lease=1 s"), tmp_path / "run"
     stand, old = begun(wanted, path, 12)
     gone(stand, old, at_once=True)
-    assert carry_out(wanted, again(stand, wanted), path, resume=True)[0] is PrintState.INCOMPLETE
+    board = Board()
+    assert carry_out(wanted, again(stand, wanted), path, board, resume=True, go_on=lambda job: False)[0] is (
+        PrintState.INCOMPLETE
+    )
     run = read_run(path)
+    assert board.now.doubt == run.doubt
     unseen = next(event for event in run.events if event["event"] == "unseen")
     lit = stand.emulated.recorder.seconds(0, 36, 36).sum(axis=(0, 2, 3))
     black = np.flatnonzero(lit == 0).tolist()

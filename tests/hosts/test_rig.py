@@ -180,7 +180,7 @@ def test_commands_look_at_folders_first(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.run").mkdir()
-    assert main(["print", str(job), "--rig", "emulated"]) == 1
+    assert main(["print", str(job), "--rig", "emulated", "--out", "part.run"]) == 1
     assert main(["print", ".", "--rig", "emulated"]) == 1
     words = ["--turns", "1", "--panel", "--port", "99999", "--out", "x"]
     assert main(["print", str(job), "--rig", "emulated", *words]) == 1

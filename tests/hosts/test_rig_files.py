@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,9 @@ def test_each_is_rehearsed_from_its_file(name: str, tmp_path: Path, capsys: pyte
     rig = str(RIGS / f"{name}.toml")
     assert main(["print", str(folder), "--rig", rig, "--dry-run", "--out", str(run), *speed]) == 0
     told = capsys.readouterr().out
-    assert "complete: " in told and ("no lease" in told) == (name != "roll_bench")
+    assert "complete: " in told and "machines                    emulated" in told
+    kind = "guaranteed" if name == "roll_bench" else "not there"
+    assert re.search(f"^  lease +{kind}: ", told, re.M) and re.search(f"^  interlock +{kind}: ", told, re.M)
     kept = {one["about"]: one["holds"] for one in read_run(run).asked["guarantees"]}
     assert kept["lease"] == (name == "roll_bench") and kept["step"] == (name != "pi_video_stepper")
     verdict = seen(planned(name, tmp_path / "again.vam"), tmp_path / "again.run")
@@ -154,7 +157,7 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
         '[display]\ndriver = "lightcrafter"\n[light]\ndriver = "display"\n'
     )
     one = plan(vial(tmp_path / "job.vam", images=60), rig, rehearsed=True, turns=1)
-    assert [each.about for each in one.guarantees.lacking] == ["lease"]
+    assert [each.about for each in one.guarantees.lacking] == ["scale", "lease", "interlock", "lamp"]
     assert seen(one, tmp_path / "run").greatest < 0.02
 
 

@@ -23,8 +23,8 @@ BOX = '[controller]\nport = "/dev/ttyACM0"\n'
 ALP = '[display]\ndriver = "alp"\nlibrary = "libalp.so"\n'
 VIDEO = '[display]\ndriver = "video"\n'
 ZABER = '[motion]\ndriver = "zaber"\nport = "/dev/ttyUSB0"\nmicrosteps = 1000\n'
-STEPPER = '[motion]\ndriver = "stepper"\n'
-MOTOR = '[motion]\ndriver = "controller"\n'
+STEPPER = '[motion]\ndriver = "stepper"\nmicrosteps = 80.0\n'
+MOTOR = '[motion]\ndriver = "controller"\nmicrosteps = 80.0\n'
 FREE, STAGE = '[clock]\ndriver = "free"\n', '[clock]\ndriver = "stage"\n'
 SHINES = '[light]\ndriver = "display"\n'
 
@@ -37,26 +37,38 @@ def lacking(config: RigConfig, speed: float = 40.0) -> set[str]:
     return {one.about for one in guarantees(config.setup, speed).lacking}
 
 
+BELIEVED = {"lamp", "scale"}  # of the rigs below, unless a sensor tells
+
+
 def test_what_each_combination_guarantees() -> None:
+    door, shows = {"lease", "interlock", "light"}, {"display"}
     for tables, clock, without in (
-        ((BOX, MOTOR, ALP), "controller", {"position"}),
-        ((BOX, MOTOR, ALP, '[[feedback]]\ndriver = "encoder"\ncounts = 100.0\n'), "controller", set()),
-        ((BOX, ZABER, VIDEO), "vblank", {"position"}),
-        ((BOX, ZABER + "encoder = true\n", ALP), "stage", set()),
-        ((ZABER, ALP), "stage", {"position", "lease"}),
-        ((STEPPER, VIDEO, FREE), "free", {"step", "position", "lease"}),
-        ((STEPPER, VIDEO, FREE, '[[feedback]]\ndriver = "index"\npin = 4\n'), "free", {"lease"}),
-        ((BOX, STEPPER, VIDEO, FREE), "free", {"step", "position"}),
+        ((BOX, MOTOR, ALP), "controller", BELIEVED | {"position"}),
+        ((BOX, MOTOR, ALP, '[[feedback]]\ndriver = "encoder"\ncounts = 100.0\n'), "controller", {"lamp"}),
+        ((BOX, ZABER, VIDEO), "vblank", {"lamp", "position"} | shows),
+        ((BOX, ZABER + "encoder = true\n", ALP), "stage", {"lamp"}),
+        ((BOX, ZABER.replace("zaber", "standa"), VIDEO), "vblank", BELIEVED | {"position"} | shows),
+        ((ZABER, ALP), "stage", {"lamp", "position"} | door),
+        ((STEPPER, VIDEO, FREE), "free", BELIEVED | {"step", "position"} | door | shows),
+        ((STEPPER, VIDEO, FREE, '[[feedback]]\ndriver = "index"\npin = 4\n'), "free", {"lamp"} | door | shows),
+        ((BOX, STEPPER, VIDEO, FREE), "free", BELIEVED | {"step", "position"} | shows),
     ):
         found = rig(*tables)
         assert driver_of(found.setup.clock) == clock and lacking(found) == without, tables
+
+
+@pytest.mark.parametrize("part", [MOTOR, STEPPER, ZABER.replace("zaber", "standa")])
+def test_a_motor_that_tells_no_microsteps_needs_them_in_the_file(part: str) -> None:
+    bare = "".join(line for line in part.splitlines(keepends=True) if "microsteps" not in line)
+    with pytest.raises(JobError, match="microsteps is missing; add microsteps"):
+        rig(BOX, bare, VIDEO, '[clock]\ndriver = "free"\n')
 
 
 def test_drift_follows_from_the_clocks() -> None:
     config = rig(STEPPER + "tolerance = 30.0\n", VIDEO + "tolerance = 95.0\n", FREE)
     found = guarantees(config.setup, 40.0)
     assert found.drift == pytest.approx(0.3), "125 ppm of 2400 deg"
-    assert "drifts 0.3 deg per minute" in str(found.lacking[0]) and "accept drift = 0.3" in str(found.lacking[0])
+    assert "drifts 0.3 deg per minute" in str(found.lacking[0]) and "set drift = 0.3" in str(found.lacking[0])
     assert guarantees(config.setup, 20.0).drift == pytest.approx(0.15)
 
 
@@ -68,10 +80,11 @@ def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> No
 
 
 def test_drift_must_be_accepted(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"drifts 0.24 deg per minute .* accepts drift = 0.2; give it a trigger"):
+    with pytest.raises(BadInput, match=r"drifts 0.24 deg per minute .* accepts 0.2; give .* or set drift = 0.24"):
         plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1)
     planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True, turns=1)
-    assert "drifts" in dict(planned.lines())["no step"]
+    told = dict(planned.lines())["step"]
+    assert "believed: " in told and "drifts" in told and "[safety] accepts 0.25" in told and "set drift" not in told
 
 
 def test_combinations_that_cannot_be_are_told() -> None:
@@ -108,7 +121,7 @@ def test_tables_of_the_version_before_are_refused_with_todays(old: str, new: str
 
 
 def test_parts_that_are_left_out_are_those_that_the_others_suggest() -> None:
-    setup = parse_rig(HEAD + BOX + ALP).setup
+    setup = parse_rig(HEAD + BOX + ALP, ["motion.microsteps=80"]).setup
     assert [driver_of(part) for part in (setup.motion, setup.light, setup.clock)] == ["controller"] * 3
     setup = rig(ZABER, ALP).setup
     assert [driver_of(part) for part in (setup.light, setup.clock)] == ["display", "stage"]

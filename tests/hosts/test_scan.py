@@ -70,7 +70,7 @@ def test_the_nearest_angles_decide_how_fast_a_vial_may_turn() -> None:
         (vam.Turntable([0.0, 1.0, 0.5]), r"go from 57\.2958° to 28\.6479°; expected them to rise within one turn"),
         (vam.Turntable([0.0, 1.0, 1.0]), r"rise within one turn: sort .* drop"),
         (vam.Turntable(np.linspace(0, 2 * np.pi, 5)), r"go from 0° to 360°"),
-        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected frames that are lit as long.*Turntable without dwell"),
+        (vam.Turntable(4, dwell=[1, 2, 1, 1]), r"expected frames that are lit equally long.*Turntable without dwell"),
     ],
 )
 def test_angles_that_a_vial_cannot_meet_are_refused(motion: vam.Turntable, said: str) -> None:

@@ -123,7 +123,7 @@ def test_late_frames_are_black_and_the_third_pose_ends_the_print() -> None:
         alp.trigger(clock.now())
         mirrors.feed()
 
-    with pytest.raises(Underrun, match="more than 2 of 360 poses"):
+    with pytest.raises(Underrun, match="more than 2 of 360 angles"):
         until(lambda: False, step)
     assert [mirrors.was_black(slot) for slot in range(7, 12)] == [False, True, True, True, False]
     frames.go.set()

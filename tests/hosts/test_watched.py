@@ -27,6 +27,7 @@ from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
 from vamgpu.live.record import ENTRY
 from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames
+from vamgpu.reports import chart
 
 JOB = """
 [target]
@@ -130,6 +131,14 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     assert abs(found[-1]["inhibitor"] - OFF.inhibitor) < 0.2
     lit = told.shown[told.shown["frame"] >= 0]
     assert len(lit) / 40 < TURNS, "aged resin is done sooner"
+    checked = {each["turn"]: each["checks"] for each in ended.decisions}
+    assert {(each.turn, each.name): [each.value, each.limit] for each in board.now.checks} == {
+        (turn, name): pair for turn, checks in checked.items() for name, pair in checks.items()
+    }
+    assert {name for checks in checked.values() for name in checks} == {"images", "conversion"}
+    assert not [event for event in told.events if event["event"] == "live doubted"]
+    assert board.now.period == 40 and board.now.stop == len(lit) / 40
+    assert board.now.left is not None and board.now.left < 9.0 / 40, "to the stop, not to the longest print"
     names = [each.name for each in board.now.parameters]
     assert {"sensitivity", "inhibitor", "expected stop [turn]"} <= set(names)
     assert {name.partition(";")[0] for name in board.now.maps} == {"dose", "conversion seen"}
@@ -148,6 +157,7 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     text = made.write(run / "live.html").read_text(encoding="utf-8")
     assert all(f"<td>{each['reason']}</td>" in text for each in ended.decisions) and f"{ended.iou:.4f}" in text
     assert "sensitivity" in text and text.count("data:image/webp") == 1 and ">nan<" not in text
+    assert not [drawn for drawn in text.split("<svg")[1:] if chart.WARN in drawn.partition("</svg>")[0]], "none is red"
     with pytest.raises(StorageError, match="exists"):
         live(nut, turns=TURNS, folder=run)
 

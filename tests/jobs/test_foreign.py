@@ -366,7 +366,7 @@ def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
     job = tmp_path / "boat.toml"
     sinogram = tmp_path / "own.npy"
     np.save(sinogram, np.ones((24, 16, 8), np.float32))  # VAMToolbox's axes are r, angle, z
-    with pytest.raises(BadInput, match=r"own.npy' has patterns for 16 angles, the job 99; expected as many"):
+    with pytest.raises(BadInput, match=r"patterns for 16 angles, but the job has 99; expected the same number"):
         import_patterns(sinogram, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
     with pytest.raises(JobError, match=r"(?s)own.npy' lacks keys of a job; .*: --job job.toml\n.*target is missing"):
         import_patterns(sinogram, tmp_path / "a.vam", device="cpu")

@@ -88,6 +88,7 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
     [
         ("fill = 1.2", "beam.fill: got 1.2; expected less than or equal to 1"),
         ("fill = 0", "beam.fill: got 0; expected greater than 0"),
+        ("spread = 0", 'beam.spread: got 0; expected a length with its unit in quotes: write it like "0 mm"'),
         ("spread = 0.025", "beam.spread: got 0.025; expected a length with its unit in quotes"),
         ('spread = "25"', "beam.spread: got '25'; no unit; expected a length in mm"),
         (
@@ -115,6 +116,15 @@ def test_the_old_name_of_a_job_s_file_warns() -> None:
     job = Job.parse(JOB)
     with pytest.warns(DeprecationWarning, match="Job.wanted is called file"):
         assert job.wanted is job.file
+
+
+def test_a_misspelled_table_is_not_told_to_be_missing_as_well() -> None:
+    with pytest.raises(JobError) as caught:
+        Job.parse(JOB.replace("[beam]", "[bean]", 1), source="boat.toml")
+    line = line_with(JOB, "[beam]")
+    assert str(caught.value) == f"boat.toml, line {line}: bean: unknown key; did you mean 'beam'?"
+    with pytest.raises(JobError, match=r"(?s)beam is missing; add the table \[beam\].*optics: unknown key"):
+        Job.parse(JOB.replace("[beam]", "[optics]", 1))
 
 
 def test_every_wrong_value_is_named_at_once() -> None:

@@ -74,7 +74,7 @@ def test_a_plan_of_frames_has_its_method_and_cannot_be_resumed(method: Any, tmp_
     told = (back.evaluations, back.best_iteration, back.target_name)
     assert told == (plan.evaluations, plan.best_iteration, plan.target_name)
     assert isinstance(method, VoxelLoss) or back.method == plan.method
-    with pytest.raises(BadInput, match="kept without its state"):
+    with pytest.raises(BadInput, match="saved without its state"):
         vam.optimize(A, target, iterations=4, resume=back)
 
 
@@ -84,7 +84,7 @@ def test_a_loss_of_one_s_own_is_saved_without_its_method(tmp_path: Path) -> None
     plan.save(tmp_path / "a.vam")
     back: Any = vam.load(tmp_path / "a.vam", "cpu")
     assert same(back.sinogram, plan.sinogram) and "Descent" in back.method.text
-    with pytest.raises(BadInput, match="its folder keeps only the name"):
+    with pytest.raises(BadInput, match="its folder stores only the name"):
         vam.optimize(A, target, iterations=4, resume=back)
 
 

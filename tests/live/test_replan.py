@@ -119,7 +119,7 @@ def test_the_rest_is_as_much_as_brings_the_surface_home() -> None:
     given, wanted = np.asarray(calibrated.T(SHOWN * light)), np.asarray(A.T(TURNS * light))
     off = []
     for aim in (None, wanted):
-        plan = replanner.replan(calibrated, given, light, 3, range(6), evaluations=8, wanted=aim)
+        plan = replanner.replan(calibrated, given, light, 3, range(6), evaluations=8, expected_dose=aim)
         off.append(border.off(delivered + proved(plan.expected.turns * np.asarray(plan.light))))
         assert plan.evaluations <= 8
     best = min(border.off(delivered + share * proved(light)) for share in np.arange(2.0, 4.0, 0.05))
@@ -130,7 +130,7 @@ def test_light_that_cannot_suffice_is_given_all_the_same() -> None:
     A, part, light, _ = setup()
     weak = Replanner(part, most=0.3 * float(light.max()))
     wanted = np.asarray(A.T(TURNS * light))
-    plan = weak.replan(A, 0.0 * part, 0.3 * light, 6, range(7), evaluations=1, wanted=wanted)
+    plan = weak.replan(A, 0.0 * part, 0.3 * light, 6, range(7), evaluations=1, expected_dose=wanted)
     assert plan.expected.turns == 6 and plan.evaluations <= 1
     assert np.asarray(plan.light).max() <= weak.most * (1.0 + 1e-5)
 

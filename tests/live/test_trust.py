@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from vamgpu.live.prior import NAMES
 from vamgpu.live.record import LiveRecord
 from vamgpu.live.report import page
 from vamgpu.live.trust import Trust, darkening, mean_level, share_of, some, sunk
+from vamgpu.reports import chart
 
 OLD = Truth(inhibitor=0.7)
 TURNS = [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, PLANNED + 1)), PLANNED]
@@ -63,6 +65,8 @@ def test_a_print_goes_on_by_its_plan_where_images_are_wrong(seen: Images, why: s
     assert why in last.doubt and last.doubt in last.reason and last.entry["doubt"] == last.doubt
     assert len(decisions) <= PLANNED and last.iou == 0.0 and not last.parameters
     assert all(np.array_equal(each.light, light) for each in decisions if each.doubt)
+    beyond = [each.turn for each in decisions if any(value > limit for value, limit in each.checks.values())]
+    assert beyond == [each.turn for each in decisions if each.doubt][:1], "what was checked tells why"
     assert found > 0.97 > unwatched()
 
 
@@ -70,6 +74,9 @@ def test_images_as_described_decide_to_the_end() -> None:
     decisions, found = watched(lambda images: images)
     assert not any(each.doubt for each in decisions) and any(each.action == "swap" for each in decisions)
     assert found > 0.98 and all(each.misfit < Trust().misfit for each in decisions)
+    assert all(each.checks["images"][0] == each.misfit for each in decisions)
+    estimated = [each.checks for each in decisions if each.parameters]
+    assert estimated and all(0 < value < limit for checks in estimated for value, limit in checks.values())
 
 
 def test_a_camera_that_repeats_its_images_decides_no_more() -> None:
@@ -96,6 +103,7 @@ def test_conversion_that_the_light_does_not_explain_is_doubted() -> None:
         state, decision = loop.decide(state, live.through())
         if decision.doubt:
             break
+    assert decision.checks["conversion"][0] > 1e-6 == decision.checks["conversion"][1]
     assert "does not explain" in decision.doubt and np.array_equal(decision.light, light)
 
 
@@ -228,7 +236,9 @@ def test_the_report_says_that_images_were_doubted(tmp_path: Path) -> None:
     _, decision = loop.decide(loop.start(), images)
     record.add(images, decision)
     text = page(record).html()
-    assert "images did not decide" in text and "open field" in text
+    assert "images did not decide" in text and "open field" in text and f"{decision.misfit:.3g} (at most" in text
+    shown = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+    assert len(shown) == 1 and chart.WARN in shown[0], "the line is red"
     assert [each["doubt"] for each in record.decided()] == [decision.doubt]
     ((_, differs),) = record.replay()
     assert not differs

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from points import PointProjection
 
+from profiling.color_contrast import Contrast
 from vamgpu import Beam, Grid, Projection, Turntable, Vat, open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 from vamgpu.methods.dual import METHODS, Colors, DualColor, LeastSquares, Tolerant, superpose
-from vamgpu.methods.dual.contrast import Contrast
 from vamgpu.methods.dual.passes import DualState
 
 N = 32

@@ -59,7 +59,7 @@ def test_a_weight_that_cannot_be_used_is_refused(device: Device, value: float) -
         optimize(operator(device), block(), BCLP(weight=weight), 2)
 
 
-@pytest.mark.parametrize(("value", "told"), [(0.0, "some above 0"), (1e-320, "float32 takes for nothing")])
+@pytest.mark.parametrize(("value", "told"), [(0.0, "some above 0"), (1e-320, "float32 rounds to 0")])
 def test_a_weight_of_nothing_is_refused(fast_device: Device, value: float, told: str) -> None:
     with pytest.raises(BadInput, match=told):
         optimize(operator(fast_device), block(), BCLP(weight=np.full(SHAPE, value)), 2)

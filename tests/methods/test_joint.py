@@ -23,8 +23,8 @@ from vamgpu.methods.joint import (
     TwoColorResin,
     optimize_colors,
 )
-from vamgpu.methods.joint.contrast import EffectiveContrast
-from vamgpu.methods.joint.poses import PoseRuns
+from vamgpu.methods.joint.models import PoseRuns
+from vamgpu.methods.joint.run import EffectiveContrast
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat

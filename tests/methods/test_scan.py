@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput
 from vamgpu.methods import METHODS, optimize
 from vamgpu.methods.dual import Colors, LeastSquares, superpose
 from vamgpu.methods.joint import KineticModel, TwoColorResin
-from vamgpu.methods.joint.poses import PoseRuns
+from vamgpu.methods.joint.models import PoseRuns
 from vamgpu.methods.quadrature import balance, directions, is_complete
 from vamgpu.methods.ramp import capped_ramp, ramp
 from vamgpu.methods.rebin import rebin
@@ -160,7 +160,7 @@ def test_runs_of_poses_add_up_to_the_turn() -> None:
 def test_kinetics_and_exposure_plans_refuse_unequal_times() -> None:
     long = vam.Projection(GRID, BEAM, SCANS["unequal times"], device="numpy")
     resin = TwoColorResin(visible=1.0, ultraviolet=0.2, supply=5.0, alpha=0.2, pairing=0.4)
-    with pytest.raises(BadInput, match="pairs up while 60 over a full turn, each lit .* leave dwell out"):
+    with pytest.raises(BadInput, match="pairs up, but 60 over a full turn, each lit .* leave dwell out"):
         KineticModel(long, long, resin, period=10.0)
     assert KineticModel(long, long, replace(resin, pairing=0.0)).turns == 3, "doses alone do not ask for times"
     light = long.device.upload(np.ones(long.range.shape))
@@ -180,7 +180,7 @@ def test_other_angles_are_no_continuation_and_no_other_color() -> None:
     even, jittered = (vam.Projection(GRID, BEAM, motion, device="numpy") for motion in (
         vam.Turntable(40), SCANS["jittered"]))  # fmt: skip
     plan = optimize(even, part(), iterations=2)
-    with pytest.raises(BadInput, match=r"is of Turntable\(angles=40\), not of Turntable.*; resume what it was made"):
+    with pytest.raises(BadInput, match=r"is of Turntable\(angles=40\), not of Turntable.*; resume that task"):
         optimize(jittered, part(), iterations=4, resume=plan)
     with pytest.raises(BadInput, match="uv has .* expected the same angles for both colors"):
         Colors(even, jittered)

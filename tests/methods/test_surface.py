@@ -309,7 +309,7 @@ def test_evaluations_are_those_that_are_made(fast_device: Any) -> None:
 
 def test_light_to_start_from() -> None:
     A = projection(None)
-    with pytest.raises(NoLight, match="start from is dark in all pixels whose rays meet the part"):
+    with pytest.raises(NoLight, match="initial light is dark in all pixels whose rays meet the part"):
         fine: Any = as_fine_as_light(A)
         idle = 1.0 - lit_pixels(fine, across(ball(), GRID, fine, 1.0)).numpy()
         quietly(A, ball(), start=idle, iterations=1)
@@ -356,7 +356,7 @@ def test_light_is_kept_where_memory_does_not_do_to_judge_it(monkeypatch: pytest.
     monkeypatch.setattr(run.OptimizerState, "window", window)
     plan = quietly(A, ball(), iterations=7)
     assert np.array_equal(plan.sinogram.numpy(), wanted.sinogram.numpy())
-    assert plan.window == plan.history[-1].window and "memory did not do" in plan.notes[-1]
+    assert plan.window == plan.history[-1].window and "memory did not suffice" in plan.notes[-1]
 
 
 # ---- windows below the voxel -----------------------------------------------------------------------------------------
@@ -479,7 +479,7 @@ def test_tolerances_are_met_on_voxels_as_fine_as_light_or_by_those_of_the_target
     assert quietly(A, ball(), SurfaceRamp(width=2.0), 1, tolerances=off).corners is not None
     monkeypatch.setattr(run.OptimizerState, "has_room", lambda *given: False)
     coarse = quietly(A, ball(), iterations=2, tolerances=off)
-    assert "all corners on voxels as fine as light" in coarse.notes[-1] and coarse.notes[:-1] == plan.notes
+    assert "all corners on voxels as fine as needed" in coarse.notes[-1] and coarse.notes[:-1] == plan.notes
     assert coarse.window == pytest.approx(off.doses(A, coarse, ball()).window, abs=1e-5)
     assert abs(coarse.window - plan.window) > 1e-5
 

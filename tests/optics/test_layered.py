@@ -210,5 +210,5 @@ def test_what_cannot_be_is_refused() -> None:
         vam.Fan(STRAIGHT, throw=200.0)
     with pytest.raises(TargetTooLarge, match=r"wall or liquid of index 1 keeps .* use a wall or liquid of higher"):
         replace(DOUBLE, liquid_index=1.0, bath_index=1.33, resin_index=1.34).check_fits(9.9)
-    with pytest.warns(OpticsWarning, match="window and liquid leave 0.7"):
+    with pytest.warns(OpticsWarning, match="window and liquid transmit 0.7"):
         replace(STRAIGHT, liquid_absorption=0.06).check_fits(2.0)

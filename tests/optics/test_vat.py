@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from profiling.deposit import deposit
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.optics.deposit import deposit
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from profiling.deposit import deposit
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.optics.deposit import deposit
 from vamgpu.optics.vial import Vial
 
 PAPER = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)

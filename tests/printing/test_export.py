@@ -64,7 +64,7 @@ def test_garbled_descriptions_are_refused(tmp_path: Path) -> None:
 
 
 def test_names_of_the_frames_own_are_taken(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="name the other"):
+    with pytest.raises(BadInput, match="choose other names"):
         save_frames(tmp_path / "a.vam", some_frames("numpy"), arrays={"frames": Entry(np.ones(3), ("x",))})
 
 

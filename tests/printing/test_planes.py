@@ -9,6 +9,7 @@ import pytest
 
 import vamgpu as vam
 from vamgpu.errors import BadInput
+from vamgpu.geometry import PlaneTime
 from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
 from vamgpu.hosts.schedules.mirrors import turned
 from vamgpu.hosts.schedules.schedule import plane_times
@@ -16,7 +17,7 @@ from vamgpu.hosts.schedules.video import vial
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.independent_exposure import IndependentExposure
-from vamgpu.printing.planes import PlaneTime, prove_planes
+from vamgpu.printing.planes import prove_planes
 from vamgpu.printing.proof import Proof
 
 EVENLY = tuple(PlaneTime(bit, -0.25, 0.5) for bit in range(8))

@@ -111,8 +111,9 @@ def test_the_page_is_one_file_and_complete(proof: Proof, path: Path, page: str) 
     assert "ball &lt;1&gt;" in page and "<1>" not in page
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)[^"']*["']""", page)
     assert "@import" not in page and "url(http" not in page
-    for heading in ("Window over tolerance", "Sensitivity to errors", "Printed part", "Slices", "Dose in and out",
-                    "Slice by slice", "Sinogram", "Frames", "Convergence", "Numbers", "Papers relied on"):  # fmt: skip
+    for heading in ("Window over tolerance", "Sensitivity to errors", "Printed part", "Slices", "Slice by slice",
+                    "Dose inside and outside", "Sinogram", "Frames", "Convergence", "Numbers",
+                    "Papers relied on"):  # fmt: skip
         assert heading in page
     for text in (*PLAN.papers, "two thresholds", proof.operator.device.description):
         assert text in page

@@ -356,7 +356,7 @@ BAD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
         EmptyMesh,
         "carved away by 'bolt'",
     ),
-    "unknown reach": (lambda: vam.Scene([PART]).target(pitch=PITCH), BadInput, "does not say how far it reaches"),
+    "unknown reach": (lambda: vam.Scene([PART]).target(pitch=PITCH), BadInput, "whose extent is unknown"),
     "limits": (
         lambda: Limits(np.ones(SHAPE), np.ones(SHAPE), np.zeros((2, 2, 2), int), ()),
         ShapeMismatch,
@@ -366,7 +366,7 @@ BAD: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
     "no index": (
         lambda: vam.Scene([PART, vam.Body(rod(0.4), "insert", index=1.6)]).medium(GRID, device="numpy"),
         BadInput,
-        "the resin none",
+        "the resin has none",
     ),
 }
 

@@ -87,6 +87,9 @@ def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
         load_mesh(tmp_path / "absent.stl")
     with pytest.raises(BadInput, match=r"\.3mf"):
         load_mesh(tmp_path / "part.step")
+    (tmp_path / "text.stl").write_text("a text that somebody renamed\n")
+    with pytest.raises(EmptyMesh, match=r"'text\.stl' has no triangles: it is empty, or no STL file; expected"):
+        load_mesh(tmp_path / "text.stl")
 
 
 def test_solid_refuses_broken_arrays() -> None:
@@ -95,7 +98,7 @@ def test_solid_refuses_broken_arrays() -> None:
         Solid(good.vertices, np.zeros((0, 3), int))
     with pytest.raises(MeshError, match="NaN"):
         Solid(np.where(good.vertices > 0.0, np.nan, good.vertices), good.faces)
-    with pytest.raises(MeshError, match="faces point at"):
+    with pytest.raises(MeshError, match="faces refer to"):
         Solid(good.vertices[:-1], good.faces)
     with pytest.raises(MeshError, match="expected"):
         Solid(good.vertices, good.faces[:, :2])

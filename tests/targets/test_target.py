@@ -187,6 +187,8 @@ def test_too_large_for_memory_says_how_large() -> None:
         Target.from_mesh(wedge(), height=5.0, pitch=1e-5, device="numpy")
     with pytest.raises(OutOfMemory, match=r"takes \d+\.\d GB; this machine has"):
         Target.from_mesh(wedge(), height=5.0, pitch=2e-4, device="numpy")
+    with pytest.raises(OutOfMemory, match=r"50\d(\.\d)? mm high, takes"):
+        Target.from_mesh(wedge(), height=500.0, pitch=0.02, device="numpy")
 
 
 def test_an_array_is_a_target() -> None:

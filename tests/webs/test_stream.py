@@ -188,7 +188,7 @@ def test_what_couples_a_web_is_refused() -> None:
         (BCLP(p=3.0, q=1.0, weight=np.ones((60, *SECTION))), "weights of single voxels|q is 1.0 with p = 3.0"),
         (BCLP(weight=np.ones((60, *SECTION))), "an endless web cannot have weights of single voxels"),
         (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "weights of single voxels"),
-        (LBFGS(efficiency=0.1), "efficiency is 0.1: its penalty is set by all light"),
+        (LBFGS(efficiency=0.1), "efficiency is 0.1: its penalty depends on all light"),
         (OWN**0.5, "a power of a sum couples all of its voxels"),
         ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),
         ("recipe", "lowers no loss"),

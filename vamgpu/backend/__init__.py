@@ -3,10 +3,10 @@
 ``numpy`` · ``opencl:<platform>:<index>`` · ``warp:cpu`` · ``warp:cuda:<index>``. The default is NVIDIA's
 OpenCL, else Warp on CUDA, else another OpenCL GPU, else OpenCL on the CPU, else Warp on the CPU, else NumPy.
 
-Several share the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2`` those that are
-named. ``gpu`` and ``cpu`` are the best of their kind, and so is a part of a name: ``cuda``, ``cuda:1``, ``intel``.
-``opencl:pocl:0@8GB`` lets fields take 8 GB of memory and keeps further ones in files, in the folder that TMPDIR names
-or in ``/var/tmp``.
+Several devices can divide the slices of every field: ``warp:cuda:*`` is all of a kind, ``warp:cuda:0+warp:cuda:2``
+those that are named. ``gpu`` and ``cpu`` are the best of their kind; a part of a name, such as ``cuda``, ``cuda:1`` or
+``intel``, is the best device that it matches. ``opencl:pocl:0@8GB`` limits the memory of fields to 8 GB and keeps
+further ones in files, in the folder that TMPDIR names or in ``/var/tmp``.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 __all__ = ["DeviceArray", "default_device", "devices", "open_device", "within"]
 
 BESIDE = 1_000_000_000
-"""Bytes of private memory that a job needs beside its fields; 0.9 GB was the most that was measured."""
+"""Bytes of private memory that a job needs in addition to its fields; the largest measured value was 0.9 GB."""
 
 
 @cache
 def devices() -> tuple[str, ...]:
-    """Names of every device that works here, best first; an OpenCL device counts once it has run a kernel."""
+    """Names of all working devices, best first; an OpenCL device counts if it has run a kernel."""
     warp = ["warp:cpu"] if importlib.util.find_spec("warp") else []
     working = (name for name in (*_gpus(), *_opencl_names()[1]) if name.startswith("warp") or _opencl_works(name))
     return (*working, *warp, "numpy")
@@ -41,7 +41,7 @@ def devices() -> tuple[str, ...]:
 
 @cache
 def default_device() -> str:
-    """Name of the best device here; looks no further than the first that works."""
+    """Name of the best device; stops at the first that works."""
     names = chain(_gpus(), _opencl_names()[1])
     return next((name for name in names if name.startswith("warp") or _opencl_works(name)), None) or devices()[0]
 
@@ -58,22 +58,21 @@ def open_device(name: str | Device | None = None) -> Device:
     """Open the device of that name; each is opened once.
 
     Args:
-        name: A name that `devices` lists or a part of it such as ``cuda``, ``gpu`` or ``cpu`` for the best of a kind,
-            several joined by ``+``, all that begin alike as in ``warp:cuda:*``, an open device, or None for the
+        name: A name that `devices` lists; a part of one such as ``cuda``, or ``gpu`` or ``cpu``, for the best match;
+            several joined by ``+``; all with a common beginning, as in ``warp:cuda:*``; an open device; or None for the
             default. Upper or lower case does not matter.
 
     Returns:
         The device.
 
     Raises:
-        DeviceError: There is no such device; the message names those there are. Or it
-            keeps no fields in files.
+        DeviceError: There is no such device (the message names those that exist). Or it cannot keep fields in files.
     """
     if name is None:
         name = default_device()
     if isinstance(name, str):
         return _open(name)
-    from vamgpu.backend.device import Device  # a circle: devices unpickle by `open_device`
+    from vamgpu.backend.device import Device  # avoids a circular import: devices unpickle by `open_device`
 
     if not isinstance(name, Device):
         raise DeviceError(
@@ -83,17 +82,17 @@ def open_device(name: str | Device | None = None) -> Device:
 
 
 def within(device: str | None, memory: str) -> str:
-    """Name of a device whose fields leave a process within so much private memory.
+    """Name of a device whose fields keep a process within a limit of private memory.
 
     Args:
         device: A processor through OpenCL, by name; None takes the best one.
-        memory: Memory of the process, such as ``8GB``; `BESIDE` of it is for all that is no field.
+        memory: Memory of the process, such as ``8GB``; `BESIDE` of it is reserved for everything except fields.
 
     Returns:
         The name, such as ``opencl:pocl:0@7000000000B``.
 
     Raises:
-        BadInput: The memory is no size, or too small; or there is no such processor.
+        BadInput: The memory is not a size, or too small; or there is no such processor.
     """
     size = bytes_of(memory)
     if size is None or size <= BESIDE:
@@ -120,7 +119,7 @@ def _open(name: str) -> Device:
             f"{', '.join(_opencl_names()[1]) or 'none here'}, and a size of memory, as in opencl:pocl:0@8GB"
         )
     if name.endswith(":*") or "+" in name:
-        from vamgpu.backend.slabs import SlabDevice  # and PyOpenCL or Warp below: only where it is asked for
+        from vamgpu.backend.slabs import SlabDevice  # PyOpenCL and Warp below are imported only when needed
 
         found = [each for each in devices() if each.startswith(name[:-1])] if name.endswith(":*") else name.split("+")
         if found:
@@ -142,7 +141,7 @@ def _open(name: str) -> Device:
 
 
 def _full(name: str) -> str:
-    """The name of the best device here that ``gpu``, ``cpu`` or a part of its name means; else the name itself."""
+    """The name of the best device that ``gpu``, ``cpu`` or a part of its name matches; else the name itself."""
     name = name.lower()
     in_full = name in ("numpy", "warp:cpu") or (name.startswith(("opencl:", "warp:")) and not name[-1].isalpha())
     if in_full or "+" in name or not name[:1].isalpha():
@@ -153,7 +152,7 @@ def _full(name: str) -> str:
 
 
 def _has_cuda_driver() -> bool:
-    """Whether NVIDIA's driver can be loaded at all; Warp takes a second to start and complains where it cannot."""
+    """Whether NVIDIA's driver can be loaded; Warp takes a second to start and complains if it cannot."""
     for library in ("libcuda.so.1", "nvcuda.dll"):
         try:
             ctypes.CDLL(library)

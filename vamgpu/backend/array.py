@@ -48,7 +48,7 @@ class DeviceArray:
         return self.device.download(self, out)
 
     def part(self, first: int, last: int) -> np.ndarray:
-        """Copy entries of the first axis to NumPy, for arrays that memory does not hold twice.
+        """Copy entries of the first axis to NumPy, for arrays of which memory cannot hold a second copy.
 
         Args:
             first: The first entry.
@@ -60,10 +60,10 @@ class DeviceArray:
         return self.device.part(self, first, last)
 
     def native(self) -> Any:
-        """The array as the device's own library has it, in logical shape and C order.
+        """The array as an object of the device's own library, in logical shape and C order.
 
-        It shares memory with this one, or is a copy on the device where this one is in slabs; so read it, and write to
-        an array of your own.
+        It shares memory with this one, or is a copy on the device if this one is in slabs; therefore only read it, and
+        write to an array of your own.
 
         Returns:
             (*shape,): a `numpy.ndarray`, `warp.array` or `pyopencl.array.Array`.
@@ -83,7 +83,7 @@ class DeviceArray:
         return array if dtype is None else array.astype(dtype)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle values and device, so that copies have memory of their own."""
+        """Pickle values and device; copies then have their own memory."""
         return self.device.restored, (self.numpy(), not self.lanes)
 
     def __repr__(self) -> str:

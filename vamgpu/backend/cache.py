@@ -1,4 +1,4 @@
-"""The folder of compiled kernels, for drivers that fail where the user's own cache folder cannot be written."""
+"""The folder of compiled kernels, for drivers that fail if the user's own cache folder cannot be written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from vamgpu.errors import StorageError
 
 VARIABLE = "XDG_CACHE_HOME"
-"""What PoCL, pyopencl and Warp read on Linux to find the user's cache folder."""
+"""Environment variable from which PoCL, pyopencl and Warp find the user's cache folder on Linux."""
 
 
 @cache
@@ -30,7 +30,7 @@ def refusal() -> str:
 
 @cache
 def writable() -> tempfile.TemporaryDirectory[str] | None:
-    """Keep drivers' kernels in a folder of this process where the user's cache is read-only. Raises `StorageError`."""
+    """Keep drivers' kernels in a folder of this process if the user's cache is read-only. Raises `StorageError`."""
     if sys.platform in ("win32", "darwin") or not refusal():
         return None
     try:

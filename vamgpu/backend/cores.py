@@ -16,27 +16,27 @@ In = TypeVar("In")
 Out = TypeVar("Out")
 
 MOST, FEW = 8, 4
-"""Threads beyond which those of one process wait for memory, and for each other where operations are short."""
+"""Number of threads above which threads of one process wait for memory, and for each other if operations are short."""
 PIECE = 65_536
-"""Values that a thread works on."""
+"""Number of values that a thread processes."""
 WORKER = "vamgpu"
-"""How names of threads begin whose work is not shared out again."""
+"""Prefix of the names of threads whose work is not divided again."""
 
 
 def threads() -> int:
-    """Threads to work in: one a core that this process may use, `MOST` at the most."""
+    """Number of threads to use: one per core that this process may use, at most `MOST`."""
     usable = getattr(os, "sched_getaffinity", None)
     return max(1, min(len(usable(0)) if usable else os.cpu_count() or 1, MOST))
 
 
 def pool(workers: int) -> ThreadPoolExecutor:
-    """So many threads for work that is shared out."""
+    """Number of threads for work that is divided."""
     return ThreadPoolExecutor(workers, WORKER)
 
 
 def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> Iterator[Out]:
-    """Results of work on items, in order, by as many threads as cores, a few items ahead of whoever takes them."""
-    # The work must let other threads run, as NumPy does; items are asked for in this thread.
+    """Results of work on items, in order, computed by as many threads as cores, a few items ahead of the caller."""
+    # The work must release the interpreter lock, as NumPy does; items are taken in this thread.
     rest = iter(items)
     some = list(islice(rest, 2))
     workers = min(threads(), most)
@@ -54,12 +54,12 @@ def ahead(work: Callable[[In], Out], items: Iterable[In], most: int = MOST) -> I
 
 
 def together(*tasks: Callable[[], Any]) -> list[Any]:
-    """What tasks return, each by a thread of its own as far as there are cores."""
+    """Results of tasks, each run by a thread of its own as far as there are cores."""
     return list(ahead(lambda task: task(), tasks))
 
 
 def pointwise(work: Callable[..., tuple[np.ndarray, ...]], *values: np.ndarray) -> list[np.ndarray]:
-    """Fields (n,) that work makes of values (n,) point by point, piece after piece, by as many threads as cores."""
+    """Fields (n,) computed point by point from values (n,), in pieces, by as many threads as cores."""
     count = len(values[0])
     some = [slice(first, first + PIECE) for first in range(0, max(count, 1), PIECE)]
     fields: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""The base of all devices; one subclass a file, and every method here is either abstract or final."""
+"""The base of all devices; each subclass has its own file, and every method here is either abstract or final."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from vamgpu.kernels.signature import Field, Kernel, Scalar, Table
 from vamgpu.kernels.update import linear
 
 STRIP = 1 << 23
-"""Bytes that a thread brings into another layout at once: fields may be larger than the memory that is left."""
+"""Bytes that a thread converts to another layout at a time: fields may be larger than the free memory."""
 HOST = (1, 0)
-"""Host memory, as DLPack names it."""
+"""Host memory, by its number in DLPack."""
 
 
 class Device(ABC):
-    """A place kernels run. Two doors cross the bus, ``upload`` and ``download``, and both are booked in ``ledger``."""
+    """A device that runs kernels. Its transfers, ``upload`` and ``download``, are recorded in ``ledger``."""
 
     is_gpu = False
-    """Whether it is a graphics processor, with memory of its own."""
+    """Whether it is a graphics processor with its own memory."""
     dlpack_device: tuple[int, int] = HOST
-    """Type and number, as DLPack counts them, of the memory that arrays are exported in."""
+    """Type and number, in DLPack, of the memory in which arrays are exported."""
 
     def __init__(self, name: str, description: str) -> None:
         self.name = name
@@ -49,7 +49,7 @@ class Device(ABC):
 
     @final
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the name, by which another process opens its own; raises `DeviceError` for one that has none."""
+        """Pickle the name, from which another process opens its own device; raises `DeviceError` without one."""
         try:
             is_named = open_device(self.name) is self
         except DeviceError:
@@ -63,7 +63,7 @@ class Device(ABC):
     def __deepcopy__(self, memo: Any) -> Device:
         return self
 
-    # ---- abstract: one file a backend -------------------------------------------------------------------------
+    # ---- abstract: one file per backend -----------------------------------------------------------------------
     @abstractmethod
     def lanes_for(self, nz: int) -> int:
         """Lanes of the layout for fields of ``nz`` slices; 0 for the plain layout."""
@@ -74,40 +74,40 @@ class Device(ABC):
 
     @abstractmethod
     def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
-        """Copy a contiguous host array into a handle, from its element ``first`` on."""
+        """Copy a contiguous host array into a handle, starting at its element ``first``."""
 
     @abstractmethod
     def _read(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
-        """Copy what a handle holds from its element ``first`` on into a contiguous host array."""
+        """Copy the contents of a handle, from its element ``first`` on, into a contiguous host array."""
 
     @abstractmethod
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
-        """Run a kernel on handles and scalars that already fit its declaration."""
+        """Run a kernel on handles and scalars that already match its declaration."""
 
     def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
-        """Copy memory of another device into a handle, in order with both queues; False where that takes the host."""
+        """Copy memory of another device into a handle, in order with both queues; False if this would need the host."""
         return False
 
     def flush(self) -> None:
-        """Begin what was launched, where a driver would wait for more."""
+        """Start launched work if a driver would otherwise wait for more."""
         return
 
     @abstractmethod
     def synchronize(self) -> None:
-        """Wait until everything launched has run."""
+        """Wait until all launched work has run."""
 
     @abstractmethod
     def adopt(self, foreign: Any) -> DeviceArray:
         """Use an array of another library as a plain table, without a copy unless it is strided.
 
         Args:
-            foreign: In this device's memory: an array of the device's own library, or any that speaks DLPack.
+            foreign: In this device's memory: an array of the device's own library, or any that supports DLPack.
 
         Returns:
             The table, which keeps the array alive.
 
         Raises:
-            DeviceError: The array is no such array, or elsewhere.
+            DeviceError: It is not such an array, or it is on another device.
         """
 
     @abstractmethod
@@ -119,21 +119,21 @@ class Device(ABC):
         """An object that exports a plain table by DLPack, sharing memory with it or not."""
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """A handle of the same memory for other lanes, which means the same there; None if it cannot be had."""
+        """A handle of the same memory for another number of lanes, with the same contents; None if impossible."""
         return array.handle
 
     @abstractmethod
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
-        """Work items a launch over a field of this shape runs; sizes tables of partial results."""
+        """Number of work items in a launch over a field of this shape; the size of tables of partial results."""
 
     def capture(self, run: Callable[[], None]) -> Callable[[], None]:
-        """A replay of every launch ``run`` makes: a CUDA graph where there is one, ``run`` itself elsewhere."""
+        """A replay of every launch that ``run`` makes: a CUDA graph if available, otherwise ``run`` itself."""
         return run
 
     @property
     @abstractmethod
     def real(self) -> np.dtype:
-        """Floating-point type fields are kept in."""
+        """Floating-point type of fields."""
 
     # ---- final -----------------------------------------------------------------------------------------------
     @final
@@ -164,8 +164,8 @@ class Device(ABC):
     def upload(self, values: Any, dtype: Any = None, *, table: bool = False) -> DeviceArray:
         """Copy a NumPy array to the device, as a field or as a table.
 
-        Raises `BadInput` for what is not finite, and for numbers that float32 or the table's type cannot hold. The
-        reference, which computes in float64, also rejects them, so that devices accept the same numbers.
+        Raises `BadInput` for values that are not finite, and for numbers that float32 or the table's type cannot hold.
+        The reference, which computes in float64, also rejects them; all devices then accept the same numbers.
         """
         source = np.asarray(values)
         return self.gather(source.shape, [source], dtype, table=table)
@@ -174,7 +174,7 @@ class Device(ABC):
     def gather(
         self, shape: tuple[int, ...], parts: Iterable[np.ndarray], dtype: Any = None, *, table: bool = False
     ) -> DeviceArray:
-        """A field or a table whose entries along the first axis come in parts, one after the other, as for `upload`."""
+        """A field or a table from successive parts of its entries along the first axis; otherwise as `upload`."""
         if not table and len(shape) != 3:
             raise BadInput(f"a field has 3 axes; got an array of shape {shape}")
         array, first, most = None, 0, 0.0
@@ -196,14 +196,14 @@ class Device(ABC):
         least = float(np.finfo(np.float32).tiny)
         if 0.0 < most < least:
             raise BadInput(
-                f"the greatest number of the array is {most:.3g}, which float32 takes for nothing; expected "
+                f"the greatest number of the array is {most:.3g}, which float32 rounds to 0; expected "
                 f"{least:.3g} or more: scale it"
             )
         return array
 
     @final
     def restored(self, values: np.ndarray, table: bool) -> DeviceArray:
-        """The array that was downloaded as these values, to the last bit, NaN and all."""
+        """The previously downloaded array if its values are the same to the last bit, including NaN."""
         array = self.empty(values.shape, values.dtype, table=table)
         self.ledger.cross("upload", array.nbytes)
         self._store(array, values)
@@ -268,17 +268,17 @@ class Device(ABC):
 
     @final
     def field(self, values: Any) -> DeviceArray:
-        """A field of any array: as it is, adopted, or copied on the device; from the host where it has to.
+        """A field from any array: used directly, adopted, or copied on the device; from the host only if necessary.
 
         Args:
-            values: [major, minor, z]: of this device, NumPy's, or of any library that `adopt` knows.
+            values: [major, minor, z]: an array of this device, of NumPy, or of any library that `adopt` supports.
 
         Returns:
-            The field, which may share memory with the array, be it read-only: it is to be read.
+            The field, which may share memory with the array, even if that is read-only: only read it.
 
         Raises:
-            BadInput: The array has not three axes, is not finite, or lies on the device in another type.
-            DeviceError: The array lives elsewhere and cannot be fetched.
+            BadInput: The array does not have three axes, is not finite, or is on the device with another type.
+            DeviceError: The array is on another device and cannot be fetched.
         """
         if isinstance(values, DeviceArray):
             self.check_mine(values)
@@ -314,7 +314,7 @@ class Device(ABC):
 
     @final
     def plain(self, array: DeviceArray) -> DeviceArray:
-        """A field as a table in C order; shares memory where all slices lie in one slab that they fill."""
+        """A field as a table in C order; shares memory if one slab holds exactly all slices."""
         self.check_mine(array)
         shared = self._shared(array)
         if shared is not None:
@@ -324,7 +324,7 @@ class Device(ABC):
         return out
 
     def _shared(self, array: DeviceArray) -> DeviceArray | None:
-        """The same memory as a table; None if slabs forbid it."""
+        """The same memory as a table; None if the layout in slabs prevents it."""
         if not array.lanes:
             return array
         handle = self._relaid(array, 0) if array.shape[2] == array.lanes else None
@@ -336,7 +336,7 @@ class Device(ABC):
 
         Args:
             values: As for `field`.
-            out: Takes the copy; of the same shape.
+            out: Receives the copy; of the same shape.
         """
         source = self.field(values)
         self.launch(linear, a=1.0, x=source, b=0.0, y=source, floor=-3e38, out=out)
@@ -364,30 +364,30 @@ class Device(ABC):
         return exported.__dlpack__(stream=stream, **known)
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
-        """A table to read that is the NumPy array itself where device and host share memory, and a copy elsewhere.
+        """A read-only table: the NumPy array itself if device and host share memory, otherwise a copy.
 
-        The array must neither change nor go before `synchronize` returns.
+        The array must neither change nor be freed before `synchronize` returns.
         """
         return self.upload(values, table=True)
 
-    def room(self, shape: tuple[int, ...]) -> np.ndarray:
-        """An array of float32 for `settle`; in a file if fields may be in files."""
-        return np.empty(shape, np.float32)
+    def hold(self, table: DeviceArray) -> DeviceArray:
+        """A table as one of this device: its own, or its first member's."""
+        return table
 
-    def settle(self, values: np.ndarray) -> DeviceArray:
-        """A table of an array of `room` with no other owner: the array itself if device and host share memory."""
-        return self.table(values)
+    def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
+        """An uninitialized table of float32, which may be as large as fields; in a file where those may be in files."""
+        return self.empty(shape, self.kept("float32"), table=True)
 
     def lend(self, values: np.ndarray) -> DeviceArray | None:
-        """A table to write that is the NumPy array itself; None if device and host share no memory.
+        """A table for writing that is the NumPy array itself; None if device and host share no memory.
 
-        What was written is there once `synchronize` returns.
+        The written values are there after `synchronize` returns.
         """
         return None
 
     @final
     def download(self, array: DeviceArray, out: np.ndarray | None = None) -> np.ndarray:
-        """A NumPy copy of a device array in logical shape; a table's may go to a like array, C contiguous."""
+        """A NumPy copy of a device array in logical shape; a table's copy may go to ``out``, C contiguous."""
         self.check_mine(array)
         if out is not None:
             if array.lanes or out.shape != array.shape or out.dtype != array.dtype or not out.flags.c_contiguous:
@@ -411,11 +411,11 @@ class Device(ABC):
 
     @final
     def launch(self, kernel: Kernel, **bindings: Any) -> None:
-        """Run a kernel with arguments bound by name; an array in a number's place gives its lanes.
+        """Run a kernel with arguments bound by name; an array in place of a number gives its lanes.
 
-        Raises `KernelError` for what does not fit the declaration.
+        Raises `KernelError` for arguments that do not fit the declaration.
         """
-        if set(bindings) != set(kernel.arguments):
+        if bindings.keys() != kernel.arguments.keys():
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"
             )
@@ -441,7 +441,7 @@ class Device(ABC):
 
     @final
     def kept(self, dtype: str) -> np.dtype:
-        """The type a declared table type is kept in here (float32 tables follow the device's real)."""
+        """The type of a declared table type on this device (float32 tables follow the device's real type)."""
         return self.real if dtype == "float32" else np.dtype(dtype)
 
     @final
@@ -476,7 +476,7 @@ def _finite(source: np.ndarray) -> bool:
 
 
 def _checked(source: np.ndarray, kind: np.dtype) -> float:
-    """Reject numbers that the target type cannot hold; return the greatest one, which might become 0."""
+    """Reject numbers that the target type cannot hold; return the greatest one, which might be rounded to 0."""
     if not source.size or source.dtype == kind != np.float64 or source.dtype.kind == "b":
         return 0.0
     low, high = source.min(), source.max()
@@ -494,7 +494,7 @@ def _checked(source: np.ndarray, kind: np.dtype) -> float:
 
 
 def _strips(first: int, last: int, each: int) -> Iterator[tuple[int, int]]:
-    """Entries of the first axis that are copied at once, of so many bytes each."""
+    """Number of entries of the first axis that are copied at a time, from the bytes of each."""
     step = max(STRIP // max(each, 1), 1)
     for begin in range(first, last, step):
         yield begin, min(begin + step, last)

@@ -1,4 +1,4 @@
-"""What crosses the bus of a device, and the memory that it has allocated."""
+"""Transfers between host and device, and the memory that a device has allocated."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from vamgpu.errors import TransferForbidden
 
 SMALL = 4096
-"""Transfers up to this many bytes (scalars, partial sums) are allowed everywhere."""
+"""Size of transfers (scalars, partial sums) that are always allowed [bytes]."""
 
 
 @dataclass
 class Ledger:
-    """Transfers and memory of a device; ``transfers`` lists (direction, bytes) of everything above 4 kB."""
+    """Transfers and memory of a device; ``transfers`` lists (direction, bytes) of all above 4 kB."""
 
     transfers: list[tuple[str, int]] = field(default_factory=list)
     small: int = 0
@@ -23,7 +23,7 @@ class Ledger:
     _forbidden: int = 0
 
     def cross(self, direction: str, nbytes: int) -> None:
-        """Book a transfer; raises `TransferForbidden` for a large one inside ``forbid()``."""
+        """Record a transfer; raises `TransferForbidden` for a large one inside ``forbid()``."""
         if nbytes <= SMALL:
             self.small += 1
             return
@@ -35,16 +35,16 @@ class Ledger:
         self.transfers.append((direction, nbytes))
 
     def take(self, nbytes: int) -> None:
-        """Book memory that was allocated."""
+        """Record memory that was allocated."""
         self.allocated += nbytes
         self.peak = max(self.peak, self.allocated)
 
     def give(self, nbytes: int) -> None:
-        """Book memory that was freed."""
+        """Record memory that was freed."""
         self.allocated -= nbytes
 
     def reset_peak(self) -> None:
-        """Start measuring the peak from what is allocated now."""
+        """Start measuring the peak from the memory allocated now."""
         self.peak = self.allocated
 
     @contextmanager

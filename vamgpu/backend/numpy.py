@@ -1,4 +1,4 @@
-"""The reference device: NumPy in float64, plain layout, the kernels' definitions themselves."""
+"""The reference device: NumPy in float64, plain layout; it runs the definitions of the kernels."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.signature import Kernel
 
 ALIGNED = 64
-"""Bytes whose multiples arrays begin at: JAX copies others."""
+"""Alignment of arrays in bytes: JAX copies arrays with another alignment."""
 
 
 class NumpyDevice(Device):
-    """Runs the NumPy definitions; slow, exact, always there."""
+    """Runs the NumPy definitions; slow, exact, always available."""
 
     def __init__(self) -> None:
         super().__init__("numpy", "NumPy, float64 reference")

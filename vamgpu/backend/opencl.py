@@ -1,11 +1,10 @@
-"""OpenCL devices, CPUs and GPUs alike."""
+"""OpenCL devices, both CPUs and GPUs."""
 
 from __future__ import annotations
 
 import mmap
 import os
 import tempfile
-import warnings
 import weakref
 from functools import lru_cache
 from math import prod
@@ -14,36 +13,38 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
+from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
+from vamgpu.backend.opencl_platforms import quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
-from vamgpu.kernels.signature import Field, Kernel, Table, Tiling
+from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
 
 SMALL_TABLE = 1 << 24
-"""Bytes up to which a table stays in memory, whatever that may hold."""
+"""Size up to which a table stays in memory, regardless of the memory limit [bytes]."""
 VECTOR = 64
 """Bytes of the widest vectors that kernels load."""
 FULL_SLAB = 32
-"""Slices of a slab on GPUs, where there are as many; kernels for matrix units are written for it."""
+"""Slices of a slab on GPUs, if there are enough; kernels for matrix units are written for it."""
 MOST_TOGETHER = 64
-"""Items of a table kernel that PoCL runs together: it keeps the arrays of them all on one stack, and left to choose
-takes groups of thousands, which overflow it."""
+"""Number of items of a table kernel that PoCL runs together: it keeps the arrays of all of them on one stack. By
+default it takes groups of thousands, which overflow the stack."""
 
 
 def _release(queue: cl.CommandQueue, values: Any) -> None:
-    """Let host memory go once no kernel that was launched works on it any more."""
+    """Free host memory when no launched kernel uses it any more."""
     queue.finish()
 
 
 def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
-    """Memory that is a nameless file, whose pages the system brings and takes. Raises `OutOfMemory`."""
-    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be memory
+    """Memory that is an unlinked file, paged by the operating system. Raises `OutOfMemory`."""
+    folder = os.environ.get("TMPDIR") or ("/var/tmp" if os.path.isdir("/var/tmp") else None)  # /tmp may be in memory
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             whole = -(-nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
-            if hasattr(os, "posix_fallocate"):  # else a disk that gets full later kills the process
+            if hasattr(os, "posix_fallocate"):  # otherwise a disk that becomes full later kills the process
                 os.posix_fallocate(file.fileno(), 0, whole)
             file.truncate(whole)
             mapped = mmap.mmap(file.fileno(), 0)
@@ -53,7 +54,7 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
 
 
 def _divisor(count: int) -> int:
-    """The largest divisor of a count that is no more than `MOST_TOGETHER`."""
+    """The largest divisor of a count that is at most `MOST_TOGETHER`."""
     return next(size for size in range(min(count, MOST_TOGETHER), 0, -1) if count % size == 0)
 
 
@@ -66,7 +67,7 @@ class OpenclDevice(Device):
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
         self.memory = memory
-        """Bytes that arrays take of memory before further ones are kept in files; None for any number."""
+        """Memory limit of arrays, in bytes, above which further ones are kept in files; None without a limit."""
         self.queue: cl.CommandQueue = cl.CommandQueue(context)
         self._device = device
         self._is_nvidia = device.platform.name.startswith("NVIDIA")
@@ -74,7 +75,11 @@ class OpenclDevice(Device):
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
+        # drivers of GPUs take milliseconds to find and to free memory
+        self._pool = MemoryPool(ImmediateAllocator(self.queue)) if self.is_gpu else None
+        self._pinned: dict[int, tuple[np.ndarray, cl.Event]] = {}  # by size, and when it is free
         self._compiled = lru_cache(maxsize=None)(self.compile)
+        self._planned = lru_cache(maxsize=4096)(self._plan)
 
     @property
     def real(self) -> np.dtype:
@@ -83,10 +88,10 @@ class OpenclDevice(Device):
     def lanes_for(self, nz: int) -> int:
         if self.is_gpu:
             return min(FULL_SLAB, -(-nz // 4) * 4)
-        # the widest slab that pads z least
+        # the widest slab with the least padding of z
         return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
 
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.Buffer:
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.MemoryObjectHolder:
         nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         limit = self._device.max_mem_alloc_size
         if nbytes > limit:
@@ -98,26 +103,30 @@ class OpenclDevice(Device):
             beyond = self.memory is not None and self.ledger.allocated + nbytes > self.memory
             if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
+            if self._pool is not None:
+                return self._pool.allocate(max(nbytes, 4))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error
 
     def _in_file(self, nbytes: int) -> cl.Buffer:
-        """Memory that is a nameless file; it goes with the buffer."""
+        """Memory that is an unlinked file; it is freed with the buffer."""
         pages, mapped = _mapped(nbytes)
         weakref.finalize(pages, _release, self.queue, mapped).atexit = False
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=pages)
 
-    def room(self, shape: tuple[int, ...]) -> np.ndarray:
+    def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
         nbytes, limit = 4 * prod(shape), self._device.max_mem_alloc_size
         if nbytes > limit and (self.is_gpu or not self._shares_memory):
             raise OutOfMemory(
                 f"a table of {nbytes} bytes; {self.name} takes at most {limit} at once: use a Projection in place of "
                 "rings, a coarser grid or fewer angles"
             )
+        if self.is_gpu:
+            return super().reserve(shape)
         if self.memory is None or nbytes <= SMALL_TABLE:
-            return super().room(shape)
-        return _mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape)
+            return self.adopt(np.empty(shape, np.float32))
+        return self.adopt(_mapped(nbytes)[0][:nbytes].view(np.float32).reshape(shape))
 
     def borrow(self, values: np.ndarray) -> DeviceArray:
         if self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
@@ -125,9 +134,9 @@ class OpenclDevice(Device):
         return self._over(values, cl.mem_flags.READ_ONLY)
 
     def _over(self, values: np.ndarray, access: int) -> DeviceArray:
-        """A table in a processor's memory that is the NumPy array, or a copy the driver makes."""
+        """A table in a processor's memory that is the NumPy array, or a copy made by the driver."""
         handle: Any = cl.SVM(values) if self._shares_memory else None
-        if handle is None:  # some drivers copy what does not begin a page
+        if handle is None:  # some drivers copy memory that does not begin at a page
             handle = cl.Buffer(self.context, access | cl.mem_flags.USE_HOST_PTR, hostbuf=values)
         return DeviceArray(self, handle, values.shape, values.dtype, 0)
 
@@ -135,9 +144,6 @@ class OpenclDevice(Device):
         if not self._shares_memory or self.is_gpu or not values.flags.c_contiguous or not values.nbytes:
             return None
         return self.borrow(values)
-
-    def settle(self, values: np.ndarray) -> DeviceArray:
-        return super().settle(values) if self.is_gpu else self.adopt(values)
 
     def _write(self, handle: Any, stored: np.ndarray, first: int = 0) -> None:
         if isinstance(handle, cl.SVM):
@@ -159,6 +165,9 @@ class OpenclDevice(Device):
     def _fetch(self, handle: Any, other: Device, source: Any) -> bool:
         if not isinstance(other, OpenclDevice) or other.context != self.context or isinstance(source, cl.SVM):
             return False
+        if self.is_gpu:
+            self._through_host(handle, other, source)
+            return True
         ready = cl.enqueue_marker(other.queue)
         other.queue.flush()
         done = cl.enqueue_copy(self.queue, handle, source, wait_for=[ready])
@@ -166,10 +175,24 @@ class OpenclDevice(Device):
         cl.enqueue_barrier(other.queue, wait_for=[done])
         return True
 
+    def _through_host(self, handle: Any, other: OpenclDevice, source: Any) -> None:
+        """Copy by way of pinned memory: NVIDIA's driver has the host wait for a copy between two of its GPUs."""
+        nbytes, flags = min(handle.size, source.size), cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
+        if nbytes not in self._pinned:
+            access: Any = cl.map_flags.READ | cl.map_flags.WRITE
+            buffer = cl.Buffer(self.context, flags, nbytes)
+            self._pinned[nbytes] = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
+        pages, free = self._pinned[nbytes]
+        read = cl.enqueue_copy(other.queue, pages, source, is_blocking=False, wait_for=[free])
+        other.queue.flush()
+        written = cl.enqueue_copy(self.queue, handle, pages, is_blocking=False, wait_for=[read])
+        self._pinned[nbytes] = pages, written
+        self.queue.flush()
+
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
     ) -> cl.Kernel:
-        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones tell their arguments everywhere."""
+        """A kernel for a layout of ``lanes`` and fixed numbers; uncached ones always report their arguments."""
         options = [f"-I{kernel.source.parent}", "-cl-mad-enable", "-cl-kernel-arg-info"]
         options += [f"-DCOMPILE_{kernel.name}", "-DGPU" if self.is_gpu else "-DCPU"]
         constants = self._constants(kernel, lanes) | {name.upper(): value for name, value in fixed if value}
@@ -180,17 +203,18 @@ class OpenclDevice(Device):
         if self._is_nvidia and registers:
             options.append(f"-cl-nv-maxrregcount={registers}")
         try:
-            with warnings.catch_warnings():  # a compiler that merely talks is no news
-                warnings.simplefilter("ignore", cl.CompilerWarning)
+            with quiet_build():
                 program = cl.Program(self.context, kernel.source.read_text())
                 cache: Any = None if cached else False
-                return cl.Kernel(program.build(options, cache_dir=cache), kernel.name)
+                function = cl.Kernel(program.build(options, cache_dir=cache), kernel.name)
+                function.set_scalar_arg_dtypes(_numbers(kernel))
+                return function
         except (cl.Error, RuntimeError) as error:
             raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16
-        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables alone has no lanes
+        threads = max(lanes // width, 1) if self.is_gpu else 1  # a kernel over tables only has no lanes
         tiling = self._tiling(kernel, lanes)
         shape = {"LANES": lanes, "WIDTH": width, "THREADS": threads, "VECTORS": lanes // width // threads}
         tile = {"TILE_MAJOR": tiling.major, "TILE_MINOR": tiling.minor, "TILE_SLABS": tiling.slabs}
@@ -200,7 +224,7 @@ class OpenclDevice(Device):
         return (shape if lanes else {}) | tile | constants
 
     def _kind(self, kernel: Kernel, lanes: int) -> str:
-        """Which tiling and constants of a kernel are this device's."""
+        """The tiling and constants of a kernel for this device."""
         if self._has_matrix_units and kernel.nvidia and lanes == FULL_SLAB:
             return "nvidia"
         return "gpu" if self.is_gpu else "cpu"
@@ -216,27 +240,44 @@ class OpenclDevice(Device):
         minor = -(-shape[1] // tiling.minor) if tiling.minor else 1
         major = -(-shape[0] // tiling.major) if tiling.major else 1
         if self._kind(kernel, lanes) == "nvidia":
-            major = shape[0] // tiling.major + 1  # frequencies share entries by twos, the first and middle ones do not
+            major = shape[0] // tiling.major + 1  # frequencies share entries in pairs, except the first and middle ones
         return (minor * threads, major, -(-shape[2] // (lanes * tiling.slabs)))
 
     def _group(self, kernel: Kernel, counts: tuple[int, ...], lanes: int) -> tuple[int, int, int]:
-        """The work-group as declared, cut to whole samples and to the slabs there are."""
+        """The declared work-group, cut to whole samples and to the number of slabs."""
         threads, (minor, major, slabs) = lanes // 4, (*self._tiling(kernel, lanes).group, 1)[:3]
-        whole = self._kind(kernel, lanes) == "nvidia"  # whose items share out what they bring
+        whole = self._kind(kernel, lanes) == "nvidia"  # its items divide the loading of data
         return (max(minor // threads, 1) * threads, major, slabs if whole else min(slabs, counts[2]))
 
     def items(self, kernel: Kernel, shape: tuple[int, int, int]) -> int:
         return int(np.prod(self._counts(kernel, shape)))
 
     def _launch(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int], lanes: int) -> None:
-        spec = kernel.arguments[kernel.over]
+        extents = [sizes[axis] for axis in kernel.axes]
+        fixed = tuple([(name, int(bound[name])) for name in kernel.fixed])
+        function, counts, group = self._planned(kernel, lanes, fixed, tuple(extents))
+        if 0 in counts:
+            return
+        try:
+            function(self.queue, counts, group, *bound.values(), *extents)
+        except cl.MemoryError as error:
+            raise OutOfMemory(f"{kernel.name} ran out of memory on {self.name}: {error}") from error
+        except cl.Error as error:
+            raise KernelError(f"{kernel.name} failed on {self.name}: {error}") from error
+
+    def _plan(
+        self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...], extents: tuple[int, ...]
+    ) -> tuple[cl.Kernel, tuple[int, ...], tuple[int, ...] | None]:
+        """The compiled kernel for lengths of its axes, its work items and its groups."""
+        spec, sizes = kernel.arguments[kernel.over], dict(zip(kernel.axes, extents, strict=True))
         over = tuple(sizes[axis] if not axis.isdigit() else int(axis) for axis in getattr(spec, "axes", ()))
+        function = self._compiled(kernel, lanes, fixed)
         if isinstance(spec, Field):
             counts: tuple[int, ...] = self._counts(kernel, over)  # type: ignore[arg-type]
             group = self._group(kernel, counts, lanes) if self.is_gpu else (1, 1, 1)
         elif isinstance(spec, Table):
             if 0 in over:
-                return
+                return function, over, None
             minor = self._tiling(kernel, lanes).minor or over[-1]
             counts = tuple(reversed((*over[:-1], -(-over[-1] // minor))))
             group = (_divisor(counts[0]), *(1 for _ in counts[1:])) if self._small_groups else None
@@ -244,14 +285,7 @@ class OpenclDevice(Device):
             raise KernelError(f"{kernel.name} runs over {kernel.over}, which is a number")
         if group:
             counts = tuple(-(-n // g) * g for n, g in zip(counts, group, strict=True))
-        function = self._compiled(kernel, lanes, tuple((name, int(bound[name])) for name in kernel.fixed))
-        extents = [np.int32(sizes[axis]) for axis in kernel.axes]
-        try:
-            function(self.queue, counts, group, *bound.values(), *extents)
-        except cl.MemoryError as error:
-            raise OutOfMemory(f"{kernel.name} ran out of memory on {self.name}: {error}") from error
-        except cl.Error as error:
-            raise KernelError(f"{kernel.name} failed on {self.name}: {error}") from error
+        return function, counts, group
 
     def flush(self) -> None:
         self.queue.flush()
@@ -302,7 +336,7 @@ class OpenclDevice(Device):
         return mapped
 
     def _relaid(self, array: DeviceArray, lanes: int) -> Any:
-        """Vectors must lie at multiples of their size, as where a driver puts buffers; memory of others need not."""
+        """Whether memory is aligned for vectors, as in a driver's buffers; memory of other libraries may not be."""
         handle, theirs = array.handle, None
         if isinstance(handle, cl.SVM):
             theirs = handle.mem
@@ -310,3 +344,9 @@ class OpenclDevice(Device):
             theirs = handle.hostbuf
         lies = theirs is None or (isinstance(theirs, np.ndarray) and theirs.ctypes.data % VECTOR == 0)
         return handle if lies else None
+
+
+def _numbers(kernel: Kernel) -> list[np.dtype | None]:
+    """Types of the arguments that are numbers, None for arrays; a launch takes half of the time if they are known."""
+    declared = [np.dtype(spec.dtype) if isinstance(spec, Scalar) else None for spec in kernel.arguments.values()]
+    return [*declared, *[np.dtype(np.int32)] * len(kernel.axes)]

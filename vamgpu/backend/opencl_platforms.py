@@ -1,13 +1,16 @@
-"""Finding OpenCL platforms, those that came as Python wheels included, with nothing set by the user."""
+"""Finding OpenCL platforms, including those in Python wheels, without any setting by the user."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -15,11 +18,12 @@ import numpy as np
 from vamgpu.backend.cache import writable
 
 SLUGS = {"Portable Computing Language": "pocl", "NVIDIA CUDA": "nvidia", "AMD Accelerated Parallel Processing": "amd"}
+_BUILDS = Lock()
 PROBE = "__kernel void twice(__global float *a) { a[get_global_id(0)] = 2.0f * get_global_id(0); }"
 
 
 def _wheel_drivers() -> list[Path]:
-    """Libraries of the Intel wheel: its own .icd file names a placeholder path, so the loader never finds them."""
+    """Libraries of the Intel wheel: its own .icd file names a placeholder path, and the loader never finds them."""
     try:
         files = metadata.files("intel-opencl-rt") or []
     except metadata.PackageNotFoundError:
@@ -30,15 +34,15 @@ def _wheel_drivers() -> list[Path]:
 
 @lru_cache(maxsize=1)
 def platforms() -> tuple[Any, ...]:
-    """Every OpenCL platform, wheel drivers included; the environment is left as it was found."""
-    writable()  # PoCL and pyopencl read where their caches are once
+    """Every OpenCL platform, including wheel drivers; the environment is restored afterwards."""
+    writable()  # PoCL and pyopencl read the path of their caches only once
     import pyopencl as cl
 
     drivers = _wheel_drivers()
     if "OCL_ICD_VENDORS" in os.environ or not drivers or os.name == "nt":
         return _query(cl)
-    # The loader reads the vendors folder once, at the first query, so a folder that lives this long is enough;
-    # children must not inherit a variable that names a folder that is gone.
+    # The loader reads the vendors folder only once, at the first query; a folder that exists until then suffices. Child
+    # processes must not inherit a variable that names a deleted folder.
     with tempfile.TemporaryDirectory(prefix="vamgpu-icd-") as folder:
         for icd in Path("/etc/OpenCL/vendors").glob("*.icd"):
             (Path(folder) / icd.name).write_bytes(icd.read_bytes())
@@ -54,7 +58,7 @@ def platforms() -> tuple[Any, ...]:
 def _query(cl: Any) -> tuple[Any, ...]:
     try:
         return tuple(cl.get_platforms())
-    except cl.Error:  # the loader raises where it finds no platform at all
+    except cl.Error:  # the loader raises an error if it finds no platform
         return ()
 
 
@@ -81,22 +85,31 @@ def all_devices() -> dict[str, Any]:
 
 @cache
 def context_of(name: str) -> Any:
-    """The one context of a named device: PoCL loads its library of built-in functions anew for each."""
+    """The only context of a named device: PoCL loads its library of built-in functions anew for each context."""
     import pyopencl as cl
 
     return cl.Context([all_devices()[name]])
 
 
+@contextmanager
+def quiet_build() -> Iterator[None]:
+    """Build a program without its compiler's warnings; one at a time, because threads share the filters of warnings."""
+    import pyopencl as cl
+
+    with _BUILDS, warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        yield
+
+
 def complaint(name: str) -> str | None:
-    """Why the device of that name cannot build and run a trivial kernel, or None if it can."""
+    """Reason why the device of that name cannot build and run a trivial kernel, or None if it can."""
     import pyopencl as cl
 
     try:
         context = context_of(name)
         queue = cl.CommandQueue(context)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", cl.CompilerWarning)
+        with quiet_build():
             program = cl.Program(context, PROBE).build()
         program.twice(queue, (16,), None, buffer)
         got = np.empty(16, np.float32)

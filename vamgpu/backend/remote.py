@@ -1,7 +1,7 @@
-"""A device of another process: what it is to do goes there in orders, and only what is read comes back.
+"""A device of another process: orders go to that process, and only data that is read comes back.
 
-Orders wait until somebody flushes, reads or asks, and go in batches, one under way at a time: so they are carried out
-in their order, and several devices work at once.
+Orders are collected until a flush, a read or a query, and sent in batches, one at a time. They are executed in order,
+and several devices work at the same time.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from vamgpu.kernels.signature import Kernel
 Order = tuple[Any, ...]
 """An action and its arguments."""
 Send = Callable[[list[Order]], Callable[[], list[Any]]]
-"""Sends orders, and gives what waits for their answers."""
+"""Function that sends orders and waits for their answers."""
 
 
 class Facts(NamedTuple):
-    """Facts of a device: its name, whether it is a GPU, its floating-point type, and its description."""
+    """Facts about a device: its name, whether it is a GPU, its floating-point type, and its description."""
 
     name: str
     is_gpu: bool
@@ -39,13 +39,13 @@ class Facts(NamedTuple):
 
 
 class _Ref(NamedTuple):
-    """A handle, as orders name it."""
+    """A handle in the form that orders use."""
 
     number: int
 
 
 class Served:
-    """A device in the process where it is; None takes the best one. Raises `DeviceError`."""
+    """A device in the process that has it; None takes the best one. Raises `DeviceError`."""
 
     def __init__(self, name: str | None) -> None:
         self._device = open_device(name)
@@ -59,7 +59,7 @@ class Served:
         return Facts(self._device.name, self._device.is_gpu, self._device.real.name, self._device.description)
 
     def act(self, orders: list[Order]) -> list[Any]:
-        """Carry out orders in turn and return the answers. Raises `VamError`; other failures become `DeviceError`."""
+        """Execute orders in sequence and return the answers. Raises `VamError`; other failures become `DeviceError`."""
         try:
             return [answer for name, *given in orders if (answer := getattr(self, f"_{name}")(*given)) is not None]
         except VamError:
@@ -103,7 +103,7 @@ class Served:
 
 
 def _let_go(handles: dict[int, tuple[Any, int]], device: Device) -> None:
-    """Count out what nobody asks for any more; the device goes on for whoever comes next."""
+    """Ignore orders whose answers nobody needs any more; the device continues for the next caller."""
     for _, count in handles.values():
         device.ledger.give(count)
     handles.clear()
@@ -117,12 +117,12 @@ class _Handle:
 
 
 class RemoteDevice(Device):
-    """A device of another process: ``send`` brings orders to `Served.act` there, or raises `WorkerLost`."""
+    """A device of another process: ``send`` transmits orders to `Served.act` there, or raises `WorkerLost`."""
 
     def __init__(self, name: str, facts: Facts, send: Send) -> None:
         super().__init__(name, facts.description)
         self.kind: str = facts.name
-        """Its name where it is."""
+        """Its name in that process."""
         self.is_gpu: bool = facts.is_gpu
         self._real = np.dtype(facts.real)
         self._send = send
@@ -147,7 +147,7 @@ class RemoteDevice(Device):
     def flush(self) -> None:
         self._wait()
         batch = []
-        while self._orders:  # handles that go meanwhile, in any thread, add theirs at the end
+        while self._orders:  # handles freed meanwhile, in any thread, are appended at the end
             batch.append(self._orders.popleft())
         self._waiting = 0
         if batch:
@@ -191,7 +191,7 @@ class RemoteDevice(Device):
         given = {key: _Ref(value.number) if isinstance(value, _Handle) else value for key, value in bound.items()}
         self._orders.append(("launch", kernel.concept, kernel.name, given, sizes, lanes))
 
-    # ---- arrays of others ------------------------------------------------------------------------------------
+    # ---- arrays of other libraries --------------------------------------------------------------------------
     def adopt(self, foreign: Any) -> DeviceArray:
         return self.upload(from_host(self, foreign), table=True)
 

@@ -1,8 +1,8 @@
-"""Several devices as one: a field is cut along z, and every member keeps and computes its own slices.
+"""Several devices as one: a field is cut along z, and every member stores and computes its own slices.
 
-Slices of a vial meet in few places: in sums, and in what spreads along z. A kernel that computes each slice for itself
-runs on every member at once; one that reaches a few slices further (see `Kernel`) is given them by the neighbors; any
-other runs on the first member alone, on the whole field.
+Slices of a vial interact only in sums, and in operations that spread along z. A kernel that computes each slice
+separately runs on every member at once. One that needs a few further slices (see `Kernel`) gets them from the
+neighbors. Any other runs only on the first member, on the whole field.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from vamgpu.kernels.lanes import copy_slices
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
 
 Cuts = list[tuple[int, int]]
-"""First slice and the one after the last, a pair a member; empty for members that have none."""
+"""First slice and the one after the last, a pair per member; empty for members without slices."""
 WHOLE = "all"
 
 
 class Pieces(list[DeviceArray]):
-    """A field: the slices that each member keeps."""
+    """A field: the slices that each member stores."""
 
 
 class Copies:
-    """A table: on any member that asked for it, or in the parts that the members wrote along an axis."""
+    """A table: on any member that needed it, or in the parts that the members wrote along an axis."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -53,11 +53,11 @@ class Copies:
         return np.zeros(self.shape, self.dtype)
 
     def keep(self, table: DeviceArray) -> None:
-        """Take what stands on one member for the table, and forget what others have."""
+        """Take one member's copy as the table, and drop the other copies."""
         self._whole, self._parts, self._bands = {table.device: table}, [], {}
 
     def parts(self) -> list[DeviceArray]:
-        """The parts that members wrote; none where it is whole."""
+        """The parts that members wrote; none if the table is whole."""
         return [] if self._whole else self._parts
 
     def on(self, device: Device) -> DeviceArray:
@@ -67,7 +67,7 @@ class Copies:
         return self._whole[device]
 
     def shared(self, members: Sequence[Device], axis: int, cuts: Cuts, use: Moved) -> list[DeviceArray]:
-        """Its parts along an axis, a part a member, for a kernel that does with them what it says."""
+        """Its parts along an axis, one per member, for a kernel that combines them."""
         lengths = [end - begin for begin, end in cuts]
         if self._axis != axis or [part.shape[axis] for part in self._parts] != lengths:
             if use.reads:
@@ -82,7 +82,7 @@ class Copies:
         return self._parts
 
     def band(self, members: Sequence[Device], cuts: Cuts, taps: int, most: int) -> tuple[Cuts, list[DeviceArray]]:
-        """Cut first slices: what each cut's entries reach of ``most``, and the entries counted from there."""
+        """Cut first slices: the entries of each cut within ``most``, counted from its start."""
         key = (tuple(cuts), taps, most)
         if key not in self._bands:
             each = [self.read()[begin:end] for begin, end in cuts]
@@ -99,7 +99,7 @@ def _stored(device: Device, values: np.ndarray, *, table: bool = False) -> Devic
 
 
 class SlabDevice(Device):
-    """Devices that share the slices of every field; a device may be a member more than once."""
+    """Devices that divide the slices of every field; a device may be a member more than once."""
 
     members: tuple[Device, ...]
 
@@ -122,7 +122,7 @@ class SlabDevice(Device):
         return 1
 
     def cuts(self, nz: int) -> Cuts:
-        """Slices of each member: as equal as whole slabs of a GPU allow, or vectors where there are few."""
+        """Slices of each member: as equal as whole slabs of a GPU allow, or whole vectors if there are few slices."""
         step = 32 if nz >= 128 * len(self.members) else 4
         most = -(-nz // (step * len(self.members))) * step
         return [(min(k * most, nz), min((k + 1) * most, nz)) for k in range(len(self.members))]
@@ -135,6 +135,11 @@ class SlabDevice(Device):
             return [self.members[0].items(kernel, shape)]
         cuts = zip(self.members, self.cuts(shape[2]), strict=True)
         return [member.items(kernel, (*shape[:2], end - begin)) if begin < end else 0 for member, (begin, end) in cuts]
+
+    def hold(self, table: DeviceArray) -> DeviceArray:
+        copies = Copies(table.shape, table.dtype)
+        copies.keep(table)
+        return DeviceArray(self, copies, table.shape, table.dtype, 0)
 
     # ---- memory ----------------------------------------------------------------------------------------------
     def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> Pieces | Copies:
@@ -188,7 +193,7 @@ class SlabDevice(Device):
             self._run_near(kernel, bound, sizes[kernel.reach] - 1)
 
     def _run_apart(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes its own slices, of which it knows the number where the kernel asks for it."""
+        """Every member computes its own slices; it gets their number if the kernel needs it."""
         spec: Any = kernel.arguments[kernel.over]
         shape = tuple(sizes[axis] for axis in spec.axes)
         cuts = {spec.axes[2]: self.cuts(shape[2])}
@@ -230,7 +235,7 @@ class SlabDevice(Device):
             self._done(arrays, bound[name])
 
     def _run_band(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes its own slices from those of another field that a table names."""
+        """Every member computes its own slices from slices of another field that a table names."""
         over: Any = kernel.arguments[kernel.over]
         (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Field) and spec.axes != over.axes)
         cuts = self.cuts(sizes[over.axes[2]])
@@ -246,7 +251,7 @@ class SlabDevice(Device):
         self._done(spanned, bound[source])
 
     def _run_placed(self, kernel: Kernel, bound: dict[str, Any], sizes: dict[str, int]) -> None:
-        """Every member computes those of its own slices that another field comes to lie on, from a first one on."""
+        """Every member computes those of its own slices to which another field is moved, from a first one on."""
         over: Any = kernel.arguments[kernel.over]
         (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Field) and spec.axes != over.axes)
         cuts, first, height = self.cuts(sizes[over.axes[2]]), int(bound[kernel.reach]), _height(bound[source])
@@ -261,7 +266,7 @@ class SlabDevice(Device):
         self._done(spanned, bound[source])
 
     def _bring(self, piece: DeviceArray, begin: int, end: int, first: int, wide: DeviceArray) -> None:
-        """Copy slices of a piece to a field, perhaps another member's, that begins with the piece's slice ``first``."""
+        """Copy slices of a piece to a field, perhaps of another member, that begins with the slice ``first``."""
         if piece.device is wide.device:
             return _copy(piece, first, wide)
         strips = [self._scratch(array.device, (*piece.shape[:2], end - begin)) for array in (piece, wide)]
@@ -273,12 +278,12 @@ class SlabDevice(Device):
         self._keep(*strips)
 
     def _scratch(self, member: Device, shape: tuple[int, ...]) -> DeviceArray:
-        """A field of a member for one launch: drivers take as long to find memory as to project."""
+        """A temporary field of a member for one launch: drivers take as long to allocate memory as to project."""
         spare = self._spare.setdefault((member, shape), [])
         return spare.pop() if spare else member.empty(shape)
 
     def _done(self, wide: list[DeviceArray], own: Pieces) -> None:
-        """Keep for later launches what `_spanned` took; a member's launches run one after the other."""
+        """Return the memory that `_spanned` took, for later launches; a member's launches run one after another."""
         self._keep(*(array for array, piece in zip(wide, own, strict=True) if array is not piece))
 
     def _keep(self, *arrays: DeviceArray) -> None:
@@ -297,7 +302,7 @@ class SlabDevice(Device):
         return wide
 
     def _run_twice(self, kernel: Kernel, bound: dict[str, Any]) -> None:
-        """Every member combines the partial results it has, and the first one what comes of them."""
+        """Every member combines its partial results, and the first member combines these."""
         (source,) = (n for n, spec in kernel.arguments.items() if isinstance(spec, Table) and "part" in spec.axes)
         target, results = bound[kernel.over], []
         for part in bound[source].parts():
@@ -312,7 +317,7 @@ class SlabDevice(Device):
         self._run_whole(kernel, bound)
 
     def _run_whole(self, kernel: Kernel, bound: dict[str, Any]) -> None:
-        """The first member computes everything, and the others are given their slices."""
+        """The first member computes everything, and the others receive their slices."""
         first, joined = self.members[0], {}
         for value in bound.values():
             if isinstance(value, Pieces) and id(value) not in joined:
@@ -334,7 +339,7 @@ class SlabDevice(Device):
         for member in self.members:
             member.synchronize()
 
-    # ---- arrays of others ------------------------------------------------------------------------------------
+    # ---- arrays of other libraries --------------------------------------------------------------------------
     def adopt(self, foreign: Any) -> DeviceArray:
         return self.upload(from_host(self, foreign), table=True)
 
@@ -347,7 +352,7 @@ class SlabDevice(Device):
 
 @cache
 def _is_cut(kernel: Kernel) -> bool:
-    """Whether members can compute their slices for themselves, or among a few of their neighbors."""
+    """Whether members can compute their slices separately, or with a few slices of their neighbors."""
     over = kernel.arguments[kernel.over]
     if not isinstance(over, Field) or kernel.reach == WHOLE:
         return False
@@ -361,7 +366,7 @@ def _is_cut(kernel: Kernel) -> bool:
 
 @cache
 def _is_counted(kernel: Kernel) -> bool:
-    """Whether a slice's result depends on its number and on no other field."""
+    """Whether a slice's result depends only on its number."""
     over: Any = kernel.arguments[kernel.over]
     fields = [spec for spec in kernel.arguments.values() if isinstance(spec, Field)]
     return isinstance(kernel.arguments.get(kernel.reach), Scalar) and all(spec.axes == over.axes for spec in fields)

@@ -21,17 +21,17 @@ from vamgpu.kernels.signature import Field, Kernel
 
 LANES = 32
 STRIDE_LIMIT = 2**31
-"""Warp keeps strides and extents in 32 bits."""
+"""Warp stores strides and extents in 32 bits."""
 CUDA = 2
-"""GPU memory, as DLPack names it."""
+"""GPU memory, by its number in DLPack."""
 VECTOR = 16
-"""Bytes that vectors begin at multiples of."""
+"""Alignment of vectors in bytes."""
 
 TYPES: dict[str, type] = {"float32": wp.float32, "int32": wp.int32, "uint8": wp.uint8, "uint32": wp.uint32}
 
 
 def start() -> None:
-    """Start Warp without its banner, and without its word on a missing CUDA driver: libraries don't print."""
+    """Start Warp without its banner, and without its message about a missing CUDA driver: libraries don't print."""
     wp.config.log_level = wp.LOG_ERROR
     writable()
     try:
@@ -45,7 +45,7 @@ def start() -> None:
 
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """Native code writes to file descriptor 2 directly, so that is what must be turned away."""
+    """Native code writes to file descriptor 2 directly; therefore that descriptor is redirected."""
     with open(os.devnull, "w") as nowhere:
         kept = os.dup(2)
         os.dup2(nowhere.fileno(), 2)
@@ -127,7 +127,7 @@ class WarpDevice(Device):
 
     @staticmethod
     def _host_view(handle: wp.array, stored: np.ndarray, first: int) -> tuple[wp.array, int, int]:
-        """Host memory, and first element and count as the handle counts them."""
+        """Host memory, and first element and count in the units of the handle."""
         width = 4 if handle.dtype is wp.vec4 else 1
         seen = stored.reshape(-1, 4) if width > 1 else stored.reshape(-1)
         return wp.array(seen, dtype=handle.dtype, device="cpu", copy=False), first // width, stored.size // width
@@ -143,7 +143,7 @@ class WarpDevice(Device):
         return (*counts, lanes // 4)  # type: ignore[return-value]
 
     def _block(self, kernel: Kernel, slabs: int, lanes: int) -> tuple[int, int, int]:
-        """Tiles of a block along (slab, major, minor), cut to whole samples and to the slabs there are."""
+        """Tiles of a block along (slab, major, minor), cut to whole samples and to the number of slabs."""
         if not self.is_gpu:
             return (1, 1, 1)
         minor, major, blocks = kernel.gpu.group
@@ -212,18 +212,18 @@ class WarpDevice(Device):
         kind: Any = wp.vec4 if lanes else wp.float32
         shape = (1, major, minor, lanes // 4) if lanes else (major, minor, nz)
         view: Any = wp.array(ptr=handle.ptr, dtype=kind, shape=shape, device=self._device)
-        view._ref = handle  # the memory lives as long as what shows it
+        view._ref = handle  # the memory lives as long as the object that exposes it
         return view
 
 
 def _seen(value: Any, declared: Any) -> Any:
-    """A field as its kernel takes it: ``[slab, major, minor, lanes / 4]``, or flat per slab where it says array2d."""
+    """A field in the form for its kernel: ``[slab, major, minor, lanes / 4]``, or flat per slab for array2d."""
     if isinstance(value, wp.array) and value.ndim == 4 and declared.ndim == 2:
         return value.reshape((value.shape[0], -1))
     return value
 
 
 def sibling(kernel: Kernel) -> wp.Kernel:
-    """The Warp sibling of a declared kernel."""
+    """The Warp version of a declared kernel."""
     module = importlib.import_module(f"vamgpu.kernels.{kernel.concept}_warp")
     return getattr(module, kernel.name)

@@ -1,1 +1,1 @@
-"""Calibrations from recorded data: where the lens focuses and where the axis of rotation is."""
+"""Calibrations from recorded data: the focus of the lens and the axis of rotation."""

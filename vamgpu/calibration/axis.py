@@ -1,8 +1,8 @@
-"""Where the roller's axis lies on the mirrors, from a scan of one lit line: its shadow has two edges, each sub-pixel.
+"""Position of the roller's axis on the mirrors, from a scan of one lit line, whose shadow has two sub-pixel edges.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S6. Light runs backwards
-through the projector; one column of mirrors after another sends it to a photodiode, and the roller casts a shadow on
-it. One edge gives the end of the roller, not its axis: then its radius must be known.
+through the projector: one column of mirrors after another sends it to a photodiode, and the roller casts a shadow on
+it. One edge gives only the end of the roller; the radius must then be known.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import counts, positive
 
 LEAST_CONTRAST = 6.0
-"""Step from shadow to light, over the noise of a reading, from which edges are looked for."""
+"""Smallest step from shadow to light, over the noise of a reading, that counts as an edge."""
 
 LEAST_COLUMNS = 16
-"""Readings of a scan, and to either side of an edge that is fitted."""
+"""Least number of readings of a scan, and on either side of an edge for its fit."""
 
 SHARP = 0.15
 """Blur [columns] below which a column's own width hides it."""
 
 NEAR = 20.0
-"""Widths of an edge's blur to either side of it that are fitted."""
+"""Range of the fit on either side of an edge, in widths of its blur."""
 
 
 @dataclass(frozen=True)
 class Edge:
     """One edge of the shadow, in columns of the mirrors counted from 0."""
 
-    column: float  # where half the light is let past
+    column: float  # where half the light passes
     width: float  # standard deviation of its blur
     error: float  # standard error of column
     rising: bool  # light comes after the shadow
@@ -46,12 +46,12 @@ class RollerAxis:
     """The axis of a roller on the mirrors, in columns counted from 0."""
 
     column: float  # of the axis
-    radius: float  # of the roller in columns, measured where there are two edges, else as given
+    radius: float  # of the roller in columns, measured if there are two edges, else as given
     error: float  # standard error of the column
     edges: tuple[Edge, ...]
 
     def shift(self, columns: int, *, flip_r: bool = False) -> float:
-        """Shift along r [pixels] for `pack`, by which frames of ``columns`` meet the roller's axis."""
+        """Shift along r [pixels] for `pack` that centers frames of ``columns`` on the roller's axis."""
         middle = 0.5 * (counts("columns", (columns,), 1)[0] - 1)
         return middle - self.column if flip_r else self.column - middle
 
@@ -73,7 +73,7 @@ def find_axis(
         where = ", ".join(f"{place[at]:g}" for at, _ in crossings) or "none"
         raise BadInput(
             f"the scan has {len(crossings)} edges between light and shadow (columns {where}); expected the two of a "
-            "roller: scan past it on both sides, clean what else casts shadows"
+            "roller: scan past it on both sides, and remove other objects that cast shadows"
         )
     ends = [0, *(at for at, _ in crossings), place.size]
     cuts = [0, *((a + b) // 2 for a, b in zip(ends[1:-2], ends[2:-1], strict=True)), place.size]
@@ -94,8 +94,8 @@ def _axis(edges: tuple[Edge, ...], radius: float | None) -> RollerAxis:
     (edge,) = edges
     if radius is None:
         raise BadInput(
-            f"the scan has one edge, at column {edge.column:.1f}, which does not tell where the axis is; expected both "
-            "edges, or radius= in columns"
+            f"the scan has one edge, at column {edge.column:.1f}, which does not tell where the axis is; expected "
+            "both edges, or radius= in columns"
         )
     return RollerAxis(edge.column + (-radius if edge.rising else radius), radius, edge.error, edges)
 
@@ -114,13 +114,13 @@ def _readings(light: ArrayLike, columns: ArrayLike | None) -> tuple[np.ndarray, 
 
 
 def _levels(read: np.ndarray, dark: float | None) -> tuple[float, float, float]:
-    """Shadow, light and the noise of one reading."""
+    """Light levels of shadow and light, and the noise of one reading."""
     low, high = (float(q) for q in np.quantile(read, (0.03, 0.97)))
     return (low if dark is None else float(dark)), high, noise_of(read)
 
 
 def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[tuple[int, bool]]:
-    """First reading past every passage between light and shadow, and whether it is into light; noise does not count."""
+    """First reading after every transition between light and shadow, and whether it is into light; noise is ignored."""
     middle, slack = 0.5 * (low + high), min(0.3 * (high - low), max(0.1 * (high - low), 5.0 * noise))
     bright = bool(np.median(read[: max(3, read.size // 100)]) > middle)
     found: list[tuple[int, bool]] = []
@@ -136,7 +136,7 @@ def _crossings(read: np.ndarray, low: float, high: float, noise: float) -> list[
 
 
 def _step(x: np.ndarray, column: float, shadow: float, light: float, tilt: float, width: float) -> np.ndarray:
-    """A step from shadow to light that may grow with x, blurred, as a line one column wide sees it; width < 0 falls."""
+    """A blurred step from shadow to light that may grow with x, seen by a line one column wide; width < 0 falls."""
     from scipy.special import ndtr
 
     def below(u: np.ndarray) -> np.ndarray:
@@ -149,7 +149,7 @@ def _step(x: np.ndarray, column: float, shadow: float, light: float, tilt: float
 
 
 def _edge(place: np.ndarray, read: np.ndarray, at: int, rising: bool, room: range) -> Edge:
-    """The edge fitted in all the room it has, and then close by, where uneven light bends less."""
+    """The edge, fitted first over the whole available range and then close by, where uneven light matters less."""
     found = _fitted(place, read, at, rising, slice(room.start, room.stop))
     pace = float(np.median(np.diff(place)))
     near = max(LEAST_COLUMNS, round(NEAR * found.width / pace))
@@ -157,7 +157,7 @@ def _edge(place: np.ndarray, read: np.ndarray, at: int, rising: bool, room: rang
 
 
 def _fitted(place: np.ndarray, read: np.ndarray, at: int, rising: bool, part: slice) -> Edge:
-    """A blurred step fitted to some readings around a crossing."""
+    """A blurred step, fitted to some readings around a transition."""
     from scipy.optimize import OptimizeWarning, curve_fit
 
     x, y = place[part] - place[at], read[part]

@@ -1,4 +1,4 @@
-"""Checks, noise, fits and files that calibrations share."""
+"""Checks, noise, fits and files shared by calibrations."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vamgpu.storage.reading import load_toml
 
 
 def check_finite(what: str, *values: np.ndarray) -> None:
-    """Raise `BadInput` where readings or pictures are not finite."""
+    """Raise `BadInput` if readings or pictures are not finite."""
     if not all(np.isfinite(each).all() for each in values):
         raise BadInput(f"the {what} hold values that are not finite; expected finite numbers, as they were read")
 
 
 def noise_of(values: np.ndarray) -> float:
-    """Standard deviation of a value, from the median difference of neighbors, which edges hardly touch."""
+    """Standard deviation of a value, from the median difference of neighbors, which edges hardly affect."""
     return 1.4826 * float(np.median(np.abs(np.diff(values, axis=0)))) / float(np.sqrt(2.0))
 
 
@@ -28,7 +28,7 @@ def fitted(
     curve: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, start: Sequence[float], refusal: str, remedy: str,
     *, evaluations: int = 4000,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Least-squares parameters of a curve and their covariance. Raises `BadInput` if none are found."""
+    """Least-squares parameters of a curve and their covariance. Raises `BadInput` if the fit fails."""
     from scipy.optimize import OptimizeWarning, curve_fit
 
     try:

@@ -12,10 +12,10 @@ from vamgpu.calibration.fits import check_finite
 from vamgpu.errors import BadInput, ShapeMismatch
 
 ORDER = 4
-"""Order of the surface along rows and columns together: tilt, vignetting, and what lenses add to them."""
+"""Total order of the surface's polynomial along rows and columns: tilt, vignetting, and effects of lenses."""
 
 LEAST_CONTRAST = 20.0
-"""Light of a block over the noise of its mean, from which a field is measured."""
+"""Least light of a block, relative to the noise of its mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +34,14 @@ class FlatReading:
 
 
 def cuts(length: int, count: int) -> np.ndarray:
-    """Borders of ``count`` blocks of mirrors as even as whole mirrors allow; shape (count + 1,). Raises `BadInput`."""
+    """Borders of ``count`` blocks of mirrors, as even as whole mirrors allow; shape (count + 1,). Raises `BadInput`."""
     if not 1 <= count <= length:
         raise BadInput(f"{count} blocks of {length} mirrors; expected 1 to {length}")
     return np.rint(np.linspace(0, length, count + 1)).astype(int)
 
 
 def fit_flat(readings: ArrayLike, dark: ArrayLike, mirrors: tuple[int, int], order: int = ORDER) -> FlatReading:
-    """The smooth surface nearest to readings [row block, column block, repeat]. Raises `BadInput`, `ShapeMismatch`."""
+    """Smooth surface that best fits readings [row block, column block, repeat]. Raises `BadInput`, `ShapeMismatch`."""
     read, base = np.asarray(readings, np.float64), np.asarray(dark, np.float64)
     if read.ndim != 3 or read.shape[2] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(

@@ -1,4 +1,4 @@
-"""Where a tunable lens focuses, from pictures of a camera on a stage: sharpness, its peak, and the line through peaks.
+"""Focus of a tunable lens, from pictures of a camera on a stage: sharpness, its peak, and the line through peaks.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", section S5. The camera stands at
 known positions along the light; at each the lens steps through its powers while mirrors show a grating of lines.
@@ -16,25 +16,25 @@ from vamgpu.calibration.fits import check_finite, fitted
 from vamgpu.errors import BadInput
 
 LEAST_POWERS = 6
-"""A peak has four parameters; fewer readings than this do not tell how well it fits."""
+"""Least number of readings for a peak, which has four parameters; fewer do not show how well it fits."""
 
 ROUNDS = 4
-"""Fits of a peak, each around the middle of the one before."""
+"""Number of fits of a peak, each around the middle found by the previous one."""
 
 HARMONICS = np.arange(1.0, 16.0, 2.0) ** 2
 """Squares of the odd harmonics of a Ronchi grating that a camera may see."""
 
 RATIO = 0.1
-"""Where fits of a grating's blur over its period begin."""
+"""Initial ratios of blur to period for fits of a grating."""
 
 FAINT = 1e-6
-"""Weight from which a reading counts."""
+"""Least weight of a reading that counts."""
 
 REACH = 3.0
-"""Widths of a peak to either side of it that its place is found from, as far as the powers go on both."""
+"""Range around a peak, in its widths, from which its position is found, if the powers extend that far on both sides."""
 
 LEAST_SHARE = 0.6
-"""Share of the variance of sharpness that a peak must explain to count as one; noise alone gives 0.1 to 0.5."""
+"""Share of the variance of sharpness that a peak must explain; noise alone gives 0.1 to 0.5."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Peak:
     width: float  # half width at half height [dpt]
     height: float
     floor: float
-    error: float  # standard error of the power [dpt], noise and what the curve misses both counted
+    error: float  # standard error of the power [dpt], from noise and the misfit of the curve
     scatter: float  # standard deviation of the readings about the curve
 
     def __call__(self, power: ArrayLike) -> np.ndarray:
@@ -58,7 +58,7 @@ class FocusLine:
     """Focus against lens power: position = slope·power + intercept."""
 
     slope: float  # [mm/dpt]
-    intercept: float  # position [mm] of the focus at no power
+    intercept: float  # position [mm] of the focus at a power of 0
     error: float  # standard error of the slope [mm/dpt]
     positions: tuple[float, ...]  # of the camera [mm]
     peaks: tuple[Peak, ...]  # one for every position
@@ -88,7 +88,7 @@ def lorentzian(x: np.ndarray, center: float, width: float, height: float, floor:
 
 
 def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
-    """The Lorentzian nearest to sharpness over lens powers [dpt], both (powers,). Raises `BadInput` without a peak."""
+    """Lorentzian that best fits sharpness over lens powers [dpt], both (powers,). Raises `BadInput` without a peak."""
     power, sharp = _readings(powers, sharpness)
     span, floor, top = float(np.ptp(power)), float(np.quantile(sharp, 0.1)), int(np.argmax(sharp))
     height = float(sharp[top]) - floor
@@ -109,8 +109,8 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
 
 
 def _centered(power: np.ndarray, sharp: np.ndarray, start: np.ndarray) -> tuple[float, float]:
-    """The middle of a peak and its standard error [dpt], by powers that count alike on both sides of it."""
-    # Real peaks are no Lorentzians: where powers reach farther on one side, the wings there would pull the middle.
+    """The middle of a peak and its standard error [dpt], from a range of powers that is symmetric about it."""
+    # Real peaks are not Lorentzians: if powers extend farther on one side, the wings there would shift the middle.
     from scipy.optimize import curve_fit
 
     low, high = float(power.min()), float(power.max())
@@ -126,7 +126,7 @@ def _centered(power: np.ndarray, sharp: np.ndarray, start: np.ndarray) -> tuple[
             found, covariance = curve_fit(
                 grating_sharpness, power[near], sharp[near], p0=found, sigma=weight[near] ** -0.5, maxfev=2000
             )
-        except RuntimeError:  # the first fit stands
+        except RuntimeError:  # keep the first fit
             break
         if not low < found[0] < high:
             break
@@ -141,7 +141,7 @@ def grating_sharpness(
     x: np.ndarray, center: float, width: float, height: float, floor: float, ratio: float
 ) -> np.ndarray:
     """Mean squared gradient of a Ronchi grating blurred by a Gaussian, over lens power; shape of x."""
-    # Odd harmonics k have gradients alike; exp(−(2πks/p)²) of their squares is left, ratio = (2πs₀/p)², s ∝ 1 + u².
+    # Odd harmonics k have equal gradients; their squares are reduced to exp(−(2πks/p)²), ratio = (2πs₀/p)², s ∝ 1 + u².
     blur = abs(ratio) * (1.0 + ((x - center) / width) ** 2)
     return floor + height * np.exp(-np.multiply.outer(blur, HARMONICS)).sum(axis=-1)
 
@@ -169,7 +169,7 @@ def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLik
 
 
 def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
-    """The line through peaks at positions of the camera [mm]. Raises `BadInput` if they do not move."""
+    """The line through peaks at positions of the camera [mm]. Raises `BadInput` if the peaks do not move."""
     # Powers are uncertain, positions are not: powers are fitted over positions and the line is inverted.
     place = np.asarray(positions, np.float64)
     if place.shape != (len(peaks),) or not np.isfinite(place).all() or np.unique(place).size < 2:
@@ -184,7 +184,7 @@ def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:
     if rise == 0:
         raise BadInput(f"the sharpest power is {middle:.4g} dpt at every position; expected one that changes with it")
     off = power - middle - rise * (place - center)
-    seen = float(weight @ off**2) / max(place.size - 2, 1)  # too few positions show less scatter than there is
+    seen = float(weight @ off**2) / max(place.size - 2, 1)  # too few positions underestimate the scatter
     deviation = np.sqrt(max(seen, 1.0 / float((1.0 / error**2).sum()) if (error > 0).all() else 0.0) / spread)
     slope = 1.0 / rise
     return FocusLine(slope, center - slope * middle, float(deviation) * slope**2, tuple(place.tolist()), tuple(peaks))

@@ -13,21 +13,21 @@ from vamgpu.errors import BadInput, ShapeMismatch
 
 TOP = 255
 LEAST_CONTRAST = 20.0
-"""Light of level 255 over the noise of a level's mean, from which a curve is measured."""
+"""Least light of level 255, relative to the noise of a level's mean."""
 STUCK = 0.05
 """Rise over the last levels, relative to that of the whole curve, below which the meter counts as saturated."""
 FALLS = 6.0
-"""Standard errors by which a level may lie below a lower one and still be noise."""
+"""Standard errors by which a level may lie below a lower level and still count as noise."""
 
 
 @dataclass(frozen=True)
 class GrayReading:
-    """Light over gray levels, the dark reading subtracted, never falling."""
+    """Light over gray levels, with the dark reading subtracted, never falling."""
 
     levels: tuple[int, ...]  # rising from 0 to 255
     intensity: tuple[float, ...]  # at each, in the readings' unit
-    error: tuple[float, ...]  # standard error of each, the dark reading's counted
-    moved: float  # the most that a level was moved so that none falls
+    error: tuple[float, ...]  # standard error of each, including that of the dark reading
+    moved: float  # the largest change of a level that makes the curve never fall
 
     @property
     def black(self) -> float:
@@ -36,7 +36,7 @@ class GrayReading:
 
 
 def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> GrayReading:
-    """The curve nearest to readings (levels, repeats) that never falls. Raises `BadInput`, `ShapeMismatch`."""
+    """The curve that fits readings (levels, repeats) best and never falls. Raises `BadInput`, `ShapeMismatch`."""
     level, read, base = np.asarray(levels), np.asarray(readings, np.float64), np.asarray(dark, np.float64)
     if read.ndim != 2 or level.shape != read.shape[:1] or read.shape[1] < 2 or base.ndim != 1 or not base.size:
         raise ShapeMismatch(
@@ -61,13 +61,13 @@ def fit_gray(levels: Sequence[int], readings: ArrayLike, dark: ArrayLike) -> Gra
             "level"
         )
     kept = np.clip(risen, 0.0, None)
-    whole = np.hypot(error, float(np.sqrt((error**2).mean() * read.shape[1] / base.size)))  # the dark reading's too
+    whole = np.hypot(error, float(np.sqrt((error**2).mean() * read.shape[1] / base.size)))  # with the dark reading
     return GrayReading(tuple(int(each) for each in level), tuple(kept.tolist()), tuple(whole.tolist()),
                        float(np.abs(fall).max()))  # fmt: skip
 
 
 def _errors(read: np.ndarray) -> np.ndarray:
-    """Standard error of each level's mean; few repeats tell it badly, so it is never below that of a typical level."""
+    """Standard error of each level's mean, but at least that of a typical level, as few repeats estimate it badly."""
     own = read.std(axis=1, ddof=1)
     typical = float(np.sqrt((own**2).mean()))
     least = 1e-9 * max(float(np.abs(read).max()), 1e-300)

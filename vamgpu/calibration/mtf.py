@@ -1,9 +1,9 @@
 """Modulation transfer function of a projector, from a camera's picture of a slanted edge.
 
-Source: ISO 12233, edge-based spatial frequency response. A straight edge that crosses the camera's rows at a slant
-falls on its pixels at all fractions of one, so that pixels sorted by their distance from it sample the edge finer than
-the camera does. Here the line of the edge is a least-squares fit of a blurred step to all pixels, and what the binning
-and the difference of neighbors take off is put back. The camera's own pixels and optics are part of what is measured.
+Source: ISO 12233, edge-based spatial frequency response. A straight slanted edge crosses the camera's pixels at all
+sub-pixel positions; pixels sorted by their distance from it therefore sample the edge more finely than the camera does.
+Here the line of the edge is a least-squares fit of a blurred step to all pixels, and the losses from binning and from
+differences of neighbors are compensated. The measurement includes the camera's own pixels and optics.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from vamgpu.geometry import positive
 OVERSAMPLE = 4
 """Bins a pixel."""
 LEAST_CONTRAST = 8.0
-"""Step of the edge over the noise of a pixel, from which it is measured."""
+"""Least step of the edge, relative to the noise of a pixel."""
 LEAST_SLANT = 2.0
-"""Pixels that the edge must move across the picture, to fall on fractions of pixels evenly."""
+"""Least number of pixels that the edge must move across the picture, which makes its sub-pixel positions even."""
 FLAT, REACH = 4.0, 6.0
-"""Widths of the blur to either side of the edge: within `FLAT` all counts, beyond `REACH` nothing does."""
+"""Distances from the edge, in widths of the blur: within `FLAT` all values count fully, beyond `REACH` none does."""
 NARROWEST = 8.0
-"""The least of that reach [pixels]."""
+"""Lower limit of that range [pixels]."""
 
 FREQUENCIES = 401
 
@@ -37,7 +37,7 @@ class EdgeResponse:
 
     frequency: np.ndarray  # [1/mm], rising from 0 to half a cycle a pixel
     modulation: np.ndarray  # at each, 1 at 0
-    half: float  # frequency [1/mm] at which half the modulation is left
+    half: float  # frequency [1/mm] at which half the modulation remains
     angle: float  # of the edge against the nearer axis of the camera [deg]
     width: float  # standard deviation [mm] of the Gaussian blur nearest to the edge's
     contrast: float  # (light − dark) / (light + dark)
@@ -65,7 +65,7 @@ def slanted_edge(picture: ArrayLike, pixel: float) -> EdgeResponse:
 
 
 def _upright(picture: ArrayLike) -> np.ndarray:
-    """The picture as float64, with its edge nearer to columns than to rows."""
+    """The picture as float64, turned to have its edge closer to columns than to rows."""
     light = np.asarray(picture, np.float64)
     if light.ndim != 2 or min(light.shape) < 16:
         raise BadInput(f"the picture has shape {light.shape}; expected [row, column] of 16 × 16 pixels at least")
@@ -85,7 +85,7 @@ def _contrast(light: np.ndarray) -> None:
 
 
 def _step(at: np.ndarray, low: float, high: float, column: float, slope: float, width: float) -> np.ndarray:
-    """A straight blurred step; ``at`` holds columns and rows, the row in the middle being 0."""
+    """A straight blurred step; ``at`` holds columns and rows, counted from the middle row."""
     from scipy.special import ndtr
 
     distance = (at[0] - column - slope * at[1]) / np.hypot(1.0, slope)
@@ -122,7 +122,7 @@ def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tup
     if reach < FLAT * width or reach < 0.5 * NARROWEST:
         raise BadInput(
             f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; expected "
-            f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or let the camera see more"
+            f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or use a wider view"
         )
     count = int(reach * OVERSAMPLE)
     index = np.floor(distance * OVERSAMPLE).astype(int) + count
@@ -138,7 +138,7 @@ def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tup
 
 
 def _transform(spread: np.ndarray, lines: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [cycles/pixel] up to the camera's half, and the modulation, without what bins and difference take."""
+    """Frequencies [cycles/pixel] up to half the camera's, and the modulation, corrected for bins and differences."""
     reach = float(np.abs(lines).max()) + 1.0 / OVERSAMPLE
     flat = min(max(FLAT * width, 0.5 * NARROWEST), 0.8 * reach)
     fade = np.clip((np.abs(lines) - flat) / (reach - flat), 0.0, 1.0)
@@ -149,12 +149,12 @@ def _transform(spread: np.ndarray, lines: np.ndarray, width: float) -> tuple[np.
 
 
 def _half(frequency: np.ndarray, modulation: np.ndarray) -> float:
-    """Where half is left; between two frequencies the modulation is that of a Gaussian blur."""
+    """Frequency at half the modulation; between two frequencies the modulation is that of a Gaussian blur."""
     below = np.flatnonzero(modulation < 0.5)
     if not below.size:
         raise BadInput(
             f"the modulation is still {modulation[-1]:.2f} at half a cycle a pixel; expected it to fall below a half: "
-            "let the camera look closer"
+            "move the camera closer"
         )
     at = int(below[0])
     ends, squares = np.log(np.maximum(modulation[at - 1 : at + 1], 1e-12)), frequency[at - 1 : at + 1] ** 2

@@ -34,14 +34,14 @@ class PointSpread:
     def behind(cls, blur: float, pitch: float, fill: float = 1.0, pixel: float = 0.0) -> PointSpread:
         """Subtract the blur of the pixels themselves from that of a measured edge.
 
-        An edge of mirrors is a staircase: along the edge it averages to a step blurred by the lit box of one mirror, of
-        variance fill · pitch² / 12, and a camera's pixel adds pixel² / 12. A `Beam` has that box already.
+        An edge of mirrors is a staircase: averaged along the edge, it is a step blurred by the lit box of one mirror,
+        of variance fill · pitch² / 12; a camera's pixel adds pixel² / 12. A `Beam` already includes that box.
 
         Args:
             blur: standard deviation of the measured edge [mm], `EdgeResponse.width`.
-            pitch: edge of the projector's pixel where the edge was seen [mm].
+            pitch: edge of the projector's pixel in the plane of the measurement [mm].
             fill: share of a pixel's area that is lit.
-            pixel: of the camera, in the plane that it looks at [mm].
+            pixel: of the camera, in the plane on which it focuses [mm].
 
         Raises:
             BadInput: a value out of its range, or a blur finer than the pixels alone make it.
@@ -61,11 +61,11 @@ class PointSpread:
 
     @classmethod
     def load(cls, path: str | Path, pitch: float, fill: float = 1.0, at: float = 0.0) -> PointSpread:
-        """Read the result of ``vam calibrate mtf``, at the place nearest to ``at`` [mm] along the light.
+        """Read the result of ``vam calibrate mtf``, at the position nearest to ``at`` [mm] along the light.
 
         Args:
             path: the folder of the result, or its ``result.toml``.
-            pitch: edge of the projector's pixel where the camera stood [mm].
+            pitch: edge of the projector's pixel at the camera's position [mm].
             fill: share of a pixel's area that is lit.
             at: position of the camera from the middle of its stage [mm]; 0 is where the axis of rotation will be.
 
@@ -81,17 +81,17 @@ class PointSpread:
 
     @classmethod
     def between(cls, path: str | Path, pitch: float, fill: float = 1.0, reach: float = inf) -> tuple[float, float]:
-        """The least and the greatest blur along the light, by the result of ``vam calibrate mtf``.
+        """The least and the greatest blur along the light, from the result of ``vam calibrate mtf``.
 
         Args:
             path: the folder of the result, or its ``result.toml``.
-            pitch: edge of the projector's pixel where the camera stood [mm].
+            pitch: edge of the projector's pixel at the camera's position [mm].
             fill: share of a pixel's area that is lit.
-            reach: of what is printed, before and behind the axis [mm]; at least one position must be as near.
+            reach: extent of the part before and behind the axis [mm]; at least one position must be within it.
 
         Raises:
             StorageError: the file cannot be read.
-            BadInput: it holds no calibration of this kind, none so near, or a blur finer than the pixels.
+            BadInput: it holds no calibration of this kind or near this position, or the blur is finer than the pixels.
 
         Returns:
             Both standard deviations [mm].

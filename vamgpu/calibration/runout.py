@@ -1,8 +1,8 @@
-"""Runout of a vial's axis: a pin's place over a turn, from a camera's pictures of its shadow on lit mirrors.
+"""Runout of a vial's axis: a pin's position over a turn, from a camera's pictures of its shadow on lit mirrors.
 
-A pin on the turntable goes round the axis of rotation once a turn. Its place across the light is the axis (the mean),
-plus its eccentricity (a sine of one period), plus what the bearing adds. The same holds for its slope: the mean is how
-the axis leans against the mirrors' columns, the sine is how the pin, and the vial with it, wobbles about the axis.
+A pin on the turntable circles the axis of rotation once per turn. Its position across the light is the axis (the mean),
+plus its eccentricity (a sine of one period), plus the error of the bearing. The same holds for its slope: the mean is
+the lean of the axis against the mirrors' columns, the sine is the wobble of the pin, and of the vial, about the axis.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from vamgpu.calibration.fits import check_finite, fitted, noise_of, read_result
 from vamgpu.errors import BadInput, ShapeMismatch
 
 LEAST_POSES = 8
-"""Poses of a turn that a sine and its scatter need."""
+"""Least number of angles per turn for a sine and its scatter."""
 LEAST_CONTRAST = 8.0
-"""Depth of the shadow over the noise of a pixel."""
+"""Least depth of the shadow, relative to the noise of a pixel."""
 SHARE = 0.2
-"""Share of a lit line's peak that is subtracted before its place is the mean."""
+"""Share of a lit line's peak that is subtracted before the mean gives its position."""
 OUTLYING = 4.0
-"""Times the usual distance from where a lit line should be, beyond which the edge of the pin has moved it."""
+"""Distance of a lit line from its expected position, relative to the usual one, that shows a moved edge of the pin."""
 ROWS = 4
 """Rows of the camera that are averaged before a pin is fitted."""
 
 
 @dataclass(frozen=True)
 class CameraMap:
-    """Places of mirrors in a camera's pictures."""
+    """Positions of mirrors in a camera's pictures."""
 
     column: float  # pixel of mirror column 0 in the camera's row 0
-    pitch: float  # pixels a mirror column, below 0 where the camera mirrors
+    pitch: float  # pixels per mirror column, below 0 if the camera mirrors
     lean: float  # pixels by which a mirror column moves from one row of the camera to the next
     row: float  # pixel of mirror row 0
-    height: float  # pixels a mirror row
+    height: float  # pixels per mirror row
     error: float = 0.0
     lean_error: float = 0.0
 
@@ -52,7 +52,7 @@ class CameraMap:
         return cls(column, pitch, lean, row, height, error, lean_error)
 
     def inside(self, mirrors: tuple[int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
-        """The part of a picture of a shape that mirrors fill, two mirrors short of their border."""
+        """The region of a picture of given shape that mirrors fill, without a border of two mirrors."""
         found = []
         for zero, step, count, length in (
             (self.row, self.height, mirrors[0], shape[0]), (self.column, self.pitch, mirrors[1], shape[1])
@@ -62,7 +62,7 @@ class CameraMap:
         return found[0], found[1]
 
     def on_mirrors(self, pin: PinShadow, mirrors: tuple[int, int]) -> tuple[float, float]:
-        """Column of a pin at the mirrors' middle row, and columns that it moves by from row to row."""
+        """Column of a pin at the mirrors' middle row, and number of columns by which it moves from row to row."""
         middle = self.row + 0.5 * (mirrors[0] - 1) * self.height
         column = pin.column + pin.slope * middle
         return (column - self.column - self.lean * middle) / self.pitch, (
@@ -71,7 +71,7 @@ class CameraMap:
 
 
 def lit_lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, float, float, float, float]:
-    """Place of line 0 in row 0, pixels a line, pixels a row; standard errors of the first and the last."""
+    """Position of line 0 in row 0, pixels per line, pixels per row; standard errors of the first and the last."""
     pictures = [(number, np.asarray(each, np.float64)) for number, each in lines]
     peak = max((float(each.max()) for _, each in pictures), default=0.0)
     found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
@@ -81,14 +81,14 @@ def lit_lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[floa
         across, along = np.flatnonzero(lit.sum(axis=0)), lit.sum(axis=1)
         room = 0 if any(hidden[max(at - 1, 0) : at + 2]) else min(across[0], light.shape[1] - 1 - across[-1])
         if room < 2 + across.size:
-            continue  # out of sight, behind the pin, or so near to it that it may be shaded on one side
+            continue  # invisible, behind the pin, or close enough to it to be shaded on one side
         seen, place = np.flatnonzero(along > 0.5 * along.max()), np.arange(light.shape[1], dtype=float)
         center = (lit[seen] @ place) / along[seen]
         near = np.abs(place - center[:, None]) <= 2.0 + (lit[seen] > 0).sum(axis=1, keepdims=True)
         found[number] = seen, (light[seen] * near) @ place / (light[seen] * near).sum(axis=1)
     if len(found) < 2:
         raise BadInput(
-            f"the camera sees {len(found)} of {len(pictures)} lit {what}; expected two or more: let it look at the "
+            f"the camera sees {len(found)} of {len(pictures)} lit {what}; expected two or more: point it at the "
             "middle of the mirrors' image, expose longer"
         )
     middle = 0.5 * (pictures[0][1].shape[0] - 1)
@@ -122,7 +122,7 @@ class PinShadow:
 
 
 def find_pin(picture: ArrayLike, corner: tuple[int, int] = (0, 0)) -> PinShadow:
-    """The shadow of an upright pin, a band between two blurred edges, in least squares. Raises `BadInput`."""
+    """The shadow of an upright pin, a band between two blurred edges, fitted by least squares. Raises `BadInput`."""
     light = np.asarray(picture, np.float64)
     if light.ndim != 2 or min(light.shape) < 16 or not np.isfinite(light).all():
         raise BadInput(f"the picture has shape {light.shape}; expected finite [row, column] of 16 × 16 pixels or more")
@@ -159,7 +159,7 @@ def _band(
     at: np.ndarray, column: float, slope: float, half: float, blur: float, light: float, across: float, along: float,
     depth: float,
 ) -> np.ndarray:  # fmt: skip
-    """Light with a tilt, but for a blurred band; ``at`` holds columns and rows, the row in the middle being 0."""
+    """Tilted light with a blurred dark band; ``at`` holds columns and rows, counted from the middle row."""
     from scipy.special import ndtr
 
     distance = (at[0] - column - slope * at[1]) / np.hypot(1.0, slope)
@@ -169,18 +169,18 @@ def _band(
 
 @dataclass(frozen=True)
 class Runout:
-    """The axis over a turn and the pin that stands on it, in columns of the mirrors.
+    """The axis over a turn and the pin on the turntable, in columns of the mirrors.
 
     Args:
         axis: Column of the axis at the middle row.
         lean: Columns by which the axis moves from row to row.
-        across: Cosine and sine over the angle of the pin's place [columns], which is its eccentricity.
-        tilt: Those of its slope [columns a row], which is its wobble.
+        across: Cosine and sine amplitudes of the pin's position over the angle [columns], which are its eccentricity.
+        tilt: The same for its slope [columns per row], which are its wobble.
         axis_error: Standard error of the axis [columns].
         lean_error: Standard error of the lean [columns a row].
         across_error: Standard error of cosine and sine each [columns].
         tilt_error: Standard error of cosine and sine each [columns a row].
-        left: Standard deviation of the pin's place about the sine [columns], which is the bearing's and noise.
+        left: Standard deviation of the pin's position about the sine [columns], from bearing and noise.
     """
 
     axis: float
@@ -195,7 +195,7 @@ class Runout:
 
     @classmethod
     def read(cls, numbers: Mapping[str, Any]) -> Runout:
-        """Read the numbers that a calibration keeps.
+        """Read the numbers that a calibration stored.
 
         Args:
             numbers: By name.
@@ -240,12 +240,12 @@ class Runout:
         return float(np.hypot(*self.tilt))
 
     def columns(self, angles: ArrayLike, rows: int, *, turning: bool = True) -> np.ndarray:
-        """Columns by which a frame's rows move so that they follow the vial, their axis being at its place already.
+        """Columns by which a frame's rows move to follow the vial, after the axis has been centered.
 
         Args:
             angles: Angles of the frames [rad], (frames,).
-            rows: Rows of a frame, its middle on the mirrors' middle.
-            turning: Whether the angle is known; else only the lean, which is the same at every angle, counts.
+            rows: Number of rows of a frame, whose middle is on the mirrors' middle.
+            turning: Whether the angle is known; otherwise only the lean counts, which is the same at every angle.
 
         Returns:
             Columns [frame, row].
@@ -263,7 +263,7 @@ class Runout:
 def fit_runout(
     angles: ArrayLike, columns: ArrayLike, slopes: ArrayLike, place: CameraMap | None = None
 ) -> Runout:  # fmt: skip
-    """The axis and a sine of one period a turn, in least squares. Raises `BadInput`, `ShapeMismatch`."""
+    """The axis and a sine of one period per turn, by least squares. Raises `BadInput`, `ShapeMismatch`."""
     theta, column, slope = (np.asarray(each, np.float64) for each in (angles, columns, slopes))
     if theta.ndim != 1 or column.shape != theta.shape or slope.shape != theta.shape:
         raise ShapeMismatch(

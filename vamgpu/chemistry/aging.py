@@ -1,4 +1,4 @@
-"""Print times of resin used again and again: a model, fitted, and judged by what it was not fitted to."""
+"""Print times of repeatedly used resin: a model that is fitted, and judged by data left out of the fit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Aging:
 
     fresh: float  # print time in fresh resin [s]
     spent: float  # share of the oxygen of the remaining liquid that a print uses up
-    refill: float  # D·t/depth² of a night in the full vial, stirring included: what the free surface gives back
+    refill: float  # D·t/depth² of a night in the full vial, stirring included: oxygen from the free surface
     lost: float = LOST  # share of the resin that leaves with each print
 
     def __post_init__(self) -> None:
@@ -40,7 +40,7 @@ class Aging:
         return vial.stirred(recovery(1.0, self.refill, vial.depth / full), note="stirred, a night's rest")
 
     def seconds(self, generations: int) -> tuple[float, ...]:
-        """Print times [s] of so many generations, each printed once, stirred and left overnight."""
+        """Print times [s] of the given number of generations, each printed once, stirred and left overnight."""
         vial, times = ResinHistory("", 1.0), []
         for _ in range(generations):
             times.append(vial.seconds(self.fresh))
@@ -55,16 +55,16 @@ class AgingFit:
     aging: Aging
     residuals: tuple[float, ...]  # model minus measured [s], with all generations fitted
     left_out: tuple[float, ...]  # the same, each generation predicted from a fit to the others
-    naive: tuple[float, ...]  # the same for the mean of the others
+    naive: tuple[float, ...]  # the same if the mean of the others is the prediction
 
     @property
     def error(self) -> float:
-        """Root mean square error [s] of a generation left out: the number to judge by."""
+        """Root mean square error [s] of a generation left out; use this number to judge the model."""
         return _rms(self.left_out)
 
     @property
     def naive_error(self) -> float:
-        """Root mean square error [s] of taking the mean of the other generations."""
+        """Root mean square error [s] if the mean of the other generations is the prediction."""
         return _rms(self.naive)
 
     @property
@@ -109,7 +109,7 @@ def fit_aging(
 
 
 def _fit(times: np.ndarray, spreads: np.ndarray, used: np.ndarray, lost: float) -> Aging:
-    """Least squares from several starts; logarithms keep every number positive."""
+    """Least squares from several initial values; logarithms keep every number positive."""
     from scipy.optimize import least_squares
 
     def model(p: np.ndarray) -> Aging:

@@ -1,4 +1,4 @@
-"""Concentrations in a box of resin, voxel by voxel, and the effect of light so far."""
+"""Concentrations in a box of resin, voxel by voxel, and the effect of the light so far."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from vamgpu.chemistry.species import SPECIES
 from vamgpu.errors import BadInput
 
 NEVER = -1.0
-"""Value of the fields of times in voxels that have not crossed."""
+"""Value of the fields of times in voxels that have not crossed the threshold."""
 
 
 @dataclass(eq=False)
 class Concentrations:
-    """Fields of A, B and C [mol/m³ or normalized], what light has started, and when; all on one device."""
+    """Fields of A, B and C [mol/m³ or normalized], the dose that started chains, and crossing time; on one device."""
 
     a: DeviceArray
     b: DeviceArray
@@ -24,7 +24,7 @@ class Concentrations:
     dose: DeviceArray  # light whose radicals met no inhibitor [mJ/mm²]
     optical_time: DeviceArray  # when the dose crossed T_opt [s], `NEVER` before
     mechanical_time: DeviceArray  # likewise T_mec
-    time: float = 0.0  # reached so far [s]
+    time: float = 0.0  # time so far [s]
 
     FIELDS = ("a", "b", "c", "dose", "optical_time", "mechanical_time")
 

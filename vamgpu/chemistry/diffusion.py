@@ -32,8 +32,8 @@ DROPPED = 1e-7
 class Diffusion:
     """Oxygen that spreads at a constant rate while light consumes it evenly over an exposure.
 
-    Oxygen consumed at time t spreads until the end, so a dose is blurred by the mean over the exposure of heat kernels
-    of variance 2D(T − t) along each axis; ``optical`` widens all of them.
+    Oxygen consumed at time t spreads until the end. The blur of a dose is therefore the mean over the exposure of heat
+    kernels with variance 2D(T − t) along each axis; ``optical`` widens all of them.
 
     Sources: A. Orth et al., Nat. Commun. 14 (2023) 4412: diffusion and optical blur as one kernel to be deconvolved;
     the mean over the exposure is derived here.
@@ -42,7 +42,7 @@ class Diffusion:
         diffusivity: D [mm²/s].
         seconds: Exposure T [s].
         optical: Standard deviation [mm] of the light's own blur.
-        stages: Number of Gaussians that approximate the mean, at Gauss–Legendre nodes.
+        stages: Number of Gaussians that approximate this mean, at Gauss–Legendre nodes.
 
     Raises:
         BadInput: A value is out of its range.
@@ -74,7 +74,7 @@ class Diffusion:
             frequency: Frequency of the wave [rad/mm].
 
         Returns:
-            The share that is left.
+            The remaining share.
         """
         q = self.diffusivity * self.seconds * frequency**2
         left = -np.expm1(-q) / q if q > 0 else 1.0
@@ -93,9 +93,9 @@ def heat_taps(variance: float) -> np.ndarray:
 
 @final
 class Spread(LinearOperator):
-    """Doses [x, y, z] after diffusion, on a device; 0 beyond the volume, and what leaves it does not return.
+    """Doses [x, y, z] after diffusion, on a device; the dose is 0 outside the volume and does not return from there.
 
-    Each Gaussian is made from the one before by the difference of their variances, three short convolutions.
+    Each Gaussian is made from the previous one by the difference of their variances, with three short convolutions.
 
     Args:
         grid: The voxels of the doses.
@@ -157,5 +157,5 @@ class Spread(LinearOperator):
         launch(filter_rows, sinogram=second, taps=taps[1], stride=1, floor=NO_FLOOR, filtered=field)
 
     def _add(self, weight: float, x: DeviceArray, kept: float, out: DeviceArray) -> None:
-        """out = weight·x + kept·out; an ``out`` that is not kept may hold anything."""
+        """out = weight·x + kept·out; if kept is 0, ``out`` may hold anything."""
         self.device.launch(linear, a=weight, x=x, b=kept, y=out if kept else x, floor=NO_FLOOR, out=out)

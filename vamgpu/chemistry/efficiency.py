@@ -1,4 +1,4 @@
-"""Efficiency of UV, W = ∫([B]/[A]) d([A]/[A]₀), where extinction and rotation shape the light."""
+"""Efficiency of UV, W = ∫([B]/[A]) d([A]/[A]₀), with light shaped by extinction and rotation."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Background, Count, ExposureTime, Irradiance, Length
 
 HALVINGS = 22
-"""Halvings of the eleven decades of UV in which W is searched; they leave 6e-6 of a value."""
+"""Number of halvings of the eleven decades of UV in which W is searched; the remaining error is 6e-6 of the value."""
 LEAST = 1e-9
-"""UV that counts as none, over the visible irradiance."""
+"""Ratio of UV to visible irradiance that counts as no UV."""
 
 
 def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> float:
@@ -35,14 +35,14 @@ def exact_efficiency(alpha: float, beta: float = 0.0, stored: float = 0.0) -> fl
 
 @dataclass(frozen=True)
 class RotatingLight:
-    """Even light of two colors on a turning vial, absorbed by Beer-Lambert up to a point of the resin.
+    """Uniform light of two colors on a turning vial, absorbed by Beer-Lambert up to a point of the resin.
 
     Args:
         vial: Inner radius of the vial [mm].
         visible, uv: Irradiance at the wall [mW/mm²].
         visible_extinction, uv_extinction: Natural extinction of the fresh resin [1/mm].
         period: Time of a turn [s].
-        poses: Intervals of constant light in a turn.
+        poses: Number of intervals of constant light in a turn.
 
     Raises:
         BadInput: A number is negative or infinite, or vial, period or visible light is 0.
@@ -134,16 +134,16 @@ def uv_needed(
 
 
 def _turns(resins: Sequence[Rates], light: RotatingLight, turn: LightCycle, factor: float) -> int:
-    """Turns that last ``factor`` times the longest induction without UV."""
+    """Number of turns that last ``factor`` times the longest induction without UV."""
     mean = float(np.asarray(turn.visible).mean(axis=1).min())
     slow = min(resin.k_a / resin.oxygen for resin in resins)
     if slow == 0:
-        raise BadInput("k_a is 0; expected k_a > 0, or oxygen is never used up")
+        raise BadInput("k_a is 0; expected k_a > 0, because otherwise oxygen is never used up")
     return ceil(factor / (slow * mean * light.period)) + 1
 
 
 def _exposed(rates: Rates, turn: LightCycle, intervals: int, device: str | Device | None) -> tuple[Floats, Floats]:
-    """W (infinite where not depleted) and the time that took [s], (points,)."""
+    """W (infinite if not depleted) and the time until depletion [s], (points,)."""
     start = SpeciesState(np.full(turn.sources, rates.oxygen), 0.0, rates.supply)
     trajectory = advance(rates, start, turn, intervals=intervals, device=device)
     done = trajectory.depleted[0]

@@ -1,4 +1,4 @@
-"""Two colors of light from a projector, through resin that bleaches as its inhibitor is used up."""
+"""Two colors of light from a projector, through resin that bleaches while its inhibitor is used up."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from vamgpu.schema.quantities import Absorption, NonNegative
 
 @dataclass(frozen=True)
 class ColorExtinction:
-    """Extinction μ + ε·[C] of a color, natural logarithm. Raises `BadInput` below zero."""
+    """Extinction μ + ε·[C] of a color, natural logarithm. Raises `BadInput` for negative values."""
 
     constant: Absorption = 0.0
     per_c: NonNegative = 0.0
@@ -31,7 +31,7 @@ class ColorExtinction:
 
 @dataclass(frozen=True, eq=False)
 class ColorExposure:
-    """Sinograms of both colors, [angle, r, z] in mW/mm² where they enter the resin, each angle for the same time."""
+    """Sinograms of both colors, [angle, r, z] in mW/mm² at the resin's entrance; all angles last equally long."""
 
     box: Box  # of the resin, with its radius; its slices are the rows of the light
     visible: np.ndarray | None
@@ -39,7 +39,7 @@ class ColorExposure:
     extinction: tuple[ColorExtinction, ColorExtinction] = (ColorExtinction(), ColorExtinction())
     pitch: float | None = None  # between columns of light [mm], by default the box's along x
     device: Device = field(default=None)  # type: ignore[assignment] - must be the transport's
-    motion: Turntable | None = None  # the angles, by default evenly over a turn.  Either color may be None
+    motion: Turntable | None = None  # the angles, by default evenly spaced over a turn.  Either color may be None
 
     def __post_init__(self) -> None:
         given = [light for light in (self.visible, self.ultraviolet) if light is not None]
@@ -74,7 +74,7 @@ class ColorExposure:
         return self.shape[0]
 
     def irradiance(self, inhibitor: DeviceArray, angle: int) -> tuple[DeviceArray, DeviceArray]:
-        """Irradiance [mW/mm²] of both colors in every voxel, through C [mol/m³]; overwritten by the next call."""
+        """Irradiance [mW/mm²] of both colors in every voxel, attenuated by C [mol/m³]; overwritten by the next call."""
         pose, (path, visible, ultraviolet) = self._pose(angle % self.angles), self._fields
         self.device.launch(column_density, species=inhibitor, open=self._open, pose=pose, path=path)
         lights = self._lights

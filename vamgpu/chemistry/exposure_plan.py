@@ -1,4 +1,4 @@
-"""The light of a turn in both colors, what it does when something is a little off, and how long it takes to send."""
+"""The light of a turn in both colors, the effect of small errors on its dose, and the time to send it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vamgpu.operators.space import require
 from vamgpu.operators.wobble import Wobble
 
 PER_CM2 = 100.0
-"""mm² of a cm²."""
+"""Number of mm² in a cm²."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Disturbance:
 
 
 def disturbances(dose: float = 0.0, axis: float = 0.0, blur: float = 0.0) -> tuple[Disturbance, ...]:
-    """Every corner: either color's dose ± a share, the axis ± mm, focus as it is and blurred [mm]."""
+    """Every corner: either color's dose ± a share, the axis ± mm, and the focus unchanged or blurred [mm]."""
     dose, axis = positive("dose", dose, zero=True), positive("axis [mm]", axis, zero=True)
     if dose >= 1.0:
         raise BadInput(f"tolerance of the dose is {dose:g}; expected a share below 1")
@@ -77,7 +77,7 @@ class TurnLight:
         positive("strength", self.strength, zero=True)
 
     def dose(self, off: Disturbance = Disturbance()) -> DeviceArray:
-        """Visible dose − strength·ultraviolet dose [x, y, z] of a turn [mJ/mm³, or mJ/mm² where nothing absorbs]."""
+        """Visible dose − strength·ultraviolet dose [x, y, z] of a turn [mJ/mm³, or mJ/mm² if nothing absorbs]."""
         return self._mixed(self._seen(off.axis, off.blur), off)
 
     def doses(self, target: DeviceArray, cases: Sequence[Disturbance] = ()) -> tuple[TurnDoses, ...]:
@@ -115,19 +115,19 @@ class ExposurePlan:
     period: float  # of a turn [s]
     seconds: float  # of the print
     frame: float  # of an angle [s]
-    visible_peak: float  # irradiance in air of the brightest pixel at its brightest [mW/cm²]
-    visible_mean: float  # of all pixels at all angles [mW/cm²]
+    visible_peak: float  # irradiance in air of the brightest pixel at its brightest angle [mW/cm²]
+    visible_mean: float  # mean over all pixels and angles [mW/cm²]
     ultraviolet_peak: float
     ultraviolet_mean: float
-    visible_energy: float  # sent in all [mJ]
-    ultraviolet_energy: float  # sent in all [mJ]
+    visible_energy: float  # total energy sent [mJ]
+    ultraviolet_energy: float  # total energy sent [mJ]
 
 
 def plan_exposure(
     turn: TurnLight, turns: int, power: float, *, period: float | None = None, visible_limit: float | None = None,
     ultraviolet_limit: float | None = None,
 ) -> ExposurePlan:  # fmt: skip
-    """Find seconds and irradiances for a number of turns at a power, angles sharing a turn evenly.
+    """Find times and irradiances for a number of turns at a power; the angles divide a turn evenly.
 
     Args:
         turn: The light of a turn.
@@ -157,7 +157,7 @@ def plan_exposure(
     period = positive("period [s]", period)
     for name, least in needed.items():
         if period < least * (1.0 - 1e-9):
-            raise BadInput(f"a turn of {period:.4g} s asks more than {given[name]:g} mW/cm² of {name} light; take at "
+            raise BadInput(f"a turn of {period:.4g} s needs more than {given[name]:g} mW/cm² of {name} light; take at "
                            f"least {least:.4g} s, or less power over more turns")  # fmt: skip
     frame = period / angles
     rates = [power * value / frame * PER_CM2 for name in colors for value in colors[name]]
@@ -175,12 +175,12 @@ def _sent(light: DeviceArray | None) -> tuple[float, float]:
 
 
 def _unit(A: Projection) -> float:
-    """Factor that makes Aᵀ of a fluence [mJ/mm²] a dose [mJ/mm³], or a fluence where nothing is absorbed."""
+    """Factor that turns Aᵀ of a fluence [mJ/mm²] into a dose [mJ/mm³], or a fluence if nothing is absorbed."""
     return A.beam.pixel_area / A.grid.voxel_volume
 
 
 def _exposed(A: Projection, light: DeviceArray, axis: float, blur: float) -> DeviceArray:
-    """Aᵀ of light that is blurred, about an axis that stands off."""
+    """Aᵀ of blurred light, about an axis that is off center."""
     if blur > 0.0:
         taps = gaussian(blur / A.beam.pitch)
         light = Blur(A.range, A.device, taps, taps)(light)

@@ -19,12 +19,12 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Event:
-    """Something done to a vial."""
+    """An event in the life of a vial."""
 
     kind: Literal["print", "stir", "rest"]
     oxygen: float  # after it
     depth: float  # after it
-    dose: float = 0.0  # that liquid resin got [mJ/mm³]
+    dose: float = 0.0  # dose that the liquid resin got [mJ/mm³]
     seconds: float = 0.0  # it took
     note: str = ""  # free text
 
@@ -37,7 +37,7 @@ class ResinHistory:
     depth: float  # of the liquid under its free surface [mm]
     oxygen: float = 1.0  # mean, normalized to air-saturated resin
     dose: float = 0.0  # mean over the liquid of all light so far [mJ/mm³]
-    events: tuple[Event, ...] = field(default=())  # what was done, in order
+    events: tuple[Event, ...] = field(default=())  # events, in order
 
     def __post_init__(self) -> None:
         positive("depth [mm]", self.depth)
@@ -62,16 +62,16 @@ class ResinHistory:
                           note=note)  # fmt: skip
 
     def stirred(self, air: float = 0.0, note: str = "") -> ResinHistory:
-        """The state after stirring, which beats in the share ``air`` of the missing oxygen. Raises `BadInput`."""
+        """The state after stirring, which replaces the share ``air`` of the missing oxygen. Raises `BadInput`."""
         return self._next("stir", self.oxygen + _share("air", air) * (1.0 - self.oxygen), self.depth, note=note)
 
     def rested(self, seconds: float, diffusivity: float, note: str = "") -> ResinHistory:
-        """The state after a pause under air, oxygen diffusing in from the surface [mm²/s]. Raises `BadInput`."""
+        """The state after a pause under air; oxygen diffuses in from the surface [mm²/s]. Raises `BadInput`."""
         gained = recovery(diffusivity, seconds, self.depth)
         return self._next("rest", self.oxygen + gained * (1.0 - self.oxygen), self.depth, seconds=seconds, note=note)
 
     def seconds(self, fresh: float) -> float:
-        """Time of the next print [s] where fresh resin takes ``fresh``: light first has to use up the oxygen."""
+        """Time of the next print [s] if fresh resin takes ``fresh``: light must first use up the oxygen."""
         return positive("time in fresh resin [s]", fresh) * self.oxygen
 
     def _next(self, kind: Literal["print", "stir", "rest"], oxygen: float, depth: float, **values: Any) -> ResinHistory:
@@ -86,7 +86,7 @@ class ResinHistory:
 
     @classmethod
     def load(cls, path: str | Path) -> ResinHistory:
-        """Read a state. Raises `StorageError` for a file that cannot be read or is none."""
+        """Read a state. Raises `StorageError` for a file that cannot be read or is malformed."""
         try:
             data = parse_json(read_text(path))
         except OSError as error:
@@ -104,7 +104,7 @@ class ResinHistory:
 
 
 def recovery(diffusivity: float, seconds: float, depth: float) -> float:
-    """Share of missing oxygen that diffuses into a layer from one face, 0..1 (Crank 1975, section 4.3)."""
+    """Share of missing oxygen that diffuses into a layer through one face, 0..1 (Crank 1975, section 4.3)."""
     number = positive("diffusivity [mm²/s]", diffusivity) * positive("seconds", seconds, zero=True)
     number /= positive("depth [mm]", depth) ** 2
     if number < 1e-3:

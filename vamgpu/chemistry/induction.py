@@ -1,6 +1,6 @@
 """The four induction times of the photoinhibition paper, and the rate constants that fit them.
 
-Normalized throughout: [A] before printing is 1, and irradiances are those of the experiment, so each is 1 while on.
+All quantities are normalized: [A] before printing is 1, and each lamp's irradiance in the experiment is 1.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
 MEASURED = (30.0, 38.0, 50.0, 68.0)
-"""Induction [s]: without UV, with UV before visible light, with UV after it had used up the oxygen, with both together.
+"""Induction [s]: without UV; with UV before visible light; with UV after visible light without oxygen; with both.
 
 "Binary photoinhibition", Discussion: the only kinetic data of the paper.
 """
 NAMES = ("no UV", "UV before", "UV after oxygen is gone", "UV together with visible")
 UV_SECONDS = 30.0
 LONGEST = 400.0
-"""Time that trials are followed for [s]."""
+"""Longest simulated time of the trials [s]."""
 TRACE = 2e-6
-"""[A] that stands for none: just above what counts as depleted, so that UV can still fill the resin with B."""
+"""[A] that stands for 0: just above the depletion threshold; UV can then still fill the resin with B."""
 GRID = {"alpha": (0.01, 10.0, 25), "k_c": (1e-3, 150.0, 31), "k_2": (1e-4, 10.0, 21)}
-"""Lowest, highest and how many values of a first look, in equal ratios."""
+"""Lowest and highest value, and number of values, of the first search, in equal ratios."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Fit:
     rates: Rates  # normalized
     times: tuple[float, ...]  # [s], in the order of `NAMES`
     measured: tuple[float, ...]  # [s], in the order of `NAMES`
-    bound: tuple[str, ...] = ()  # names of constants at the end of their range, on which the data have no hold
+    bound: tuple[str, ...] = ()  # names of constants at the end of their range, which the data do not determine
 
     @property
     def errors(self) -> tuple[float, ...]:
@@ -47,7 +47,7 @@ class Fit:
 
     @property
     def rms(self) -> float:
-        """Root mean square error of the trials with UV [s]; k_A meets the one without."""
+        """Root mean square error of the trials with UV [s]; k_A fits the trial without UV exactly."""
         return float(np.sqrt(np.mean(np.square(self.errors[1:]))))
 
 
@@ -72,14 +72,14 @@ def fit_induction(
     measured: tuple[float, float, float, float] = MEASURED, *, supply: float = 200.0, order: int = 0,
     device: str | Device | None = None,
 ) -> Fit:  # fmt: skip
-    """Fit α, k_C and k₂ to induction times; k_A is 1 over the first.
+    """Fit α, k_C and k₂ to induction times; k_A is 1 over the first time.
 
-    A grid of resins in one launch, then least squares from its best entries. Three constants are fitted to three times:
-    remaining errors come from the equations.
+    A grid of resins in one launch, then least squares from its best entries. Three constants are fitted to three times;
+    remaining errors are due to the equations.
 
     Args:
         measured: Induction times [s] in the order of `NAMES`.
-        supply: Ratio [C] / [A] before printing; 200 is not exhausted.
+        supply: Ratio [C] / [A] before printing; a supply of 200 is never exhausted.
         order: Order of the reaction in [C], 0 or 1.
         device: A name or a device; the best available device by default.
 
@@ -113,7 +113,7 @@ def fit_induction(
         return (values[:3] - values[3:]).T / 4e-3
 
     best, least = grid[np.argmin(cost)], np.inf
-    jac: Any = slopes  # the stubs know jac as a word only
+    jac: Any = slopes  # the stubs know jac only as a word
     for start in grid[np.argsort(cost)[:6]]:
         inside = np.clip(start, low + 1e-3, high - 1e-3)
         found = least_squares(lambda p: errors(p[None])[0], inside, jac, bounds=(low, high), max_nfev=60)

@@ -15,18 +15,18 @@ from vamgpu.geometry import counts, positive
 from vamgpu.kernels.kinetics import MOST, UNSETTLED, inhibit
 
 TOLERANCE = 1e-6
-"""Error of a step, in [A] before printing, that asks for shorter ones; float32 carries no less."""
+"""Error of a step, relative to [A] before printing, above which steps are shortened; float32 is no more accurate."""
 
 
 @dataclass(frozen=True, eq=False)
 class KineticTrajectory:
-    """Ends of items, arrays (resins, items), concentrations in the unit of the rates."""
+    """Final states of items, arrays (resins, items), concentrations in the unit of the rates."""
 
-    a: Floats  # concentrations; a and b are 0 from the event on, and c stays what it was
+    a: Floats  # concentrations; from the event on a and b are 0, and c does not change
     b: Floats
     c: Floats
     dose: Floats  # of visible light until the end or the event [mJ/mm²]
-    event: Floats  # when [A] + [B] reached 1e-6 of [A] before printing, NaN where it did not [s]
+    event: Floats  # when [A] + [B] reached 1e-6 of [A] before printing; NaN if it did not [s]
     efficiency: Floats  # W = ∫([B]/[A]) d([A]/[A]₀) so far
     path: Floats  # [A], [B], [C] and dose at the start and after every ``every`` intervals, (resins, items, rows, 4)
 
@@ -41,17 +41,17 @@ def advance(
     = 0,
     rows: int = 1, tolerance: float = TOLERANCE, device: str | Device | None = None,
 ) -> KineticTrajectory:  # fmt: skip
-    """Expose every item in every resin to the light (eqs 5–7, made non-negative and continued at the origin).
+    """Expose every item in every resin to the light (eqs 5–7, with a non-negative continuation at the origin).
 
-    Rosenbrock steps of third order, as long as each item allows; [B] + 2[C] + α[A] falls by k_B times the dose up to
+    Rosenbrock steps of third order, as long as each item allows. [B] + 2[C] + α[A] falls by k_B times the dose, up to
     rounding and 1e-6 of ``oxygen``. [A] + [B] = 1e-6·oxygen is the event: polymerization begins, and A and B stay 0.
 
     Args:
         rates: one resin or several.
         state: items at the start, the same for every resin.
-        light: one source for all items, or as many as items.
-        intervals: how many to go through from ``first`` on, going round; None is each once.
-        rows: of the path kept, the start first; the others are equally many intervals apart.
+        light: one source for all items, or one for each item.
+        intervals: how many to go through from ``first`` on, cyclically; None is each once.
+        rows: of the stored path; the first is the start, and the others are equally many intervals apart.
         tolerance: of a step, in ``oxygen``.
 
     Raises:
@@ -85,8 +85,8 @@ def advance(
     ends, when = after.numpy().astype(np.float64), times.numpy().astype(np.float64)
     if (when == UNSETTLED).any():
         stuck = np.count_nonzero(when == UNSETTLED)
-        raise BadInput(f"{stuck} of {items} items do not settle within {MOST} steps of one interval at a tolerance of "
-                       f"{tolerance:g}; ask for less, or make intervals shorter")  # fmt: skip
+        raise BadInput(f"{stuck} of {items} items do not converge within {MOST} steps of one interval at a tolerance "
+                       f"of {tolerance:g}; use a larger tolerance, or make intervals shorter")  # fmt: skip
     efficiency = _efficiency(np.repeat([resin.k_a for resin in resins], len(state)), before[:, 0], ends)
     event = np.where(when < 0, np.nan, when)
     a, b, c, dose, event, efficiency = (v.reshape(shape) for v in (*ends.T, event, efficiency))
@@ -94,6 +94,6 @@ def advance(
 
 
 def _efficiency(k_a: Floats, oxygen: Floats, ends: Floats) -> Floats:
-    """W from the balance of visible light, since eq. 5 makes it the integral; NaN without oxygen at the start."""
+    """W from the balance of visible light, which equals the integral by eq. 5; NaN without oxygen at the start."""
     missed, held = k_a * ends[:, 3] - (oxygen - ends[:, 0]), oxygen > 0
     return np.where(held, missed / np.where(held, oxygen, 1.0), np.nan)

@@ -14,11 +14,11 @@ from vamgpu.geometry import positive
 
 @dataclass(frozen=True, eq=False)
 class Stationary:
-    """A state that light of two colors holds, eqs 8–10; concentrations in the unit of the rates."""
+    """A stationary state under light of two colors, eqs 8–10; concentrations in the unit of the rates."""
 
     b: float  # [B], while [A] is 0
     jacobian: Floats  # of the drift (F1, F2) there [1/s], (2, 2)
-    eigenvalues: Floats  # [1/s], (2,), both real and negative: a stable node, wherever it exists
+    eigenvalues: Floats  # [1/s], (2,), both real and negative: a stable node, if it exists
 
     @property
     def slowest(self) -> float:
@@ -37,13 +37,13 @@ def made(rates: Rates, uv: float, supply: float | None = None) -> float:
 def stationary(rates: Rates, visible: float, uv: float, supply: float | None = None) -> Stationary | None:
     """Find the stationary state of constant light at constant [C].
 
-    It exists only for 2k_C·I_UV > k_B·I_vis (β > α/2), is (0, √((2k_C·I_UV − k_B·I_vis)/(2k₂))), and is a stable node:
-    the oscillating center of the paper's text is impossible, because [A] never grows.
+    It exists only for 2k_C·I_UV > k_B·I_vis (β > α/2) and is (0, √((2k_C·I_UV − k_B·I_vis)/(2k₂))). It is a stable
+    node: the oscillating center of the paper's text is impossible, because [A] never grows.
 
     Args:
         rates: Rates of the reactions.
         visible, uv: Irradiances [mW/mm²].
-        supply: Constant concentration of C; that of the rates by default.
+        supply: Constant concentration of C; by default that of the rates.
 
     Returns:
         The state, or None if there is none.
@@ -56,7 +56,7 @@ def stationary(rates: Rates, visible: float, uv: float, supply: float | None = N
     if surplus <= 0.0:
         return None
     if rates.k_2 == 0.0:
-        raise BadInput("k_2 is 0; expected k_2 > 0, or [B] grows without a limit where 2k_C·I_UV > k_B·I_vis")
+        raise BadInput("k_2 is 0; expected k_2 > 0, because otherwise [B] grows without limit if 2k_C·I_UV > k_B·I_vis")
     level = float(np.sqrt(surplus / (2.0 * rates.k_2)))
     jacobian = np.array([[-a / level, 0.0], [b / level, -4.0 * rates.k_2 * level]])
     return Stationary(level, jacobian, np.sort(np.diag(jacobian)))
@@ -79,7 +79,7 @@ def drift(
 
 
 def nullcline(rates: Rates, b: ArrayLike, visible: float, uv: float, supply: float | None = None) -> Floats:
-    """[A] at which [B] stands still, for each [B]; NaN where there is none. ([A] stands still at [A] = 0 only.)"""
+    """[A] at which [B] is stationary, for each [B]; NaN if there is none. ([A] is stationary only at [A] = 0.)"""
     B = concentration("B", b)
     gain = 2.0 * (made(rates, uv, supply) - rates.k_2 * B**2)
     lost = rates.k_b * positive("visible", visible, zero=True)

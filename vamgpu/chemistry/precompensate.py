@@ -27,7 +27,7 @@ PAPERS = (
     "A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sci. 2 (2009) 183",
 )
 HALO = 9.0
-"""Blur's deviations around a block of slices that are solved with it and thrown away."""
+"""Standard deviations of the blur that are solved around a block of slices and then dropped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,13 @@ class Compensated:
     """A compensated dose and its misfit."""
 
     dose: DeviceArray  # [x, y, z] ≥ 0, on the device
-    before: float  # root mean square misfit of the plain dose once it has diffused, over all voxels
+    before: float  # root mean square misfit of the plain dose after diffusion, over all voxels
     after: float  # likewise of the compensated dose
-    greatest: float  # largest dose, which the light must afford
+    greatest: float  # largest dose, which the light must be able to give
 
     @property
     def factor(self) -> float:
-        """Misfit before over after compensation; infinite where none is left."""
+        """Ratio of the misfit before compensation to that after; infinite if none remains."""
         return self.before / self.after if self.after > 0 else float("inf")
 
 
@@ -57,7 +57,7 @@ def precompensate(
 ) -> Compensated:
     """The dose that leaves background + (1 − background)·fraction after diffusion. Raises `BadInput`."""
     # Minimizes ‖K·dose − target‖² + ridge·‖dose − target‖² over dose ≥ 0 by accelerated projected gradients. The
-    # background is the room for what would have to be negative: without it, fine detail can hardly be sharpened.
+    # background replaces negative light: without it, fine detail can hardly be sharpened.
     spread = Spread(grid, diffusion, fraction.device if isinstance(fraction, DeviceArray) else device)
     goal = _on(spread, fraction)
     shape = contrast(spread, goal, background, ridge=ridge, iterations=iterations)
@@ -72,7 +72,7 @@ def precompensate(
 def contrast(
     spread: Spread, goal: DeviceArray, background: float = 0.0, *, ridge: float = RIDGE, iterations: int = ITERATIONS
 ) -> DeviceArray:
-    """u so that background + (1 − background)·u ≥ 0, and u after diffusion is near the goal; on the device."""
+    """u such that background + (1 − background)·u ≥ 0, and u after diffusion is near the goal; on the device."""
     if not 0.0 <= background < 1.0:
         raise BadInput(f"background is {background!r}; expected 0 ≤ background < 1")
     positive("ridge", ridge)

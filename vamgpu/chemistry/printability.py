@@ -1,10 +1,10 @@
-"""Numbers of turns and powers of light that three conditions on the doses of a turn allow.
+"""Numbers of turns and powers of light that satisfy three conditions on the doses of a turn.
 
-(a) (N_R − 1)·D_in,max < T_opt: nothing in the part turns hard, and bends light, before the last turn.
+(a) (N_R − 1)·D_in,max < T_opt: nothing in the part hardens, and bends light, before the last turn.
 (b) N_R·D_in,min > T_mec: all of the part is firm at the end.
-(c) N_R·D_out,max < T_opt: nothing else is hard then.
-Doses of a turn are proportional to the power, and may be negative out of the part where ultraviolet outweighs visible
-light. Thresholds and doses share one unit, whichever it is.
+(c) N_R·D_out,max < T_opt: nothing else has hardened by then.
+Doses of a turn are proportional to the power, and may be negative outside the part, where ultraviolet outweighs visible
+light. Thresholds and doses share one unit, which may be any.
 
 Source: the paper on binary photoinhibition, "Printability" and Fig. 7.
 """
@@ -27,7 +27,7 @@ from vamgpu.schema.quantities import Positive
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Doses from which resin bends light otherwise (T_opt) and is firm (T_mec ≥ T_opt). Raises `BadInput`."""
+    """Doses at which resin begins to bend light (T_opt) and at which it is firm (T_mec ≥ T_opt). Raises `BadInput`."""
 
     optical: Positive
     mechanical: Positive
@@ -44,7 +44,7 @@ class Thresholds:
         return self.mechanical - self.optical
 
     def delayed(self, dose: float) -> Thresholds:
-        """Thresholds with more dissolved inhibitor: both later by ``dose``. Raises `BadInput` below T_opt = 0."""
+        """Thresholds with more dissolved inhibitor: both are higher by ``dose``. Raises `BadInput` if T_opt < 0."""
         return Thresholds(self.optical + dose, self.mechanical + dose)
 
 
@@ -68,7 +68,7 @@ class TurnDoses:
 
     @classmethod
     def of(cls, dose: Any, target: Any, reach: float = EVERYWHERE) -> TurnDoses:
-        """Extremes of a dose [x, y, z] in and out of a target, within ``reach`` [voxels]. Raises `EmptyMesh`."""
+        """Extremes of a dose [x, y, z] inside and outside a target, within ``reach`` [voxels]. Raises `EmptyMesh`."""
         if tuple(dose.shape) != tuple(target.shape):
             raise ShapeMismatch(f"the dose has shape {dose.shape}, the target {target.shape}; expected the same")
         if isinstance(dose, DeviceArray):
@@ -84,7 +84,7 @@ class TurnDoses:
 
     @classmethod
     def worst(cls, *cases: TurnDoses) -> TurnDoses:
-        """The least and greatest of several cases: what holds for it holds for each. Raises `BadInput` for none."""
+        """The worst of several cases: conditions that hold for it hold for each. Raises `BadInput` without cases."""
         if not cases:
             raise BadInput("the worst of no cases; expected at least one")
         return cls(min(c.in_least for c in cases), max(c.in_most for c in cases), max(c.out_most for c in cases))
@@ -94,25 +94,25 @@ class TurnDoses:
 class PowerVerdict:
     """Whether the three conditions hold."""
 
-    early: float  # what remains until (a), (b) and (c) fail, in dose; not above 0 where one fails
+    early: float  # margins until (a), (b) and (c) fail, in dose; not above 0 if one fails
     firm: float
     overcure: float
 
     @property
     def holds(self) -> bool:
-        """Whether all three do."""
+        """Whether all three conditions hold."""
         return min(self.early, self.firm, self.overcure) > 0.0
 
     @classmethod
     def of(cls, before: TurnDoses, after: TurnDoses, thresholds: Thresholds) -> PowerVerdict:
-        """Judge doses before and after the last turn, for light whose effect is not proportional to turns."""
+        """Check doses before and after the last turn, for light whose effect is not proportional to turns."""
         return cls(thresholds.optical - before.in_most, after.in_least - thresholds.mechanical,
                    thresholds.optical - after.out_most)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LegalRange:
-    """What makes a number of turns legal: all between low and high, nothing where low ≥ high."""
+    """Powers at which a number of turns is allowed: between low and high, or none if low ≥ high."""
 
     turns: int
     low: float
@@ -125,16 +125,16 @@ class LegalRange:
 
 
 class PowerWindow(LegalRange):
-    """Powers at which a number of turns is legal."""
+    """Powers at which a number of turns is allowed."""
 
     @property
     def middle(self) -> float:
-        """Power that is as far from either end, as a ratio; twice the lowest where there is no upper end."""
+        """Power at the geometric middle of the range; twice the lowest if there is no upper end."""
         return (self.low * self.high) ** 0.5 if isfinite(self.high) else 2.0 * self.low
 
     @property
     def tolerance(self) -> float:
-        """Share by which power may be off from the middle; 0 where nothing is legal."""
+        """Share by which the power may deviate from the middle; 0 if no power is allowed."""
         return max(0.0, 1.0 - self.low / self.middle) if self.legal else 0.0
 
 
@@ -148,8 +148,8 @@ def power_window(doses: TurnDoses, thresholds: Thresholds, turns: int) -> PowerW
 
 
 def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
-    """The greatest legal number of turns at the best power: inf where any will do, 0 where none does."""
-    # (a) and (b) ask (N − 1)/N < T_opt·D_in,min/(T_mec·D_in,max), (b) and (c) T_opt·D_in,min > T_mec·D_out,max
+    """The greatest allowed number of turns at the best power: inf if any number is allowed, 0 if none is."""
+    # (a) and (b) require (N − 1)/N < T_opt·D_in,min/(T_mec·D_in,max), (b) and (c) T_opt·D_in,min > T_mec·D_out,max
     if not power_window(doses, thresholds, 1).legal:
         return 0
     ratio = thresholds.optical * doses.in_least / (thresholds.mechanical * doses.in_most)
@@ -162,7 +162,7 @@ def most_turns(doses: TurnDoses, thresholds: Thresholds) -> float:
 
 
 def static_inhibition(doses: TurnDoses, thresholds: Thresholds, turns: int, power: float = 1.0) -> LegalRange:
-    """The delay [dose] that makes ``turns`` turns at a power legal: (b) with (c) is N_R·ΔD > ΔT. Raises `BadInput`."""
+    """The delay [dose] that allows ``turns`` turns at a power: (b) and (c) give N_R·ΔD > ΔT. Raises `BadInput`."""
     n, power = counts("turns", (turns,), 1)[0], positive("power", power)
     hottest = max(n * doses.out_most, (n - 1) * doses.in_most)
     low = max(power * hottest - thresholds.optical, -thresholds.optical)
@@ -170,6 +170,6 @@ def static_inhibition(doses: TurnDoses, thresholds: Thresholds, turns: int, powe
 
 
 def static_turns(doses: TurnDoses, thresholds: Thresholds, power: float = 1.0) -> float:
-    """The least number of turns with N_R·ΔD > ΔT; inf where ΔD is not above 0. Raises `BadInput`."""
+    """The least number of turns with N_R·ΔD > ΔT; inf if ΔD is not above 0. Raises `BadInput`."""
     gained = positive("power", power) * doses.gap
     return inf if gained <= 0.0 else floor(thresholds.gap / gained) + 1

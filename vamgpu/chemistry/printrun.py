@@ -1,4 +1,4 @@
-"""A print in two colors, turned frame by frame, that can be broken off and taken up again."""
+"""A print in two colors, simulated frame by frame, that can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Progress = Callable[[int, Concentrations], None]
 
 @dataclass(frozen=True, eq=False)
 class PrintRun:
-    """Turns of a dual-color print: light of each angle for a frame's time, absorbed by the remaining C.
+    """Turns of a dual-color print: light of each angle for the time of a frame, absorbed by the remaining C.
     Source: paper, "Reactive Transport Simulation".
 
     Args:
@@ -50,7 +50,7 @@ class PrintRun:
         if self.exposure.box != self.transport.box or self.exposure.device is not self.transport.device:
             raise BadInput("exposure and transport have different boxes or devices; expected the same")
         if self.transport.reaction is None:
-            raise BadInput("the transport only diffuses; expected one with a reaction")
+            raise BadInput("the transport has only diffusion; expected one with a reaction")
         if self.steps is not None and self.frame_time / self.steps > self.transport.limit:
             raise UnstableStep(
                 f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; expected steps of at most "
@@ -65,7 +65,7 @@ class PrintRun:
 
     @property
     def frames(self) -> int:
-        """Frames of the whole print."""
+        """Number of frames of the whole print."""
         return self.turns * self.exposure.angles
 
     def run(
@@ -77,7 +77,7 @@ class PrintRun:
         every: int | None = None,
         progress: Progress | None = None,
     ) -> int:
-        """Show frames ``frame`` … ``until`` − 1, changing the state.
+        """Show frames ``frame`` … ``until`` − 1, which changes the state.
 
         Args:
             state: Concentrations, changed in place.
@@ -95,7 +95,7 @@ class PrintRun:
         while frame < last:
             visible, ultraviolet = self.exposure.irradiance(state.c, frame)
             self.transport.advance(state, self.frame_time, self.steps, visible, ultraviolet)
-            state.time = self.frame_time * (frame + 1)  # not a sum, so that a print taken up again ends the same
+            state.time = self.frame_time * (frame + 1)  # not a running sum; a resumed print then ends the same
             frame += 1
             if progress:
                 progress(frame, state)
@@ -119,7 +119,7 @@ class PrintRun:
             np.savez(file, **about, **state.numpy())  # pyright: ignore[reportArgumentType] - names of arrays, not options
 
     def load(self, path: str | Path) -> tuple[Concentrations, int]:
-        """Read what `run` saved.
+        """Read the file that `run` saved.
 
         Args:
             path: The file.
@@ -128,7 +128,7 @@ class PrintRun:
             The state and the next frame.
 
         Raises:
-            StorageError: The file cannot be read, or is of another print.
+            StorageError: The file cannot be read, or belongs to another print.
         """
         try:
             found = read_npz(path)

@@ -1,4 +1,4 @@
-"""The three species of binary photoinhibition, their rate constants, and the light they see."""
+"""The three species of binary photoinhibition, their rate constants, and the light that they receive."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Floats = NDArray[np.float64]
 PAPER = "B. Wang et al., Lateral contrast enhancement in tomographic volumetric 3D-printing via binary photoinhibition"
 
 SPECIES = {"A": "oxygen", "B": "lophyl", "C": "o-Cl-HABI"}
-"""Letter in the equations → name. A is the dissolved inhibitor, B the one made by UV, C what it is made of."""
+"""Letter in the equations → name. A is the dissolved inhibitor; UV makes the inhibitor B from C."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Rate constants of eqs 5–7 of the photoinhibition paper, and how the supply C runs out.
+    """Rate constants of eqs 5–7 of the photoinhibition paper, and the depletion of the supply C.
 
-    Concentrations are in mol/m³, or normalized so that ``oxygen`` is 1; keep to one of them throughout.
+    Concentrations are in mol/m³, or normalized to ``oxygen`` = 1; use the same unit throughout.
 
     k_a, k_b, k_c: loss of A and of B by visible light, splitting of C by UV [concentration/s per mW/mm²]
     k_2: pairing of B to C [1/(concentration·s)]
@@ -71,7 +71,7 @@ class Rates:
 
     @property
     def row(self) -> tuple[float, ...]:
-        """As the kernels take it, (8,)."""
+        """The arguments of kernels, (8,)."""
         reference = self.supply if self.order else 0.0
         return (self.k_a, self.k_b, self.k_c, self.k_2, self.oxygen, reference, 0.0, 0.0)
 
@@ -106,7 +106,7 @@ class SpeciesState:
 
 @dataclass(frozen=True, eq=False)
 class LightCycle:
-    """Irradiances through intervals of constant light, gone through again and again. Raises `BadInput`."""
+    """Irradiances in intervals of constant light, repeated cyclically. Raises `BadInput`."""
 
     visible: ArrayLike  # [mW/mm²], (intervals,) or (sources, intervals)
     uv: ArrayLike  # [mW/mm²], (intervals,) or (sources, intervals)
@@ -144,7 +144,7 @@ class LightCycle:
 
 
 def concentration(letter: str, value: ArrayLike) -> Floats:
-    """``value`` as float64 where it is finite and nowhere negative, else `BadInput`."""
+    """``value`` as float64 if it is finite and nowhere negative, else `BadInput`."""
     return _checked(f"[{letter}]", value)
 
 

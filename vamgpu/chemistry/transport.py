@@ -13,21 +13,53 @@ from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.concentrations import NEVER, Concentrations
-from vamgpu.chemistry.reaction import Reaction
-from vamgpu.chemistry.species import SPECIES
+from vamgpu.chemistry.species import SPECIES, Rates
 from vamgpu.errors import BadInput, ShapeMismatch, UnstableStep
 from vamgpu.geometry import centers, counts, positive
 from vamgpu.kernels.transport import transport
+from vamgpu.schema import check
+from vamgpu.schema.quantities import NonNegative, Positive
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """Rates of A (oxygen), B (lophyl) and C (o-Cl-HABI) per irradiance, eqs 5-7 of the paper. Raises `BadInput`."""
+
+    k_a: NonNegative  # [mol/m³ per s and mW/mm²], as k_b and k_c
+    k_b: NonNegative
+    k_c: NonNegative  # at the initial [C] where order is 1
+    k_2: NonNegative  # [m³/(mol·s)]
+    initial: Positive = 1.0  # [C] before printing [mol/m³]
+    order: int = 1  # of the splitting in [C]; 0 while C lasts
+    cross: NonNegative = 0.0  # radicals that ultraviolet light starts, over those of as much visible light
+    optical: Positive = 1.0  # T_opt: dose [mJ/mm²] of light whose radicals met no inhibitor
+    mechanical: Positive = 2.0  # T_mec [mJ/mm²]
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.order not in (0, 1):
+            raise BadInput(f"Reaction order is {self.order!r}; C splits by order 0 or 1")
+        if self.mechanical < self.optical:
+            raise BadInput(
+                f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; resin turns visible first"
+            )
+
+    @classmethod
+    def of(cls, rates: Rates, cross: float = 0.0, optical: float = 1.0, mechanical: float = 2.0) -> Reaction:
+        """The reaction of a resin's kinetics, C splitting as fast as ``rates`` says at its supply."""
+        k, supply = (rates.k_a, rates.k_b, rates.k_c, rates.k_2), rates.supply or 1.0
+        return cls(*k, supply, rates.order, cross, optical, mechanical)
+
 
 FUSED, CACHE = 5, 2_500_000
-"""Most steps an item with a block of columns takes before it goes on, and bytes that what lies between may fill."""
+"""Greatest number of steps that an item computes with a block of columns, and bytes for intermediate results."""
 SPACING = 256
 FACES = ("x low", "x high", "y low", "y high", "z low", "z high")
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """A face held at a concentration [mol/m³, or normalized like the field]. Raises `BadInput` below zero."""
+    """A face with a fixed concentration [mol/m³, or normalized like the field]. Raises `BadInput` if negative."""
 
     value: float
 
@@ -40,7 +72,7 @@ Face = Fixed | None
 
 @dataclass(frozen=True)
 class Boundary:
-    """One entry a face of a species' box, in the order of `FACES`: None if no flux passes, or `Fixed`."""
+    """One entry per face of a species' box, in the order of `FACES`: None for no flux, or `Fixed`."""
 
     faces: tuple[Face, Face, Face, Face, Face, Face] = (None, None, None, None, None, None)
 
@@ -51,7 +83,7 @@ class Boundary:
 
     @classmethod
     def fixed(cls, value: float, *names: str) -> Boundary:
-        """The faces of those names (see `FACES`) held at a value, no flux elsewhere. Raises `BadInput`."""
+        """The faces of the given names (see `FACES`) fixed at a value; no flux elsewhere. Raises `BadInput`."""
         unknown = sorted(set(names) - set(FACES))
         if unknown:
             raise BadInput(f"no face is named {unknown[0]!r}; the faces are {', '.join(FACES)}")
@@ -59,7 +91,7 @@ class Boundary:
         return cls((faces[0], faces[1], faces[2], faces[3], faces[4], faces[5]))
 
     def ghosts(self) -> np.ndarray:
-        """g0 and g1 of each face, shape (6, 2): the voxel beyond holds g0 + g1·c, so that the face holds its value."""
+        """g0 and g1 of each face, shape (6, 2): the voxel beyond has g0 + g1·c, which fixes the value at the face."""
         return np.array([(0.0, 1.0) if face is None else (2.0 * face.value, -1.0) for face in self.faces])
 
     def holds(self, axis: int) -> int:
@@ -69,7 +101,7 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Box:
-    """Voxels of resin centered on the axis; nothing passes the radius, where there is one. Raises `BadInput`."""
+    """Voxels of resin centered on the axis; no flux passes the radius, if there is one. Raises `BadInput`."""
 
     shape: tuple[int, int, int]
     pitch: tuple[float, float, float]
@@ -95,7 +127,7 @@ class Box:
 class Transport:
     """An explicit step of diffusion, then of reaction, for three species.
 
-    diffusivities [mm²/s] of A, B and C.  boundaries: per species, no flux by default.  reaction: None to diffuse only.
+    diffusivities [mm²/s] of A, B and C. boundaries: per species, no flux by default. reaction: None for diffusion only.
     Raises `BadInput` for diffusivities that are not positive. Source: paper eqs 5-7, 12-14.
     """
 
@@ -131,11 +163,11 @@ class Transport:
         return 1.0 / max(rates)
 
     def steps(self, seconds: float) -> int:
-        """Fewest equal steps that a span takes."""
+        """Least number of equal steps for a span of time."""
         return max(1, ceil(seconds / self.limit * (1 - 1e-12)))
 
     def start(self, a: Any = 0.0, b: Any = 0.0, c: Any = 0.0) -> Concentrations:
-        """Fields from numbers or arrays [x, y, z]. Raises `BadInput` below zero and `ShapeMismatch`."""
+        """Fields from numbers or arrays [x, y, z]. Raises `BadInput` for negative values and `ShapeMismatch`."""
         fields = [self._field(name, value) for name, value in zip(SPECIES, (a, b, c), strict=True)]
         shape = self.box.shape
         never = [self.device.upload(np.full(shape, NEVER, np.float32)) for _ in range(2)]
@@ -160,7 +192,7 @@ class Transport:
         visible: DeviceArray | None = None,
         ultraviolet: DeviceArray | None = None,
     ) -> None:
-        """Advance a state in place under constant light, fields [mW/mm²] of both colors, None for dark.
+        """Advance a state in place under constant light: fields [mW/mm²] of both colors, None for dark.
 
         steps: equal steps, by default the fewest that are stable for diffusion. Reactions never give negative values,
         but their error is first order in the step: use more steps if diffusion is slow.
@@ -186,7 +218,7 @@ class Transport:
         state.time += span
 
     def _tables(self, step: float) -> tuple[DeviceArray, DeviceArray]:
-        """Spread and rates of a step, kept for the next; C of first order splits as k_c says at its initial amount."""
+        """Diffusion and reaction rates of a step, stored for the next one; C splits at the rate k_c at first."""
         if step not in self._kept:
             k = self.reaction or Reaction(0.0, 0.0, 0.0, 0.0)
             k_c = k.k_c / k.initial if k.order else k.k_c
@@ -222,7 +254,7 @@ class Transport:
 
     @cached_property
     def _fused(self) -> int:
-        """Steps a launch takes: several where an item owns a block of columns, else one."""
+        """Number of steps per launch: several if an item owns a block of columns, else one."""
         columns = self.box.shape[0] * self.box.shape[1]
         items = self.device.items(transport, self.box.shape)
         if not self.device.lanes_for(1) or items * 16 > columns:
@@ -231,7 +263,7 @@ class Transport:
 
     @cached_property
     def _plane(self) -> int:
-        """Floats of scratch that a step between two others takes: three planes of x of all species."""
+        """Floats of scratch memory for an intermediate step: three planes of x of all species."""
         _, ny, nz = self.box.shape
         lanes = self.device.lanes_for(nz)
         return 9 * -(-nz // lanes) * (ny * lanes + SPACING)

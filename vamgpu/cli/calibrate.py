@@ -61,10 +61,10 @@ def axis(
         rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default, where prints find it
         first: first column that is lit
-        stop: column after the last one
+        stop: column after the last lit one
         every: step from one lit column to the next
         repeats: number of readings of each
-        radius: radius of the roller [columns], if only one edge is in reach
+        radius: radius of the roller [columns], if only one edge can be scanned
         flip_r: set it if jobs are packed with flip_r
         projector: number of the projector, from 0
     """
@@ -103,7 +103,7 @@ def flat(
 ) -> None:  # fmt: skip
     """Measure how uniform each projector is at full drive, with a photodiode that collects all of its light.
 
-    Keep everything out of the light during the measurement, a roller as well.
+    Keep everything out of the light during the measurement, also the roller.
 
     Args:
         rig: the TOML file of the rig, or emulated
@@ -147,9 +147,9 @@ def mtf(
 
     Args:
         rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default. A job's beam.spread may name it
+        out: folder of the result; beside the rig's file by default. beam.spread of a job may name it
         at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
-        focused: result of vam calibrate focus, which focuses the lens on each position; without it the lens stays
+        focused: result of vam calibrate focus, used to focus on each position; by default the lens does not change
         angle: angle between the edge and the columns [deg]
         repeats: number of images that are averaged
         projector: number of the projector, from 0

@@ -63,14 +63,14 @@ def solve(
 
     Args:
         job: the TOML file
-        out: the folder; the file's name with .vam by default
+        out: the job folder; the file's name with .vam by default
         start: folder of a plan whose patterns are the starting point; it must have the same number of angles and pixels
         rig: TOML file of the rig that will print the job; its measured point spread is used if the job has none
-        pareto: also find the widest windows of shorter and shorter exposures, with the lamp and resin of [print]
-        memory: memory limit of the process, such as 8GB; fields beyond it are kept in files in the folder TMPDIR, and a
-            verdict that needs more is skipped
-        cluster: cluster whose workers share the slices of a vial, or the segments of a web: local:4 for four processes
-            of this machine, tcp://host:8786 for a Dask cluster that sees the same files
+        pareto: also find the widest windows of a series of shorter exposures, with the lamp and resin of [print]
+        memory: memory limit of the process, such as 8GB; fields that exceed it are kept in files in the folder TMPDIR,
+            and a verdict that needs more is skipped
+        cluster: cluster whose workers share the slices of a vial or the segments of a web: local:4 for four processes
+            on this machine, tcp://host:8786 for a Dask cluster that sees the same files
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
@@ -104,7 +104,7 @@ def solve(
     screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")
     found, needs = None, 0
     if checked.file.colors is None:
-        with shown(screen) as progress, suppress(KeyboardInterrupt):  # the folder is complete, judged or not
+        with shown(screen) as progress, suppress(KeyboardInterrupt):  # the folder is complete even without a verdict
             progress("verdict", 0.0)
             proof = coarsely(folder.path, checked.file.solve.device, coarse=True).proof
             needs = report_memory(memory, proof)
@@ -114,11 +114,11 @@ def solve(
     if found is not None:
         show_verdict(screen, found)
     elif needs:
-        screen.print(f"[yellow]note[/]  no verdict, which needs {size(needs)} of memory; leave out --memory to get it")
+        screen.print(f"[yellow]note[/]  no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
 
 
 def _exposures(points: list[dict[str, float]]) -> Table:
-    """Table of the widest windows of shorter and shorter exposures."""
+    """Table of the widest windows of a series of shorter exposures."""
     sheet = Table("exposure", "window", "dose outside / inside")
     for point in points:
         sheet.add_row(f"{point['seconds']:.3g} s", f"{point['window']:+.4f}", f"{point['outside']:.3f}")
@@ -142,7 +142,7 @@ def _measured(job: Path, rig: Path, settings: Settings) -> list[str]:
     if known.runout is not None:
         runs = known.runout.found
         screen.print(
-            f"axis    known to {runs.axis_error:.2g} columns, runout left {runs.left:.2g}, from {found['runout'].name}"
+            f"axis    known to {runs.axis_error:.2g} columns, runout {runs.left:.2g}, from {found['runout'].name}"
         )
     own = read_job(job, settings or ()).file.beam.spread
     if own is not None or "mtf" not in found:
@@ -184,7 +184,7 @@ def init(
 
     Args:
         file: path of the job file
-        what: what the job file is for
+        what: kind of print that the job file describes
     """
     from vamgpu.jobs.keys import commented
     from vamgpu.storage.atomic import check_folder, replacing
@@ -200,7 +200,7 @@ def init(
 
 @app.command
 def keys(table: str | None = None, /) -> None:
-    """List the keys that job files may have, what they hold and what they mean.
+    """List the keys of job files, with their types and meanings.
 
     Args:
         table: a table, such as beam or web.beam; a key, such as beam.pitch; a component, such as vessel.fan; or all
@@ -221,7 +221,7 @@ def schema(file: Literal["vial", "web", "machine", "slices"] = "vial", /) -> Non
     """Write the JSON Schema of a job file, which editors use to complete and check TOML.
 
     Args:
-        file: what the job file is for
+        file: kind of print that the job file describes
     """
     from vamgpu.jobs.keys import schema_of
 
@@ -238,7 +238,7 @@ def devices() -> None:
 
 @app.command
 def doctor(*, limit: float = 120.0) -> int:
-    """Run a kernel on every device of this machine; for one that is missing, say why and what to install.
+    """Run a kernel on every device of this machine; for a missing device, show the reason and what to install.
 
     Args:
         limit: time limit for a driver to answer [s]
@@ -276,7 +276,7 @@ def bench(
     if job is not None:
         return _bench_job(job, [*(settings or ()), *(f'solve.device="{name}"' for name in device or ())], record)
     if settings:
-        raise BadInput(f"--set {settings[0]} sets a key of a job, and there is no job; add --job, or leave out --set")
+        raise BadInput(f"--set {settings[0]} sets a key of a job, but there is no job; add --job, or leave out --set")
     timings = list(run(size, angles, repeats, device))
     sheet = Table("device", "projector", "forward [ms]", "back [ms]", title=f"{size}³ × {angles}, medians of {repeats}")
     for timing in timings:

@@ -1,6 +1,6 @@
 """Why a device works here, or why it does not and what to install.
 
-Drivers may crash or hang, so each is examined in a separate process with a time limit.
+Drivers may crash or hang; therefore each is examined in a separate process with a time limit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vamgpu.errors import VamError
 LIMIT = 120.0
 """Time limit for a driver to list its devices or to run one kernel [s]."""
 TOLERANCE = 1e-5
-BREAKS = "a driver breaks its process; remove it or update it"
+BREAKS = "a driver crashes its process; remove it or update it"
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def _repair(name: str) -> str:
 
 
 def _ask(arguments: list[str], limit: float) -> dict[str, Any]:
-    """The answer of a separate process, or why there is none."""
+    """The answer of a separate process, or the reason why there is none."""
     command = [sys.executable, "-m", "vamgpu.cli.doctor", *arguments]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
@@ -77,7 +77,7 @@ def _list() -> dict[str, Any]:
     found, missing = {"numpy": "float64 reference"}, []
     if writable() is not None:
         remedy = f"set {VARIABLE} to a folder that this user may write"
-        missing.append(("cache of kernels", f"{refusal()}: every process compiles its kernels again", remedy))
+        missing.append(("cache of kernels", f"{refusal()}: every process must compile its kernels again", remedy))
     for look in (_opencl, _warp):
         more, lacks = look()
         found |= more
@@ -173,7 +173,7 @@ def answer(arguments: list[str]) -> dict[str, Any]:
     """Answer of the child process."""
     try:
         return _list() if arguments[0] == "list" else _probe(arguments[1])
-    except VamError as error:  # its message has the remedy
+    except VamError as error:  # its message contains the remedy
         problem, _, remedy = str(error).rpartition("; ")
         return {"error": problem, "remedy": remedy}
 

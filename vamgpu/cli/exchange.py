@@ -31,7 +31,7 @@ def import_(
         out: the folder; the source's name with .vam by default. If it ends in .toml, a job file for vam solve is
             written from the configuration of Dr.TVAM; it needs no patterns
         job: TOML file with what the source lacks: part, vessel, pixels
-        patterns: pattern file of Dr.TVAM, if it is not beside the configuration
+        patterns: pattern file of Dr.TVAM, if it is not in the folder of the configuration
         target: target voxels of VAMToolbox, in place of a mesh in the job
         flip_r: column 0 of images is the largest r
         flip_z: row 0 of images is the smallest z, as in videos of VAMToolbox
@@ -51,8 +51,8 @@ def import_(
     if out is not None and out.suffix.lower() == ".toml":
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only "
-                           "the configuration: leave it out")  # fmt: skip
+            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only the "
+                           "configuration: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
@@ -86,8 +86,8 @@ def export(
         png: a folder of PNG images
         tiff: one file with one page per frame
         npz: one file with bytes, curve and settings for NumPy
-        mp4: a video, lossless in gray, or for any player with --players
-        drtvam: a folder with configuration, patterns and part for Dr.TVAM
+        mp4: a video: lossless in gray, or with --players for any player
+        drtvam: a folder for Dr.TVAM, with configuration, patterns and part
         fps: frames per second of the video
         players: write the video in yuv420p, which projectors and common players decode
         canvas: columns and rows of the images, such as 1920x1080; frames are centered in them
@@ -135,7 +135,7 @@ def export(
 
 
 def _size(canvas: str | None) -> tuple[int, int] | None:
-    """Columns and rows of text such as 1920x1080. Raises `BadInput`."""
+    """Columns and rows in text such as 1920x1080. Raises `BadInput`."""
     if canvas is None:
         return None
     columns, _, rows = canvas.lower().replace("×", "x").partition("x")

@@ -19,7 +19,7 @@ group: App = App(name="live", help="Replay prints that a camera watched, or make
 def replay(run: Path, /) -> None:
     """Repeat the decision of every turn of a recorded print, and report whether each is the same, bit for bit.
 
-    Also show how long each stage took during the print, and from which turn each decision took effect.
+    Also show how long each stage took during the print, and the turn from which each decision took effect.
 
     Args:
         run: folder of the run
@@ -32,7 +32,7 @@ def replay(run: Path, /) -> None:
         decisions.append(decision)
         same = f"differs in {', '.join(differs)}" if differs else "same"
         more = (
-            f"{decision['turns']} to go, overlap {decision['iou']:.4f}"
+            f"{decision['turns']} turns to go, overlap {decision['iou']:.4f}"
             if decision["parameters"]
             else decision["reason"]
         )
@@ -73,11 +73,11 @@ def _place(run: Path) -> Path:
 
 
 def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """After how many turns swaps took effect, and which never did."""
+    """After how many turns swaps took effect, and which ones never did."""
     swaps = [decision for decision in decisions if decision["action"] == "swap" and "effective" in decision]
     shown = [decision["effective"] - decision["turn"] for decision in swaps if decision["effective"] is not None]
     if shown:
-        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {max(shown)} turns after the last image's turn"
+        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {max(shown)} turns after the last image"
     late = [str(decision["turn"]) for decision in swaps if decision["effective"] is None]
     if late:
         yield "late", f"swaps of turns {', '.join(late)} never took effect"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter, Token
 from rich.console import Console
 
-from vamgpu.errors import Cancelled
+from vamgpu.errors import BadInput, Cancelled
+from vamgpu.storage.atomic import named
 
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="replace a key, as key=value")]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="overwrite existing files")]
@@ -32,9 +34,18 @@ def console() -> Console:
     return Console(highlight=False, soft_wrap=True)
 
 
+def solved_folder(job: Path, command: str) -> Path:
+    """The folder of a job or a run, for a command. Raises `BadInput` for a job file."""
+    if job.suffix.lower() == ".toml":
+        folder = job.with_suffix(".vam")
+        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
+                       f"writes: vam {command} {folder}")  # fmt: skip
+    return named(job)
+
+
 @contextmanager
 def continued(kept: Callable[[], bool], change: str = "") -> Iterator[None]:
-    """On Ctrl-C, advise to run the same command, with ``change``, if it can continue from what is ``kept``."""
+    """On Ctrl-C, advise to run the same command, with ``change``, if it can continue from ``kept``."""
     try:
         yield
     except (Cancelled, KeyboardInterrupt) as error:

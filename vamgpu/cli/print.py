@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Settings, Switch, Whole, console
+from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
 from vamgpu.errors import BadInput, VamError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "sol
 CANCELLED = 130
 """Exit status of a print that the user stopped, as of any other command."""
 JOBS = (".vam", ".zip", ".sl1", ".sl1s")
-"""Endings of jobs that are left out of the names of runs; any other dot, as in "part-0.2", belongs to the name."""
+"""Endings of jobs that are removed for the names of runs; any other dot, as in "part-0.2", belongs to the name."""
 FAILED, INCOMPLETE, HELD = 1, 3, 4
 """Exit statuses of a print that failed, of one that ended with underexposed frames, and of one that is still held."""
 
@@ -42,7 +43,7 @@ def print_(
     *jobs: str, rig: str, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, panel: Switch = False, stay: Switch = False,
-    host: str = "127.0.0.1", port: int = 0, live: Switch = False,
+    host: str = "127.0.0.1", port: int = 0, live: Switch = False, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig, one for each of its projectors. "demo" makes and prints a small job; "demo live" prints one
     that a camera watches, in resin that differs from the plan.
@@ -58,17 +59,18 @@ def print_(
         turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
             exposure needs, with the light dimmed to give the proved dose
         stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
-        out: folder of the run; the job's name with .run by default, with .dry-run for a dry run
+        out: folder of the run; by default the job's name with .run, or .dry-run for a dry run, then with -2.run, -3.run
         resume: folder of an interrupted run to continue
         unattended: number of times that a held print resumes by itself; by default it asks the operator
         device: device that makes the frames; by default the best one, or NumPy for a dry run
         dry_run: print on emulated machines with a simulated clock, on any rig
         panel: serve the live page; a dry run then takes as long as a print
-        stay: keep serving the page after the print, until Ctrl-C
+        stay: serve the page after the print as well, until Ctrl-C
         host: address that serves the page; other machines need a token
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
+        anyway: print a job although its proof does not print; by default a terminal is asked
     """
     if jobs == ("demo", "live"):
         given = speed is None and stop is None and resume is None and not (dry_run or panel or settings or device)
@@ -81,7 +83,9 @@ def print_(
     if live and (stop is not None or len(jobs) != 1):
         raise BadInput("a print with --live takes one job, and its planner ends it; leave out other jobs and --stop")
     place = resume or _place(out, jobs[0], dry_run)
-    folders = tuple(_demo(screen, place.with_suffix(".job")) if job == "demo" else Path(job) for job in jobs)
+    folders = tuple(
+        _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
+    )
     exposure, planner = None, None
     if resume is not None and not live:
         turns, exposure = _begun(resume, turns)
@@ -105,6 +109,8 @@ def print_(
         live=planner,
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
+    if not (planned.rehearsed or order.resume or anyway):
+        _consented(planned, order.asks)
     if not panel:
         return _printed(screen, planned, order, board)
     from vamgpu.hosts.panel import Panel
@@ -119,23 +125,41 @@ def _check_options(
     jobs: tuple[str, ...], rig: str, config: Any, out: Path | None, resume: Path | None, unattended: int, *,
     dry_run: bool, panel: bool, stay: bool,
 ) -> None:  # fmt: skip
-    """Reject options that do not go together. Raises `BadInput`."""
+    """Reject options that exclude each other. Raises `BadInput`."""
     if not jobs:
         raise BadInput("there is no job; expected the folder of a job for each projector, or the word demo")
     if resume is not None and out is not None:
         raise BadInput("--out is the folder of a new run, --resume that of a run to continue; give one of them")
     if resume is not None and (dry_run or config.setup.emulated):
-        raise BadInput("a dry run has no machines that keep a print; expected --resume with the rig that began it")
+        raise BadInput("a dry run cannot be resumed; expected --resume with the rig that began the print")
     if "demo" in jobs and config.setup.rig.machine not in ("vial", "any"):
-        raise BadInput(f"the demo is a vial, and the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
+        raise BadInput(f"the demo is a vial, but the rig {rig!r} prints {config.setup.rig.machine}; give a job for it")
     if unattended < 0:
         raise BadInput(f"--unattended is {unattended}; expected how many times a held print resumes, 0 or more")
     if stay and not panel:
-        raise BadInput("--stay keeps the page after the print, and there is none; add --panel, or use vam panel")
+        raise BadInput("--stay serves the page after the print, but there is no page; add --panel, or use vam panel")
+
+
+def _consented(planned: PrintPlan, asks: bool) -> None:
+    """Ask before a real print whose proof does not print. Raises `BadInput` unless someone agrees."""
+    if planned.dose is None or planned.dose.proved.right:
+        return
+    job, faults = planned.jobs[0].path, planned.dose.proved.faults
+    if not (asks and _agreed(f"the proof of {job} does not print: {faults}\nprint it anyway? [y/N] ")):
+        raise BadInput(f"the proof of {job!r} does not print: {faults}; expected a job that prints: correct it as `vam "
+                       f"prove {job}` says, or print it with --anyway")  # fmt: skip
+
+
+def _agreed(question: str) -> bool:
+    """Ask a question at the terminal."""
+    try:
+        return input(question).strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
 
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
-    """Turns and exposure of the run to resume, so that the rest gets the same dose per turn."""
+    """Turns and exposure of the run to resume; the rest then gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.printing.given_dose import GivenDose
 
@@ -181,7 +205,7 @@ def _live_demo(rig: str, turns: int | None, out: Path | None, plain: bool) -> in
     from vamgpu.live import Truth
 
     if rig != "emulated":
-        raise BadInput(f"the demo's resin is emulated, and the rig is {rig!r}; expected --rig emulated")
+        raise BadInput(f"the demo's resin is emulated, but the rig is {rig!r}; expected --rig emulated")
     with shown(screen) as progress:
         job = demo_job(place.with_suffix(".job"), progress=progress)
     truth = Truth(**AGED)
@@ -189,7 +213,7 @@ def _live_demo(rig: str, turns: int | None, out: Path | None, plain: bool) -> in
     ended = live(job, truth=truth, turns=turns, folder=place)
     off = ", ".join(f"{name} {value:g}" for name, value in AGED.items())
     screen.print(f"differs {escape(off)}")
-    screen.print(f"unwatched overlap {unwatched.iou:.4f}, watched [bold]{ended.iou:.4f}[/]")
+    screen.print(f"overlap without monitoring {unwatched.iou:.4f}, with monitoring [bold]{ended.iou:.4f}[/]")
     overlaps = unwatched.iou or 0.0, ended.iou or 0.0
     screen.print(escape(str(ended)))
     _live_report(screen, ended.folder, truth=truth, overlaps=overlaps, conversion=ended.conversion)
@@ -213,7 +237,7 @@ def panel(
     *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, attach: Path | None = None,
-    host: str = "127.0.0.1", port: int = 8521, live: Switch = False,
+    host: str = "127.0.0.1", port: int = 8521, live: Switch = False, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
 
@@ -224,14 +248,15 @@ def panel(
         turns: as for ``vam print``
         stop: as for ``vam print``
         out: folder of the run
-        resume: folder of an interrupted run to continue
+        resume: folder of an interrupted run, to continue it
         unattended: as for ``vam print``
         device: as for ``vam print``
-        dry_run: print on emulated machines, in the time that a print takes, on any rig
+        dry_run: print on emulated machines, on any rig, in the time that a print takes
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
         live: as for ``vam print``
+        anyway: as for ``vam print``
     """
     if attach is not None:
         if jobs or rig is not None:
@@ -242,12 +267,13 @@ def panel(
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
         settings=settings, device=device, dry_run=dry_run, panel=True, stay=True, host=host, port=port, live=live,
+        anyway=anyway,
     )  # fmt: skip
 
 
 @contextmanager
 def _outlived(screen: Console) -> Iterator[None]:
-    """Keep the page until Ctrl-C, however the print ended; then raise its error."""
+    """Keep the page until Ctrl-C, however the print ends; then raise its error."""
     try:
         yield
     except VamError as error:
@@ -264,16 +290,18 @@ def _wait(screen: Console) -> None:
 
 
 def _place(out: Path | None, job: str, dry_run: bool) -> Path:
-    """The folder of a run, which must not exist. Raises `BadInput`, `StorageError`."""
-    from vamgpu.errors import BadInput, StorageError
+    """The folder of a run, which must not exist; by default the first free one. Raises `BadInput`, `StorageError`."""
+    from vamgpu.errors import StorageError
 
     first = Path("vamgpu-demo" if job == "demo" else job)
     if out is None and first.name in ("", ".."):
         raise BadInput(f"the job {job!r} has no name for its run; give the folder of the job, or --out")
     name = first.stem if first.suffix in JOBS else first.name
-    place = out or first.parent / (name + (".dry-run" if dry_run else ".run"))
+    ending = ".dry-run" if dry_run else ".run"
+    names = (name + number + ending for number in chain([""], (f"-{number}" for number in count(2))))
+    place = out or next(first.parent / each for each in names if not (first.parent / each).exists())
     if job == "demo" and place.suffix == ".job":
-        raise BadInput(f"{str(place)!r} is the place of the demo's job; end the name of its run in .run")
+        raise BadInput(f"{str(place)!r} is the folder of the demo's job; end the name of its run in .run")
     if place.exists():
         raise StorageError(f"{str(place)!r} exists; a run needs a new folder: choose another with --out")
     return place
@@ -326,7 +354,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     levels: Sequence[np.ndarray] = ()
     verdict, turns = "", None
     try:
-        # a dry run on a simulated clock lights nothing, and in one process it repeats exactly
+        # a dry run on a simulated clock has no light, and in one process it repeats exactly
         ended = (_rehearsed if planned.rehearsed and not order.page else _watched)(screen, planned, order, board)
         state, verdict, levels = PrintState(ended["state"]), ended.get("resin", ""), ended.get("levels", ())
         turns = ended.get("turns")
@@ -334,7 +362,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
         state = _left(error, board, place)
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
-    lateness = f"at the mirrors {-late:.1f} ms early or more" if late < 0 else f"at most {late:.1f} ms late"
+    lateness = f"at the mirrors at least {-late:.1f} ms early" if late < 0 else f"at most {late:.1f} ms late"
     screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
@@ -367,7 +395,7 @@ def _onward(planned: PrintPlan, place: Path) -> str:
 
 
 def _left(error: VamError, board: Board, place: Path) -> PrintState:
-    """State of a print that an error left held; shows the error. Raises it if nothing is held."""
+    """State of a print that an error left held; shows the error. Raises the error if nothing is held."""
     from vamgpu.hosts.records.record import read_run
     from vamgpu.hosts.records.state import PrintState
 
@@ -390,7 +418,7 @@ def _status(state: PrintState) -> int:
 
 
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Do a dry run in this process, as fast as it computes; how it ended."""
+    """Do a dry run in this process, as fast as it computes; return how it ended."""
     from vamgpu.hosts.process.order import printed
     from vamgpu.hosts.rig import rehearsal
 
@@ -402,7 +430,7 @@ def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Bo
 
 
 def _watched(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
-    """Print in a process that controls the light, and watch it from this one; how it ended."""
+    """Print in a process that controls the light, and watch it from this one; return how it ended."""
     from vamgpu.hosts.process.watch import may_begin, started, watched
 
     may_begin(order.folder)
@@ -422,10 +450,7 @@ def _asked(screen: Console) -> Callable[[str], bool]:
 
     def go_on(why: str) -> bool:
         screen.print(f"held    [yellow]{escape(why)}[/]")
-        try:
-            return input("continue? [y/N] ").strip().lower() in ("y", "yes")
-        except EOFError:
-            return False
+        return _agreed("continue? [y/N] ")
 
     return go_on
 
@@ -435,9 +460,9 @@ def _report(screen: Console, planned: PrintPlan, levels: Sequence[np.ndarray], t
     from dataclasses import replace
 
     from vamgpu.errors import StorageError
+    from vamgpu.hosts.records.proof import prove_given
     from vamgpu.hosts.rigs.rehearsal import as_frames
     from vamgpu.jobs.run import prove
-    from vamgpu.printing.given_dose import prove_given
 
     dose = planned.dose
     if dose is not None and turns is not None:

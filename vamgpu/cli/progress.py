@@ -36,7 +36,7 @@ STAGES = {
     "report": "writing the report",
     "model": "modeling the print",
     "correct": "correcting the slices",
-    "survey": "finding features and voids out of reach",
+    "survey": "finding features and voids that cannot be printed",
     "columns": "solving whole columns",
 }
 
@@ -71,7 +71,7 @@ class _Now:
             self.finish()
             self._stage, self._began = stage, time.perf_counter()
             self._task = self._bar.add_task(STAGES.get(stage, stage), total=None)
-        if self._task is not None and share > 0.0:  # a stage without a share pulses
+        if self._task is not None and share > 0.0:  # a stage without a known share shows a pulse
             self._bar.update(self._task, total=1.0, completed=share)
 
     def tell(self, text: str) -> None:
@@ -81,7 +81,7 @@ class _Now:
         self._console.print(f"[dim]{text}[/]", highlight=False)
 
     def finish(self) -> None:
-        """Turn the running stage into a line."""
+        """Turn the running stage into a finished line."""
         if self._task is not None:
             self._bar.remove_task(self._task)
             seconds = time.perf_counter() - self._began

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import console
+from vamgpu.cli.options import console, solved_folder
 from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
 
@@ -29,13 +29,13 @@ def prove(
     printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
     rig: str | None = None, speed: str | None = None, check: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:  # fmt: skip
-    """Simulate a job from its frames only, or a run from the frames it really showed, and write a report.
+    """Simulate a job from its frames only, or a run from the frames that it really showed, and write a report.
 
     Args:
         job: the job folder, or the folder of a vial's run
         report: the HTML file; by default part.html for part.vam, and part.run.html for part.run
         device: where to compute; the best device here by default
-        bound: also bound the window of any patterns, with 1500 projector evaluations, for each corner with --tolerances
+        bound: also bound the window of any patterns, with 1500 projector evaluations; with --tolerances, at all corners
         tolerances: also prove the job at every corner of its [tolerances], with one threshold for all
         slices: first slice, and the one after the last, used for --bound; fewer slices are faster, and their bound
             holds for the whole print
@@ -44,7 +44,7 @@ def prove(
             report that needs more is skipped
         rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles where it is shown
         speed: speed of the rig [deg/s], 40 by default
-        check: exit with 3 if it does not print
+        check: exit with 3 if the part does not print
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
@@ -53,19 +53,19 @@ def prove(
     from vamgpu.storage.atomic import page_path
     from vamgpu.storage.memory import size
 
-    job = _written(job)
+    job = solved_folder(job, "prove")
     device = device if memory is None else within(device, memory)
     is_run, is_web = (job / "run.json").is_file(), is_web_folder(job)
-    # the page of a run is beside that of its job
+    # the report of a run is beside that of its job
     place = page_path(report or (job.with_name(f"{job.name}.html") if is_run else job.with_suffix(".html")))
     _check_options(job, bound, tolerances, slices, rig, speed, vial=not (is_run or is_web))
     if is_run:
         return _checked(_prove_run(job, place, device, printed or ()), check)
     if printed:
-        raise BadInput(f"--job gives the folders of a run's jobs, and {str(job)!r} is not a run; leave it out")
+        raise BadInput(f"--job gives the folders of a run's jobs, but {str(job)!r} is not a run; leave it out")
     if is_web:
         if check:
-            raise BadInput(f"--check is for the job of a vial or of a run, and {str(job)!r} is a web; leave it out")
+            raise BadInput(f"--check is for the job of a vial or of a run, but {str(job)!r} is a web; leave it out")
         _prove_web(job, place, device)
         return 0
     screen = console()
@@ -83,36 +83,25 @@ def prove(
         show_verdict(screen, proven.proof.verdict)
     show_lines(screen, proven.proof.lines())
     if needs:
-        screen.print(f"[yellow]note[/]  no report, which needs {size(needs)} of memory; leave out --memory to get it")
+        screen.print(f"[yellow]note[/]  no report: it needs {size(needs)} of memory; leave out --memory to get it")
     else:
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
     return _checked(not check or proven.proof.all_correct, check)
 
 
-def _written(job: Path) -> Path:
-    """The folder of a job or a run. Raises `BadInput` for a job file."""
-    from vamgpu.storage.atomic import named
-
-    if job.suffix.lower() == ".toml":
-        folder = job.with_suffix(".vam")
-        raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "
-                       f"writes: vam prove {folder}")  # fmt: skip
-    return named(job)
-
-
 def _check_options(
     job: Path, bound: bool, tolerances: bool, slices: tuple[int, int] | None, rig: str | None, speed: str | None, *,
     vial: bool,
 ) -> None:  # fmt: skip
-    """Reject options that do not go together, or do not suit the job. Raises `BadInput`."""
+    """Reject options that exclude each other, or do not suit the job. Raises `BadInput`."""
     for option, given in (("--bound", bound), ("--tolerances", tolerances), ("--rig", rig is not None)):
         if given and not vial:
-            raise BadInput(f"{option} is for the job of a vial, and {str(job)!r} is not one; leave it out")
+            raise BadInput(f"{option} is for the job of a vial, but {str(job)!r} is not one; leave it out")
     if slices is not None and not bound:
-        raise BadInput(f"--slices {slices[0]} {slices[1]} are for --bound; add --bound, or leave out --slices")
+        raise BadInput(f"--slices {slices[0]} {slices[1]} is only for --bound; add --bound, or leave out --slices")
     if rig is None and speed is not None:
-        raise BadInput(f"--speed {speed} is for a rig, and there is none; add --rig, or leave out --speed")
+        raise BadInput(f"--speed {speed} is for a rig, but there is none; add --rig, or leave out --speed")
 
 
 def _checked(prints: bool, check: bool) -> int:
@@ -135,7 +124,7 @@ def _by_planes(proven: Proven, job: Path, rig: str, speed: str | None) -> Proven
 
 
 def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Path]) -> bool:
-    """Compare a run with its plan; returns whether it prints, with and without uncertain light."""
+    """Compare a run with its plan; return whether the part prints, with and without uncertain light."""
     from vamgpu.hosts.records.proof import prove_run
 
     screen, prints = console(), True
@@ -148,7 +137,7 @@ def _prove_run(run: Path, place: Path, device: str | None, printed: Sequence[Pat
         prints = prints and found.least.all_correct and found.most.all_correct
         for name, value in (("window", lambda proof: proof.scores.window), ("IoU", lambda proof: proof.scores.iou)):
             planned, least, most = (f"{value(proof):+.4f}" for proof in proofs)
-            band = least if least == most else f"{least} to {most}, as some of the light is uncertain"
+            band = least if least == most else f"{least} to {most}, because some of the light is uncertain"
             screen.print(f"{name:<7} planned {planned}, shown [bold]{band}[/]")
         screen.print(f"report  [bold]{shown_path(page.resolve())}[/]")
     return prints

@@ -15,7 +15,7 @@ PROCESSOR = {
     "windows": "install Intel's CPU Runtime for OpenCL Applications",
     "linux": "install PoCL with the system's package manager",
 }
-"""System → how to make its processor an OpenCL device."""
+"""System → how to install an OpenCL device on its processor."""
 GRAPHICS = {
     "debian": "apt install nvidia-opencl-icd, intel-opencl-icd or mesa-opencl-icd, depending on the card",
     "fedora": "dnf install intel-compute-runtime or mesa-libOpenCL, or xorg-x11-drv-nvidia-cuda from RPM Fusion",
@@ -25,12 +25,12 @@ GRAPHICS = {
     "windows": "install the card's driver from its maker; OpenCL is a part of it",
     "linux": "install the card's driver with its OpenCL part",
 }
-"""System → how to make a graphics card an OpenCL device."""
+"""System → how to install an OpenCL device on a graphics card."""
 FAMILIES = {"ubuntu": "debian", "rhel": "fedora", "centos": "fedora", "opensuse": "suse"}
 
 
 def system() -> str:
-    """This computer's row of the tables above."""
+    """The row of the tables above for this computer."""
     if sys.platform in ("darwin", "win32"):
         return {"darwin": "macos", "win32": "windows"}[sys.platform]
     try:

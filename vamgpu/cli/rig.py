@@ -1,4 +1,4 @@
-"""``vam rig``: the parts of a rig, and what their combination guarantees."""
+"""``vam rig``: the parts of a rig, and what their combination guarantees, watches and only believes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROLES = ("motion", "clock", "display", "light", "lens", "feedback")
 
 @group.command
 def check(rig: str, /, *, speed: float | None = None, settings: Settings = None) -> int:
-    """List the parts that fill the roles of a rig, and what they do and do not guarantee together.
+    """List the parts that fill the roles of a rig, and what is guaranteed, watched by a sensor, or only believed.
 
     Args:
         rig: the TOML file of the rig, or emulated

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def shown_path(path: Path) -> str:
-    """A path as text, in which brackets are no markup."""
+    """A path as text; its brackets are escaped."""
     return escape(str(path))
 
 
 def show_verdict(screen: Console, verdict: Verdict) -> None:
-    """Show whether it prints, and what to do if it does not."""
+    """Show whether the part prints, and what to do if it does not."""
     color = ("green" if verdict.proved else "yellow") if verdict.prints else "red"
     rest = verdict.sentence.removeprefix(verdict.opening)
     screen.print(f"[bold {color}]{verdict.opening}[/]{escape(rest)}")

@@ -24,7 +24,7 @@ def sweep(
     Args:
         job: the TOML file
         out: folder of the job folders and of sweep.csv; the file's name with -sweep by default
-        cluster: local:4 for four processes of this machine, tcp://host:8786 for a Dask cluster that sees the same files
+        cluster: local:4 for four processes on this machine, tcp://host:8786 for a Dask cluster that sees the same files
     """
     from vamgpu.jobs.sweep import Point, values_of
     from vamgpu.jobs.sweep import sweep as run

@@ -29,7 +29,7 @@ def view(job: Path, /, *, device: str | None = None) -> None:
     job = named(job)
     napari = opened()
     if is_web_folder(job):
-        raise BadInput(f"{str(job)!r} is a web, which has no end to show; write its report: vam prove {job}")
+        raise BadInput(f"{str(job)!r} is an endless web, which cannot be viewed; write its report: vam prove {job}")
     with shown(console()) as progress:
         proof = prove(job, device, progress=progress).proof
     viewer = napari.Viewer(title=proof.name)
@@ -51,7 +51,7 @@ def opened() -> Any:
 
 
 def layers(proof: Proof) -> list[dict[str, Any]]:
-    """Layers for napari, volumes as [z, y, x] in mm about the axis, so that its slider moves along z."""
+    """Layers for napari: volumes as [z, y, x] in mm about the axis, because its slider moves along the first axis."""
     pitch = proof.operator.grid.pitch
     corner = [-0.5 * (n - 1) * pitch for n in proof.dose.shape[::-1]]
     space = {"scale": [pitch] * 3, "translate": corner, "units": ["mm"] * 3, "axis_labels": ["z", "y", "x"]}

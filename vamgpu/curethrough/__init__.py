@@ -1,1 +1,1 @@
-"""Cure-through of stereolithography: modeled from slices, and corrected in them."""
+"""Cure-through of stereolithography: a model of the print of slices, and their correction."""

@@ -1,7 +1,7 @@
-"""Gray levels that put the critical dose on both sides of every feature (Pritchard et al. 2019, section SI.1).
+"""Gray levels that give both sides of every feature the critical dose (Pritchard et al. 2019, section SI.1).
 
 Features are runs of solid slices at a pixel. From the last slice to the first, a feature's dose is built up by full
-light in the void behind it, kept at the profile inside, and left to die down to its front; all else is dark.
+light in the void behind it, kept at the profile inside it, and left to decay to its front; all other slices are dark.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class Correction:
     Args:
         machine: `Printer` or `LayerPrinter`.
         profile: Dose inside features.
-        tail: Slices added after the last; None takes as many as its back side needs.
+        tail: Slices added after the last; None adds as many as the last slice's back side needs.
         threshold: Gray level from which a pixel is solid.
-        platform: The first slice sticks to the platform, so that nothing above it can be cured through.
-        dither: Neighbors aim up to half a level higher or lower.
-        open_dose: Ω, a dose in critical doses, to which voids must fall to count as open; None takes the machine's.
+        platform: The first slice adheres to the platform, and nothing above it can be cured through.
+        dither: Neighboring pixels aim up to half a level higher or lower.
+        open_dose: Ω, a dose in critical doses, below which a void counts as open; None uses the machine's.
 
     Raises:
-        BadInput: A value is of another type or out of range, or the machine can correct nothing.
+        BadInput: A value is of another type or out of range, or no correction is possible with this machine.
     """
 
     machine: Machine
@@ -66,12 +66,12 @@ class Correction:
 
     @property
     def spread(self) -> float:
-        """Ω by which neighbors differ in what they aim at: a level."""
+        """Difference in Ω between the aims of neighboring pixels: one level."""
         return float(np.diff(self.machine.doses).mean()) if self.dither else 0.0
 
     @property
     def tolerance(self) -> float:
-        """Ω that gray levels may miss the constraint curves by."""
+        """Ω by which gray levels may miss the constraint curves."""
         return self.machine.tolerance + 0.5 * self.spread + 1e-6
 
 
@@ -81,7 +81,7 @@ class Corrected:
 
     start: int
     table: DeviceArray
-    words: DeviceArray  # ring that holds which slices of block ``start`` / 32 are solid, for `Judge.add`
+    words: DeviceArray  # ring buffer of the solid slices of block ``start`` / 32, for `Judge.add`
 
     @property
     def levels(self) -> np.ndarray:
@@ -114,12 +114,12 @@ class Corrector:
 
     @property
     def missed(self) -> np.ndarray:
-        """Features at every pixel whose back side did not get its dose; int32 [y, x]."""
+        """Number of features at every pixel whose back side did not get its dose; int32 [y, x]."""
         return self.flaws.numpy()[0]
 
     @property
     def closed(self) -> np.ndarray:
-        """Voids at every pixel that stay above the dose of an open one; int32 [y, x]."""
+        """Number of voids at every pixel that stay above the dose of an open void; int32 [y, x]."""
         return self.flaws.numpy()[1]
 
     def run(self, stack: Stack) -> Iterator[Corrected]:
@@ -171,7 +171,7 @@ def correct(correction: Correction, levels: np.ndarray, device: str | Device | N
 
 
 def _inverse(doses: np.ndarray, put: Callable[..., DeviceArray]) -> dict[str, Any]:
-    """Tables that find the level nearest to a dose."""
+    """Tables for finding the level nearest to a dose."""
     edges = np.append(0.5 * (doses[1:] + doses[:-1]), NEVER)
     bins = BINS / (doses[-1] - doses[0])
     starts = doses[0] + (np.arange(BINS) - 1e-2) / bins

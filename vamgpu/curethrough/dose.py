@@ -1,4 +1,4 @@
-"""Dose of a print from its slices: whole stacks in blocks on a device, single columns anywhere in float64."""
+"""Dose of a print from its slices: whole stacks in blocks on a device, single columns at any height in float64."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import BITS, expose_slices, judge_slices, pack_slices
 
 STRIP = 320
-"""Pixels of a row that an item of a processor takes."""
+"""Number of pixels of a row that an item of a processor computes."""
 
 
 class Stack(Protocol):
@@ -35,13 +35,13 @@ def blocks(slices: int) -> Iterator[tuple[int, int]]:
 
 
 def strips(device: Device, width: int) -> int:
-    """Number of items that share a row: one a pixel on GPUs."""
+    """Number of items that divide a row: one per pixel on GPUs."""
     gpu = "cuda" in device.name or bool(getattr(device, "is_gpu", False))
     return width if gpu else max(1, round(width / STRIP))
 
 
 def checked(levels: Any, shape: tuple[int, int]) -> np.ndarray:
-    """A block of slices as it should be, else `BadInput` or `ShapeMismatch`."""
+    """A checked block of slices; raises `BadInput` or `ShapeMismatch`."""
     block = np.asarray(levels)
     if block.dtype != np.uint8:
         raise BadInput(f"slices hold {block.dtype}; expected 8-bit gray levels (uint8)")
@@ -51,7 +51,7 @@ def checked(levels: Any, shape: tuple[int, int]) -> np.ndarray:
 
 
 def lent(device: Device, levels: Any, shape: tuple[int, int]) -> DeviceArray:
-    """A block of slices on the device, copied where it must be; raises `BadInput` for what is none."""
+    """A block of slices on the device, copied if necessary; raises `BadInput` for an invalid block."""
     return levels if isinstance(levels, DeviceArray) else device.borrow(np.ascontiguousarray(checked(levels, shape)))
 
 
@@ -80,7 +80,7 @@ class RunningDose:
             expose_slices, levels=block, light=self.light, decay=self.machine.decay, part=part, fade=fade,
             state=self.state, doses=self._doses, peaks=self._peaks,
         )  # fmt: skip
-        self.device.synchronize()  # the caller may want the block's memory back
+        self.device.synchronize()  # the caller may reuse the block's memory
         return self._doses
 
     def dose(self) -> np.ndarray:
@@ -98,7 +98,7 @@ def doses(
 
 
 class Judge:
-    """Cured height of the void and uncured height of the part, summed over a stack that passes last block first."""
+    """Cured height of the void and uncured height of the part, summed over a stack in reverse order of blocks."""
 
     machine: Machine
     shape: tuple[int, int]
@@ -116,7 +116,7 @@ class Judge:
         self._words = self.device.table(np.zeros((1, *shape)), "uint32")
 
     def step(self, levels: Any, target: Any, threshold: int = 128) -> None:
-        """Add a block: what is shown, and the slices of the part, solid from ``threshold`` on; uint8 [slice, y, x]."""
+        """Add a block: the slices shown, and those of the part, solid from ``threshold`` on; uint8 [slice, y, x]."""
         pictures = [lent(self.device, part, self.shape) for part in (levels, target)]
         self.device.launch(
             pack_slices, levels=pictures[1], threshold=threshold, block=0, words=self._words, solid=self._solid
@@ -125,7 +125,7 @@ class Judge:
         self.device.synchronize()
 
     def add(self, levels: DeviceArray, words: DeviceArray, block: int) -> None:
-        """Add a block whose part is packed already in a ring on the device."""
+        """Add a block whose part is already packed in a ring buffer on the device."""
         machine = self.machine
         self.device.launch(
             judge_slices, levels=levels, words=words, block=block, light=self.light, decay=machine.decay,
@@ -165,7 +165,7 @@ def column_dose(machine: Machine, levels: Any, zeta: Any) -> np.ndarray:
 
 
 def closed_sum(machine: Machine, levels: Any, zeta: float) -> np.ndarray:
-    """Ω(ζ) of columns of gray levels [slice, …], every slice's share added up (S13, S23 with its sign mended, S48)."""
+    """Ω(ζ) of columns of gray levels [slice, …], as the sum over slices (S13, S23 with its sign corrected, S48)."""
     column = np.asarray(levels)
     n = np.arange(len(column)).reshape(-1, *[1] * (column.ndim - 1))
     if machine.layered:

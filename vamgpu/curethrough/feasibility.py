@@ -1,8 +1,8 @@
-"""Features that can get their dose at this speed and power, and the speed and power that the others need.
+"""Features that can get their dose at this speed and power, and the speed and power that the other features need.
 
-At best a back side at ζ_L sees full light from there to the last slice shown: nothing that comes after it can add more.
-So it can reach the critical dose if, and only if, that height is at least h_a·log10[Φ_max / (Φ_max − 1)]. A void
-between features is open where the dose falls low enough between two back sides that both need the critical one.
+At best, a back side at ζ_L gets full light from there to the last slice shown: later slices cannot add more.
+Therefore it can reach the critical dose if, and only if, that height is at least h_a·log10[Φ_max / (Φ_max − 1)]. A void
+between features is open if the dose falls low enough between two back sides that both need the critical dose.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Feasibility:
     missed: np.ndarray  # features whose back side does not get its dose
     closed: np.ndarray  # voids that stay near the critical dose
     speed: np.ndarray  # the fastest [mm/s] at which every feature of the pixel gets its dose with the same light
-    power: np.ndarray  # light of level 255 [mW/mm²] with which they do at the present speed
+    power: np.ndarray  # light of level 255 [mW/mm²] that cures every feature at the present speed
 
     @property
     def feasible(self) -> np.ndarray:
-        """Pixels where the doses of what is written keep to the constraint curves; bool [y, x]."""
+        """Pixels where the doses of the written slices satisfy the constraint curves; bool [y, x]."""
         return (self.missed == 0) & (self.closed == 0)
 
 
@@ -47,10 +47,10 @@ def last_back_sides(stack: Stack, threshold: int = 128, block: int = 32) -> np.n
 
 
 def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
-    """The maps of a corrector that has run through ``stack``; raises `BadInput` for a printer that stops."""
+    """The maps of a corrector that has run through ``stack``; raises `BadInput` for layer-by-layer printers."""
     printer = corrector.correction.machine
     if not isinstance(printer, Printer):
-        raise BadInput("speeds follow for continuous printers; layer by layer, see `LayerPrinter.least_cure_through`")
+        raise BadInput("speeds are those of continuous printers; for layers, see `LayerPrinter.least_cure_through`")
     last = last_back_sides(stack, corrector.correction.threshold)
     behind = (corrector.slices - last) * printer.slice_height
     with np.errstate(divide="ignore"):
@@ -61,10 +61,10 @@ def feasibility(corrector: Corrector, stack: Stack) -> Feasibility:
 
 
 def least_void(printer: Printer, open_dose: float | None = None) -> float:
-    """Whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1 again.
+    """Length in whole slices of the shortest void between features in which Ω falls to ``open_dose`` and rises to 1.
 
-    open_dose: by default the printer's own. Light changes at borders alone, so fall and rise take whole slices each,
-    and a void of one slice, whose borders are sides of features both, never opens. Infinite where none does.
+    open_dose: by default the printer's own. Light changes only at slice borders; fall and rise therefore take whole
+    slices each. A void of one slice between features never opens. Infinite if no void opens.
     """
     needed = printer.opened if open_dose is None else open_dose
     if needed >= 1.0:
@@ -77,14 +77,14 @@ def least_void(printer: Printer, open_dose: float | None = None) -> float:
 
 
 def fastest(printer: Printer, feature: Feature, shown: int, open_dose: float | None = None) -> float:
-    """Fastest speed [mm/s] for a feature in a stack of ``shown`` slices, tail included; 0 where none will do.
+    """Fastest speed [mm/s] for a feature in a stack of ``shown`` slices, tail included; 0 if there is none.
 
-    The void between it and the next feature must open too, see `least_void`.
+    The void between it and the next feature must also open, see `least_void`.
     """
     speed = printer.fastest((shown - feature.lower) * printer.slice_height)
     if feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
         return speed
-    # slower: quicker build-up, but level 0 weighs more; the shortest void has one least between the two
+    # slower printing builds up faster, but level 0 adds more; the shortest void has a minimum in between
     choices = [printer.at_speed(s) for s in np.geomspace(1e-3 * speed, speed, 400)]
     able = [one.speed for one in choices if least_void(one, open_dose) <= feature.void]
     return max(able, default=0.0)

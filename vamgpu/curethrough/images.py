@@ -1,4 +1,4 @@
-"""Slices as files: what a picture says of itself, its bytes, and 8-bit pictures written fast."""
+"""Slices as files: properties of a picture, its bytes, and fast writing of 8-bit pictures."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 DEEP = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 COLORS = {0: "gray", 2: "color", 3: "palette", 4: "gray with alpha", 6: "color with alpha"}
 HEAD = 33
-"""Bytes of a PNG that say what it is."""
+"""Number of bytes of a PNG that contain its properties."""
 MOST_PIXELS = 1 << 27
 UP = 2
-"""PNG's filter that keeps differences from the row above: most rows of a slice are like the one before."""
+"""PNG's filter of differences from the row above: most rows of a slice are like the previous one."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Header:
 
 
 def header(data: bytes, name: str) -> Header:
-    """Read shape and kind from the first `HEAD` bytes of a PNG, or a whole TIFF. Raises `SliceError`."""
+    """Read shape and kind from the first `HEAD` bytes of a PNG, or from a whole TIFF. Raises `SliceError`."""
     if data.startswith(SIGNATURE):
         if len(data) < HEAD or data[12:16] != b"IHDR":
             raise SliceError(f"{name} is cut off after {len(data)} bytes; copy or export it again")
@@ -91,7 +91,7 @@ def _gray(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _check_whole(data: bytes, name: str) -> None:
-    """Every chunk of a PNG with its check sum, up to the end: readers of pictures forgive what a print does not."""
+    """Check the check sum of every chunk of a PNG up to its end, because picture readers tolerate errors."""
     at, size = len(SIGNATURE), len(data)
     view = memoryview(data)
     while at + 12 <= size:
@@ -156,7 +156,7 @@ def _written(head: bytes, lines: np.ndarray) -> bytes:
 
 
 def deflated(data: np.ndarray) -> bytes:
-    """Bytes packed by zlib as runs of like ones: of differences it makes less, and faster, than a search.
+    """Bytes packed by zlib as runs of equal bytes: for differences this is smaller and faster than a search.
 
     Args:
         data: Contiguous bytes [any axes].

@@ -25,7 +25,7 @@ from vamgpu.kernels.curethrough import BITS
 from vamgpu.metrics.line import length
 
 GRAY_PER_DOSE = 51
-"""Gray levels of a critical dose in pictures of the dose: white is five."""
+"""Number of gray levels per critical dose in pictures of the dose: white is five critical doses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class Outcome:
             return True, "The slices print correctly without a correction."
         text = f"The correction leaves {100 * ratio:.2g} % of the height errors."
         if missed:
-            text += f" {missed:,} features have too little room behind them for the light that they need."
+            text += f" {missed:,} features have too little space behind them for the light that they need."
         if closed:
             text += f" {closed:,} voids are too short: they stay cured at this speed and power."
         return missed + closed == 0 and ratio < 1, text
@@ -129,8 +129,8 @@ def model(
         threshold: Gray level from which a pixel is solid.
         doses: A folder or zip for images of the dose, 51 gray levels a critical dose.
         device: Device, or its name; None takes the best one.
-        overwrite: Replace what stands at ``doses``.
-        record: Kept beside the doses.
+        overwrite: Replace existing doses.
+        record: Facts to store beside the doses.
         progress: Called with the stage and the share of it that is done.
 
     Returns:
@@ -165,17 +165,17 @@ def correct_stack(
     whole_columns: bool = False, overwrite: bool = False, record: Mapping[str, Any] | None = None,
     progress: StageProgress = lambda stage, share: None,
 ) -> Outcome:  # fmt: skip
-    """Correct a stack and score it before and after, from the bytes that are written to ``out``.
+    """Correct a stack, and score it before and after from the bytes that are written to ``out``.
 
     Args:
         correction: What to correct for, and how.
         stack: The slices.
-        out: A folder or zip of slices with the same names, the tail's counted on; None writes nothing.
+        out: A folder or zip for slices with the same names, whose numbers continue for the tail; None writes nothing.
         device: Device, or its name; None takes the best one.
-        whole_columns: Where features or voids are out of reach, weigh the whole column by least squares; reads the
+        whole_columns: If features or voids cannot be printed, optimize the whole column by least squares; reads the
             stack three times.
-        overwrite: Replace what stands at ``out``.
-        record: Facts to keep with the slices.
+        overwrite: Replace existing files at ``out``.
+        record: Facts to store with the slices.
         progress: Called with the stage and the share of it that is done.
 
     Returns:
@@ -204,7 +204,7 @@ def correct_stack(
                 pictures[:, rows, columns] = better_levels[block.start : block.start + len(pictures)]
                 table = lent(place, pictures, follow.shape[1:])
             after.add(table, block.words, block.start // BITS)
-            place.synchronize()  # the pictures' memory may be lent
+            place.synchronize()  # the pictures' memory may be borrowed
             levels.append(follow.sample.of(pictures))
             write(block.start, pictures)
             progress("correct", 1.0 - block.start / corrector.slices)
@@ -227,7 +227,7 @@ def correct_stack(
 
 
 class _Follow:
-    """A stack that is judged, as it is, while it passes to whoever reads it, last block first."""
+    """A stack that is judged unchanged while it passes to its reader, last block first."""
 
     def __init__(self, machine: Machine, stack: Stack, threshold: int, device: Device) -> None:
         self._machine, self._stack, self._threshold = machine, stack, threshold
@@ -248,13 +248,13 @@ class _Follow:
         return self._levels >= self._threshold
 
     def shown(self) -> PrintedStack:
-        """The print of the slices, once all have passed."""
+        """The print of the slices, after all have passed."""
         found = features(self._machine, self._levels, self.solid)
         return PrintedStack(Heights(self._judge.over(), self._judge.under()), self._levels, found)
 
 
 def warn_of(machine: Machine) -> None:
-    """Warn if level 0 cures all resin that it reaches: then nothing can stay uncured."""
+    """Warn if level 0 cures all resin that it reaches: then no resin can stay uncured."""
     dose = float(machine.doses[0] / machine.decay)
     if dose >= 1.0:
         warnings.warn(

@@ -1,7 +1,7 @@
-"""Printing layer by layer (Pritchard et al. 2019, section S6): the platform stands while a slice is shown.
+"""Printing layer by layer (Pritchard et al. 2019, section S6): the platform stops while a slice is shown.
 
 Slice n cures the layer from ζ = n − 1 to n and is shown with the window at ζ = n. The dose jumps at every border: just
-above one it lacks the light of the layer beyond, so it falls along a sawtooth.
+above one, it lacks the light of the layer beyond; it therefore has the shape of a sawtooth.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class LayerPrinter(Machine):
 
     @property
     def tail(self) -> int:
-        """None: a layer has all of its light when the next begins."""
+        """None: a layer has all of its light when the next one begins."""
         return 0
 
     @property
     def opened(self) -> float:
-        """Without end: a void is open at any dose."""
+        """Infinite: a void is open at any dose."""
         return 1e30
 
     @cached_property
@@ -64,7 +64,7 @@ class LayerPrinter(Machine):
 
     @property
     def reached(self) -> float:
-        """Ω beyond a layer with which full light still cures its far edge."""
+        """Ω beyond a layer at which full light still cures its far edge."""
         fade = 1.0 - self.decay
         return (1.0 / fade - self.phi[-1] - self.tolerance - 1e-6) / fade
 
@@ -85,8 +85,8 @@ class LayerPrinter(Machine):
 
     @property
     def least_cure_through(self) -> float:
-        """z_CT [mm]: height beyond a front that level 0 cures, whatever the correction does (S52).
+        """z_CT [mm]: height beyond a front that level 0 cures with any correction (S52).
 
-        Holds for one slice, so up to the slice height; beyond, later slices add to it.
+        Holds for one slice, up to the slice height; beyond, later slices add to it.
         """
         return self.absorption_height * float(np.log10(self.phi[0] + 1.0))

@@ -1,10 +1,10 @@
 """Correction of whole columns at once, by least squares.
 
-The sequential correction is exact wherever every feature can get its dose and every void can open. Elsewhere something
-must give, and this weighs it: with Ω at the borders as unknowns, light and the doses in the middle of slices are
-two-banded in them. Doses beyond the critical one on the wrong side cost their square, light stays between its bounds;
-solved by the alternating direction method of multipliers, whose linear system has three bands and is one for all
-columns. What is written is kept only where its own cured heights are better.
+The sequential correction is exact wherever every feature can get its dose and every void can open. Elsewhere a
+compromise is needed, and this method finds one: with Ω at the borders as unknowns, light and the doses in the middle of
+slices are banded matrices with two bands. A dose beyond the critical one on the wrong side costs its square, and light
+stays between its limits. The alternating direction method of multipliers solves this; its linear system has three bands
+and is the same for all columns. The result is used only where its own cured heights are better.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from vamgpu.curethrough.printer import Machine
 from vamgpu.errors import BadInput
 
 WEIGHT = 20.0
-"""Penalty of a dose on the wrong side over that of the augmented Lagrangian."""
+"""Ratio of the penalty of a dose on the wrong side to that of the augmented Lagrangian."""
 PULL = 0.3
 """Scale of the bounds of light in the augmented Lagrangian."""
 MARGINS = (2.0, 8.0, 30.0, 100.0)
-"""Doses asked for beyond the critical one, in steps of half a level; the best column of all is kept."""
+"""Margins of the required doses beyond the critical one, in half levels; the best resulting column is used."""
 MOST_WEIGHED = 1 << 27
-"""Most bytes of columns that are corrected as wholes."""
+"""Greatest number of bytes of columns that are corrected as a whole."""
 WEIGHED_AT_ONCE = 1024
 
 StageProgress = Callable[[str, float], None]
@@ -38,7 +38,7 @@ BetterColumns = tuple[np.ndarray, np.ndarray, np.ndarray]
 def better_columns(
     correction: Correction, stack: Stack, device: Device, progress: StageProgress
 ) -> BetterColumns | None:  # fmt: skip
-    """Better levels of columns out of reach, None if there are none. Raises `BadInput` for too many of them."""
+    """Better levels of columns that cannot be printed, or None. Raises `BadInput` for too many columns."""
     corrector = Corrector(correction, stack.shape, device)
     for block in corrector.run(stack):
         progress("survey", 1.0 - block.start / corrector.slices)
@@ -47,8 +47,8 @@ def better_columns(
         return None
     if len(rows) * stack.shape[0] > MOST_WEIGHED:
         raise BadInput(
-            f"{len(rows):,} columns of {stack.shape[0]:,} slices have features or voids out of reach; expected at most "
-            f"{MOST_WEIGHED // stack.shape[0]:,} to weigh: print slower or with more light, or do without least squares"
+            f"{len(rows):,} columns of {stack.shape[0]:,} slices have unprintable features or voids; expected at most "
+            f"{MOST_WEIGHED // stack.shape[0]:,} for least squares: print slower, or without least squares"
         )
     target = np.empty((stack.shape[0], len(rows)), np.uint8)
     for start, stop in blocks(stack.shape[0]):
@@ -62,11 +62,11 @@ def better_columns(
 
 
 def least_squares(correction: Correction, columns: np.ndarray, iterations: int = 150) -> np.ndarray:
-    """Levels of corrected columns, uint8 [slice + tail, column], as wholes where need be. Raises `BadInput`."""
+    """Levels of corrected columns, uint8 [slice + tail, column], optimized if necessary. Raises `BadInput`."""
     if columns.ndim != 2 or columns.dtype != np.uint8:
         raise BadInput(f"columns have shape {columns.shape} of {columns.dtype}; expected uint8 [slice, column]")
     if correction.machine.layered:
-        raise BadInput("layer by layer there is nothing to weigh: every layer has its own light; use the correction")
+        raise BadInput("layer by layer there is nothing to optimize: every layer has its own light; use the correction")
     stack = np.ascontiguousarray(columns[:, None, :])
     corrector = Corrector(correction, stack.shape, "numpy")
     levels = np.empty((corrector.slices, columns.shape[1]), np.uint8)
@@ -95,7 +95,7 @@ def heights(machine: Machine, levels: np.ndarray, target: np.ndarray) -> tuple[n
 
 
 def _solve(correction: Correction, solid: np.ndarray, margin: float, iterations: int) -> np.ndarray:
-    """Ω at the borders that costs least; [slice, column]."""
+    """Ω at the borders with the least cost; [slice, column]."""
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
     machine = correction.machine
@@ -136,7 +136,7 @@ def _back(pair: tuple[float, float], values: np.ndarray) -> np.ndarray:
 
 
 def _follow(machine: Machine, doses: np.ndarray) -> np.ndarray:
-    """Levels whose own doses stay nearest to those asked for, in closed loop."""
+    """Levels whose doses stay closest to the required ones, chosen slice by slice with feedback."""
     added = machine.doses
     edges, out = 0.5 * (added[1:] + added[:-1]), np.empty(doses.shape, np.uint8)
     dose = np.zeros(doses.shape[1])

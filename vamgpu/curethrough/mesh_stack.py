@@ -14,12 +14,12 @@ from vamgpu.targets.solid import Solid
 from vamgpu.targets.voxelize import voxelize
 
 MARGIN = 2
-"""Pixels left free on every side where it is not said how many there are."""
+"""Default margin of empty pixels on every side."""
 SLACK = 1e-6
 
 
 class MeshStack:
-    """Slices of a solid, uint8 [slice, y, x]: 255 where it fills a pixel, less where it fills a part of it.
+    """Slices of a solid, uint8 [slice, y, x]: 255 if it fills a pixel, less if it fills part of it.
 
     Columns of a slice run along +x, rows along −y.
 
@@ -27,7 +27,7 @@ class MeshStack:
         solid: The solid, in mm; its lowest point lies on the platform.
         pitch: Pixel edge [mm].
         slice_height: Height of a slice [mm].
-        pixels: Along x and y, the solid's place being counted from their middle; None takes as many as it needs.
+        pixels: Number along x and y; the solid's position is counted from their middle. None takes as many as needed.
         device: Device, or its name; None takes the best one.
 
     Raises:

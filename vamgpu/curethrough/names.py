@@ -1,4 +1,4 @@
-"""Names of slices: their natural order, and whether their numbers leave anything out."""
+"""Names of slices: their natural order, and gaps in their numbers."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ SHOWN = 5
 
 
 def natural(name: str) -> tuple[tuple[int, int | str], ...]:
-    """A key that puts 9 before 10."""
+    """A sort key that puts 9 before 10."""
     return tuple((0, int(part)) if part.isdecimal() else (1, part.casefold()) for part in DIGITS.split(name) if part)
 
 
 def is_slice(name: str) -> bool:
-    """Whether a file is a picture; hidden files and what archivers add are none."""
+    """Whether a file is a picture; hidden files and files added by archivers are not."""
     path = PurePosixPath(name)
     hidden = any(part.startswith(".") or part == "__MACOSX" for part in path.parts)
     return path.suffix.lower() in ENDINGS and not hidden
 
 
 def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
-    """Names of slices in natural order, counted one by one by the first number that varies. Raises `SliceError`."""
+    """Names of slices in natural order; the first number that varies must count them. Raises `SliceError`."""
     found = tuple(sorted(names, key=natural))
     if not found:
         raise SliceError(f"{place} holds no slices; expected pictures ending in {', '.join(ENDINGS)}")
@@ -39,7 +39,7 @@ def ordered(names: Iterable[str], place: str) -> tuple[str, ...]:
     twice = sorted(n for n, count in Counter(numbers).items() if count > 1)
     if twice:
         alike = ", ".join([name for name, n in zip(found, numbers, strict=True) if n == twice[0]][:3])
-        raise SliceError(f"{place}: number {twice[0]} is there more than once ({alike}); keep one of them")
+        raise SliceError(f"{place}: number {twice[0]} occurs more than once ({alike}); keep one of them")
     if high - low + 1 != len(numbers):
         there = set(numbers)
         missing = [n for n in range(low, high + 1) if n not in there] if high - low < 1 << 20 else [low + 1]
@@ -72,17 +72,17 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
         if len(set(numbers)) > 1:
             return numbers
     same = ", ".join(names[:2])
-    raise SliceError(f"{place}: names such as {same} are counted alike; expected a number that counts them")
+    raise SliceError(f"{place}: names such as {same} have the same number; expected a number that counts them")
 
 
 def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:
-    """Names for ``count`` slices after the last one, ``name``, counted on with as many digits. Raises `SliceError`."""
+    """Names for ``count`` slices after ``name``, with continued numbers of as many digits. Raises `SliceError`."""
     path = PurePosixPath(name)
     parts = DIGITS.split(path.stem)
     first = DIGITS.split(PurePosixPath(taken[0]).stem)
     places = range(1, len(parts), 2)
     if not places and count:
-        raise SliceError(f"{name!r} has no number to count on from for {count} more slices; give it one")
+        raise SliceError(f"{name!r} has no number to continue for {count} more slices; give it one")
     at = next((k for k in places if parts[k] != first[k]), places[-1] if places else 0)
     made = []
     for k in range(1, count + 1):

@@ -1,4 +1,4 @@
-"""Slices written back: whole stacks appear under their name at once, or not at all, and never over the originals."""
+"""Slices written to files: a stack appears under its name when it is complete, and never replaces the originals."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from vamgpu.storage.zips import open_zip, unpacked
 RECORD = "curethrough.json"
 """File in a folder or a zip of slices that records their settings."""
 WAITING = 64
-"""Slices that may wait to be written; more would fill the memory where the disk is slow."""
+"""Greatest number of slices that wait to be written; more would fill the memory if the disk is slow."""
 
 
 class Writer(ABC):
-    """Codes slices on all processors and writes them in the order they come; names: of slice 0 and on."""
+    """Encodes slices on all processors and writes them in order; ``names`` begins with slice 0."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
@@ -42,7 +42,7 @@ class Writer(ABC):
         self.written: int = 0
 
     def write(self, start: int, levels: np.ndarray) -> None:
-        """Write slices from number ``start`` on, uint8 [slice, y, x], which the caller must not change any more."""
+        """Write slices from number ``start`` on, uint8 [slice, y, x]; the caller must not change them afterwards."""
         for k, picture in enumerate(levels):
             name = self.names[start + k]
             self._coding.append((name, self._pool.submit(encode, picture, PurePosixPath(name).suffix)))
@@ -50,13 +50,13 @@ class Writer(ABC):
                 self._one()
 
     def finish(self) -> None:
-        """Write what still waits."""
+        """Write the slices that still wait."""
         while self._coding:
             self._one()
         self._pool.shutdown()
 
     def drop(self) -> None:
-        """Forget what still waits."""
+        """Drop the slices that still wait."""
         self._pool.shutdown(cancel_futures=True)
 
     def _one(self) -> None:
@@ -87,7 +87,7 @@ class _Zip(Writer):
         self._archive = archive
 
     def put(self, name: str, data: bytes) -> None:
-        self._archive.writestr(name, data)  # pictures are packed already
+        self._archive.writestr(name, data)  # pictures are already compressed
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def writing(
     path: str | Path, names: tuple[str, ...], *, source: object = None, overwrite: bool = False,
     record: Mapping[str, Any] | None = None,
 ) -> Iterator[Writer]:  # fmt: skip
-    """Open a writer to a folder or a zip, which takes its name once it is whole. Raises `StorageError`."""
+    """Open a writer to a folder or a zip, which gets its name when it is complete. Raises `StorageError`."""
     place = Path(path)
     check_place(place, source, overwrite=overwrite)
     with replacing(place, overwrite=overwrite) as draft:
@@ -113,7 +113,7 @@ def writing(
             elif isinstance(source, ZipStack):
                 _take_over(archive, source, len(names))
             place_of = {name: k for k, name in enumerate(names)}
-            archive.filelist.sort(key=lambda info: place_of.get(info.filename, -1))  # readers may go by this order
+            archive.filelist.sort(key=lambda info: place_of.get(info.filename, -1))  # readers may depend on this order
 
 
 @contextmanager
@@ -126,14 +126,14 @@ def _finished(writer: Writer) -> Iterator[Writer]:
 
 
 def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
-    """Whether slices were made with a record; those of an SL1 have none.
+    """Whether slices were made with this record; those of an SL1 have none.
 
     Args:
         path: Where `writing` put slices, a folder or a zip.
         record: Its record, or part of it.
 
     Returns:
-        Whether there are slices whose record says the same.
+        Whether there are slices with the same record.
     """
     place = Path(path)
     try:
@@ -148,7 +148,7 @@ def made_with(path: str | Path, record: Mapping[str, Any]) -> bool:
 
 
 def check_place(path: str | Path, source: object = None, *, overwrite: bool = False) -> None:
-    """Raise `StorageError` where slices must not be written: over or among the originals, or over other files."""
+    """Raise `StorageError` if slices must not be written: over or among the originals, or over other files."""
     place = Path(path)
     origin = getattr(source, "place", None)
     if origin is not None:
@@ -157,7 +157,8 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
             raise StorageError(
                 f"{str(path)!r} would overwrite the originals in {str(origin)!r}; choose a path beside them"
             )
-    if place.suffix.lower() in (".sl1", ".sl1s") and not _is_sl1(source):
+    held = source.others if isinstance(source, ZipStack) else ()
+    if place.suffix.lower() in (".sl1", ".sl1s") and not any(info.filename == "config.ini" for info in held):
         raise StorageError(f"{str(path)!r} would lack what an SL1 says of its printer; write a .zip or a folder")
     if not os.path.lexists(place):
         return
@@ -168,12 +169,8 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
         raise StorageError(f"{str(path)!r} exists and holds no corrected slices; choose another path")
 
 
-def _is_sl1(source: object) -> bool:
-    return isinstance(source, ZipStack) and any(info.filename == "config.ini" for info in source.others)
-
-
 def _take_over(archive: zipfile.ZipFile, source: ZipStack, slices: int) -> None:
-    """The files of an SL1 beside its layers; the number of layers is what it is now."""
+    """The files of an SL1 except its layers; the number of layers is updated."""
     for info in source.others:
         data = source.entry(info.filename)
         if info.filename == "config.ini":

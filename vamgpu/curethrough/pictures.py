@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 VOID, PRINTED, MISSING, EXCESS = (255, 255, 255), (176, 190, 208), (214, 58, 73), (240, 150, 32)
 MOST_PIXELS = 480
-"""Pictures have at most so many pixels along a side; of more, some are left out."""
+"""Greatest number of pixels along a side of a picture; larger ones are thinned."""
 MOST_DOSE = 3.0
-"""Critical doses that are drawn brightest."""
+"""Dose, in critical doses, that is drawn brightest."""
 CHARTED = 4
 
 
@@ -65,7 +65,7 @@ def sections(outcome: Outcome) -> list[list[Image]]:
 
 
 def maps(outcome: Outcome) -> tuple[list[Image], float]:
-    """Excess and missing heights from above, and the height [mm] drawn brightest: the same for all."""
+    """Excess and missing heights from above, and the height [mm] drawn brightest, the same for all."""
     shown = [("uncorrected", outcome.before), *([("corrected", outcome.after)] if outcome.after else [])]
     kinds = [(kind, name, getattr(one.heights, key)) for name, one in shown
              for kind, key in (("excess", "over"), ("missing", "under"))]  # fmt: skip
@@ -75,7 +75,7 @@ def maps(outcome: Outcome) -> tuple[list[Image], float]:
 
 
 def charted(outcome: Outcome) -> list[int]:
-    """Columns worth a chart: of different numbers of features, those that print worst uncorrected."""
+    """Columns for charts: with different numbers of features, those that print worst without correction."""
     found = outcome.before.features
     count = len(outcome.sample.rows)
     number = np.bincount(found.column, minlength=count)

@@ -1,4 +1,4 @@
-"""A continuous printer and its resin, in the terms that the dose follows from."""
+"""A continuous printer and its resin, in the variables of the dose model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vamgpu.curethrough import constraints
 from vamgpu.curethrough.profile import Flat, Profile
 from vamgpu.curethrough.targets import NEVER, Targets, sampled
 from vamgpu.errors import BadInput
@@ -19,13 +18,53 @@ from vamgpu.geometry import positive
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Dose, Length, Speed, Thickness
 
+
+# Curves that bound the dose inside a feature (Pritchard et al. 2019, eqs. S36 to S42), in Ω and slice heights. It
+# reaches from ζ_U, its front, to ζ_L > ζ_U, its back side, which is exposed later. ζ may be an array.
+def constant_light(zeta: Any, zeta_0: float, dose_0: float, phi: float, eta: float) -> np.ndarray:
+    """Ω(ζ) under constant light Φ from the known Ω at ζ_0 (S36)."""
+    fade = 10.0 ** ((np.asarray(zeta, dtype=np.float64) - zeta_0) * eta)
+    return dose_0 * fade + phi * (1.0 - fade)
+
+
+def build_up(zeta: Any, lower: float, phi_max: float, eta: float) -> np.ndarray:
+    """Curve ii: the most dose that full light builds up from Ω_c at the back side ζ_L = ``lower`` (S37)."""
+    return constant_light(zeta, lower, 1.0, phi_max, eta)
+
+
+def die_down(zeta: Any, upper: float, phi_min: float, eta: float) -> np.ndarray:
+    """Curve iii: the most dose that dies down to Ω_c at the front ζ_U = ``upper`` under least light (S38)."""
+    return constant_light(zeta, upper, 1.0, phi_min, eta)
+
+
+def highest_place(upper: float, lower: float, phi_min: float, phi_max: float, eta: float) -> float:
+    """ζ*, where curves ii and iii meet (S39)."""
+    delta = lower - upper
+    low = (1.0 - phi_min) - (1.0 - phi_max) * 10.0 ** (-delta * eta)
+    return upper + log10((phi_max - phi_min) / low) / eta
+
+
+def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.ndarray:
+    """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
+    fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
+    room = (1.0 - phi_min) - (1.0 - phi_max) * fade
+    return (1.0 - phi_min) * (phi_max - phi_min) / room + phi_min
+
+
+def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
+    """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
+    if dose_0 >= 1.0:
+        return 0.0
+    return log10((phi - dose_0) / (phi - 1.0)) / eta if phi > 1.0 else float("inf")
+
+
 LEVELS = 256
 MOST_ETA = 30
 LN10 = float(np.log(10.0))
 
 
 def measured_levels(light: Any) -> tuple[float, ...]:
-    """Light [mW/mm²] of levels 0 to 255 that never falls, else `BadInput`."""
+    """Light [mW/mm²] of levels 0 to 255 that never falls; else `BadInput`."""
     try:
         values = np.array(light, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -45,7 +84,7 @@ def measured_levels(light: Any) -> tuple[float, ...]:
 
 
 def check_eta(slice_height: float, absorption_height: float) -> None:
-    """Raise `BadInput` for slices so high [mm], or light that falls so fast, that 10^η leaves float32."""
+    """Raise `BadInput` if slices are so high [mm], or light falls so fast, that 10^η exceeds float32."""
     eta = slice_height / absorption_height
     if eta > MOST_ETA:
         raise BadInput(
@@ -60,7 +99,7 @@ def levels_of(full: float, dark: float = 0.0, curve: Callable[[Any], Any] | None
     Args:
         full: Irradiance of level 255 [mW/mm²].
         dark: Irradiance of level 0 [mW/mm²].
-        curve: Relative light of gray levels, such as a `GrayCurve`; its own black level takes the place of ``dark``.
+        curve: Relative light of gray levels, such as a `GrayCurve`; its own black level replaces ``dark``.
 
     Returns:
         Irradiance of the levels 0 to 255 [mW/mm²].
@@ -86,7 +125,7 @@ class Machine(ABC):
     slice_height: Length
 
     layered: ClassVar[bool]
-    """Whether the platform stands while a slice is shown."""
+    """Whether the platform stops while a slice is shown."""
 
     def _check(self, light: tuple[float, ...]) -> None:
         check(self)
@@ -104,12 +143,12 @@ class Machine(ABC):
 
     @property
     def decay(self) -> float:
-        """1 − 10^−η: share of the dose that one slice up lacks."""
+        """1 − 10^−η: share of the dose that is lost one slice higher."""
         return float(-np.expm1(-self.eta * LN10))
 
     @property
     def fade_scale(self) -> float:
-        """Slices over which light fades e-fold, negative."""
+        """Number of slices over which light falls by a factor e, negative."""
         return -1.0 / (self.eta * LN10)
 
     @property
@@ -126,7 +165,7 @@ class Machine(ABC):
     @property
     @abstractmethod
     def reached(self) -> float:
-        """Ω behind a feature at which its back side counts as done."""
+        """Ω behind a feature at which its back side counts as cured."""
         ...
 
     @property
@@ -138,18 +177,18 @@ class Machine(ABC):
     @property
     @abstractmethod
     def tail(self) -> int:
-        """Slices to show after the last, so that its back side gets its dose."""
+        """Number of slices to show after the last one to give its back side its dose."""
         ...
 
     @abstractmethod
     def between(self, fraction: float) -> tuple[float, float]:
-        """Compute the shares that give Ω off the border of a slice.
+        """Compute the factors of Ω within a slice.
 
         Args:
             fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
 
         Returns:
-            Share of the slice's own dose, and factor by which the dose of earlier slices fades.
+            Share of the slice's own dose, and factor by which the dose of earlier slices decays.
 
         Raises:
             BadInput: The fraction is out of range.
@@ -158,10 +197,10 @@ class Machine(ABC):
 
     @abstractmethod
     def targets(self, profile: Profile) -> Targets:
-        """Compute the doses that the correction steers to.
+        """Compute the doses at which the correction aims.
 
         Args:
-            profile: Dose inside features; layers know only the critical dose.
+            profile: Dose inside features; layer printers use only the critical dose.
 
         Returns:
             The doses.
@@ -174,7 +213,7 @@ class Machine(ABC):
 
 @dataclass(frozen=True)
 class Printer(Machine):
-    """A continuous printer: slice n lights the window while that moves from ζ = n to n + 1.
+    """A continuous printer: slice n lights the window while the window moves from ζ = n to n + 1.
 
     Args:
         absorption_height: h_a [mm], over which light falls to a tenth.
@@ -182,8 +221,8 @@ class Printer(Machine):
         slice_height: h_s [mm].
         speed: s [mm/s].
         light: Irradiance at the window [mW/mm²] of the gray levels 0 to 255; level 0 need not be dark.
-        dead_zone: Layer [mm] at the window kept liquid by a second color; it takes its share of the light, and slices
-            are counted from its far side.
+        dead_zone: Layer [mm] at the window that a second color keeps liquid; it absorbs its share of the light, and
+            slices are counted from its far side.
 
     Raises:
         BadInput: A value is out of range.
@@ -200,7 +239,7 @@ class Printer(Machine):
 
     @property
     def critical_intensity(self) -> float:
-        """I_c = D_c·s [mW/mm²], the least that ever cures (S25)."""
+        """I_c = D_c·s [mW/mm²], the least irradiance that ever cures (S25)."""
         return self.critical_dose * self.speed
 
     @cached_property
@@ -211,7 +250,7 @@ class Printer(Machine):
 
     @property
     def phi_min(self) -> float:
-        """Φ of level 0, which is also the least dose anywhere that later light reached (S35)."""
+        """Φ of level 0, which is also the least dose wherever later light reached (S35)."""
         return float(self.phi[0])
 
     @property
@@ -244,17 +283,17 @@ class Printer(Machine):
         """Height of full light that brings Ω to the critical dose.
 
         Args:
-            dose: Ω before it, dimensionless: in critical doses.
+            dose: Ω before that, dimensionless: in critical doses.
 
         Returns:
-            Height [mm]; infinite where full light never does.
+            Height [mm]; infinite if full light never does.
         """
-        return self.slice_height * constraints.build_up_slices(dose, self.phi_max, self.eta)
+        return self.slice_height * build_up_slices(dose, self.phi_max, self.eta)
 
     @property
     def tail(self) -> int:
         """Slices to show after the last, so that its back side gets its dose; raises `BadInput` where none suffice."""
-        slices = constraints.build_up_slices(0.0, self.phi_max, self.eta)
+        slices = build_up_slices(0.0, self.phi_max, self.eta)
         if not np.isfinite(slices):
             raise BadInput(
                 f"full light gives {self.phi_max:.3g} critical doses at the most; expected more than 1: "
@@ -263,7 +302,7 @@ class Printer(Machine):
         return ceil(slices - 1e-9)
 
     def fastest(self, height: float = float("inf")) -> float:
-        """Speed at which full light just reaches the critical dose from none.
+        """Speed at which full light just reaches the critical dose, starting from none.
 
         Args:
             height: Height of full light [mm].
@@ -275,7 +314,7 @@ class Printer(Machine):
         return self.phi_max * self.speed * share
 
     def _check_correctable(self) -> None:
-        """Reject a printer whose full light cures nothing, or whose level 0 cures everything in its way."""
+        """Reject a printer whose full light cures nothing, or whose level 0 cures everything it reaches."""
         if self.phi_min >= 1.0:
             raise BadInput(
                 f"level 0 leaves {self.phi_min * self.critical_dose * 1e3:.4g} mJ/cm³ behind, the critical dose is "
@@ -288,12 +327,12 @@ class Printer(Machine):
         # slice by slice: S37, S38 and the build-up in the void
         self._check_correctable()
         eta, low, high = self.eta, self.phi_min, self.phi_max
-        back = constraints.build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
+        back = build_up(-np.arange(0, -self.tail - 2, -1.0), 0.0, high, eta)
         back = np.append(np.where(back > 0.0, back, NEVER), NEVER)
         reach = log10((high - low) / (1.0 - low)) / eta
         done, left = np.arange(self.sight), np.arange(ceil(reach) + 2)
         profiled = sampled(profile, done * self.slice_height, left * self.slice_height)
-        bound = constraints.die_down(left, 0.0, low, eta)
+        bound = die_down(left, 0.0, low, eta)
         bound[-1] = np.inf  # farther from the front than even full light asks for
         inner = np.minimum(np.maximum(profiled, 1.0), np.minimum(bound, 2.0 * high))
         return Targets(inner, back)
@@ -310,5 +349,5 @@ class Printer(Machine):
 
     @property
     def sight(self) -> int:
-        """Slices from the back side over which an inner profile differs: until full light has all but settled."""
+        """Number of slices from the back side over which an inner profile differs, until full light nears its limit."""
         return ceil(3.0 / self.eta) if self.eta > 0.003 else 1000

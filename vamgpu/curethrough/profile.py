@@ -16,10 +16,10 @@ Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Flat:
-    """One dose all over.
+    """The same dose everywhere.
 
     Args:
-        most: Ω_max, a dose in critical doses; infinite for as much as fits.
+        most: Ω_max, a dose in critical doses; infinite for the greatest possible dose.
 
     Raises:
         BadInput: Ω_max is below 1.

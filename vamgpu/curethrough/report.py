@@ -26,7 +26,7 @@ COLUMNS_NOTE = (
     "cures."
 )
 LACKING = 0.1
-"""A feature is incomplete where more than this share of a slice height is uncured."""
+"""Share of a slice height; a feature is incomplete if more than this is uncured."""
 
 
 def write_report(outcome: Outcome, path: str | Path, *, title: str = "", facts: dict[str, str] | None = None) -> Path:

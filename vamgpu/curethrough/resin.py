@@ -23,7 +23,7 @@ class Range:
     """A fitted value and its confidence interval.
 
     Args:
-        value: The value, as are both bounds in the unit of what was fitted [mm or mJ/mm³].
+        value: The value; both bounds are in the unit of the fitted quantity [mm or mJ/mm³].
         low: Lower bound [mm or mJ/mm³].
         high: Upper bound [mm or mJ/mm³].
     """
@@ -40,7 +40,7 @@ class WorkingCurve:
     Args:
         absorption_height: h_a [mm].
         gel_dose: D_gel [mJ/mm³].
-        confidence: Share of repeats whose interval holds the true value.
+        confidence: Share of repetitions whose interval contains the true value.
         spread: Standard deviation [mm] of the heights about the curve.
         plugs: Measurements used.
     """
@@ -58,7 +58,7 @@ class WorkingCurve:
             exposure: I₀·t [mJ/mm²], a number or an array.
 
         Returns:
-            Height [mm], shaped as [the exposures]; negative where nothing gels.
+            Height [mm], shaped as [the exposures]; negative if nothing gels.
         """
         h, gel = self.absorption_height.value, self.gel_dose.value
         return h * np.log10(np.asarray(exposure, dtype=np.float64) * LN10 / (gel * h))
@@ -70,7 +70,7 @@ class WorkingCurve:
         Args:
             exposure: I₀·t [mJ/mm²] of each plug.
             height: Height [mm] of each plug.
-            confidence: Share of repeats whose interval holds the true value, between 0 and 1.
+            confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
 
         Returns:
             The curve.
@@ -109,7 +109,7 @@ class WorkingCurve:
         Args:
             path: The file.
             irradiance: I₀ [mW/mm²] if the file has only times; a column ``irradiance_mW_cm2`` replaces it.
-            confidence: Share of repeats whose interval holds the true value, between 0 and 1.
+            confidence: Share of repetitions whose interval contains the true value, between 0 and 1.
 
         Returns:
             The curve.
@@ -156,7 +156,7 @@ class GrayFit:
         return np.interp(level, self.levels, self.intensity)
 
     def table(self) -> tuple[float, ...]:
-        """Light of every level, as printers take it."""
+        """Light of every level, in the form for printers."""
         return tuple(self(np.arange(TOP + 1)).tolist())
 
 
@@ -239,7 +239,7 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def _pairs(x: Any, y: Any, name_x: str, name_y: str) -> tuple[np.ndarray, np.ndarray]:
-    """Two rows of finite numbers of one length, else `BadInput`."""
+    """Two rows of finite numbers of equal length, else `BadInput`."""
     try:
         one, two = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Cured heights of features and voids in single columns of a print, from the bytes that are shown."""
+"""Cured heights of features and voids in single columns of a print, from the bytes shown."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from vamgpu.curethrough.dose import Stack, column_doses
 from vamgpu.curethrough.printer import Machine
 
 AT_ONCE = 256
-"""Columns whose doses are in memory together."""
+"""Number of columns whose doses are in memory at a time."""
 PEEKED = 24
-"""Slices that are looked at to see where the part is."""
+"""Number of slices that are examined to find the part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +25,12 @@ class Features:
     back: np.ndarray  # the slice after the last
     behind: np.ndarray  # slices of void between it and the next feature
     last: np.ndarray
-    over: np.ndarray  # cured height [mm] of the void before it, which is its cure-through
+    over: np.ndarray  # cured height [mm] of the void before it, that is, its cure-through
     under: np.ndarray  # uncured height [mm] within it
 
     @property
     def error(self) -> np.ndarray:
-        """Height error [mm]: what is cured too much and too little."""
+        """Height error [mm]: sum of excess and missing cured height."""
         return self.over + self.under
 
     def __len__(self) -> int:
@@ -62,7 +62,7 @@ class Sample:
 
 
 def sample(stack: Stack, threshold: int = 128, side: int = 48) -> Sample:
-    """Columns to follow: side × side over the part's box, and its fullest row and column, from a few slices."""
+    """Columns to follow: side × side over the part's box, and the row and column of pixels with most of the part."""
     slices, ny, nx = stack.shape
     seen = np.zeros((ny, nx), int)
     for k in np.unique(np.linspace(0, slices - 1, PEEKED).astype(int)):
@@ -137,8 +137,8 @@ class Group:
 
     front: int
     back: int
-    behind: int  # shortest void behind one in slices
-    last: bool  # nothing follows any of them
+    behind: int  # shortest void behind one, in slices
+    last: bool  # no slices follow
     columns: int
     before: float
     after: float | None
@@ -146,12 +146,12 @@ class Group:
 
     @property
     def ratio(self) -> float | None:
-        """Height error corrected over uncorrected; None without both."""
+        """Ratio of corrected to uncorrected height error; None without both."""
         return None if self.after is None or self.before <= 0 else self.after / self.before
 
 
 def grouped(before: Features, after: Features | None = None, tolerance: float = 0.0) -> tuple[Group, ...]:
-    """Features by their place, the most frequent first. Both are of the same columns of the same part."""
+    """Features by their position, the most frequent first. Both must be of the same columns of the same part."""
     keys = np.stack([before.front, before.back], axis=1)
     if len(keys) == 0:
         return ()
@@ -172,7 +172,7 @@ def grouped(before: Features, after: Features | None = None, tolerance: float = 
 
 
 def ratio(before: Features, after: Features) -> tuple[float, float]:
-    """Height errors corrected over uncorrected (Fig. S6a): of all features, and the median of single ones."""
+    """Ratio of corrected to uncorrected height errors (Fig. S6a): of all features, and the median of single ones."""
     wrong = before.error > 0
     single = after.error[wrong] / before.error[wrong]
     total = float(before.error.sum())

@@ -26,19 +26,19 @@ from vamgpu.storage.zips import open_zip, unpacked
 
 ARCHIVES = (".zip", ".sl1", ".sl1s")
 AHEAD = 32
-"""Slices that are decoded while those after them are computed with."""
+"""Number of slices that are decoded ahead while others are processed."""
 MOST_BYTES = 1 << 28
-"""A slice's file is never as large as that."""
+"""Upper limit of the size of a slice's file."""
 MOST_NAME = 1000
-"""Characters of the longest name in a zip."""
+"""Greatest number of characters of a name in a zip."""
 BLOCKS_HELD = 6
-"""Blocks of slices in memory at once: two that are read, two on their way to the disk, and the device's."""
+"""Blocks of slices in memory at a time: two being read, two being written to the disk, and the device's."""
 PIXEL_HELD = 40
-"""Bytes a pixel that the state of a print takes beside."""
+"""Bytes per pixel that the state of a print needs in addition."""
 
 
 class FileStack(ABC):
-    """Slices in files, decoded on all processors, those before the asked ones ahead. Closed as a context manager."""
+    """Slices in files, decoded ahead on all processors. Use it as a context manager, which closes it."""
 
     place: Path
     names: tuple[str, ...]  # of the slices, from the platform on
@@ -61,17 +61,17 @@ class FileStack(ABC):
         return len(self.names)
 
     def __getitem__(self, key: slice, /) -> np.ndarray:
-        """Slices, uint8 [slice, y, x]. Raises `SliceError` for a file that cannot be read or is unlike the others."""
+        """Slices, uint8 [slice, y, x]. Raises `SliceError` for an unreadable file or one unlike the others."""
         start, stop, step = key.indices(len(self.names))
         if step != 1:
             raise SliceError(f"slices come in steps of 1; got {step}")
         stop = max(start, stop)
         out, decoding = self._begun.pop((start, stop), None) or self._begin(start, stop)
-        for waiting in self._begun.values():  # another order than the last one: what was begun is of no use
+        for waiting in self._begun.values():  # an order other than before: slices decoded ahead are useless
             _drop(waiting[1])
         self._begun.clear()
         before = max(0, start - AHEAD)
-        if before < start and stop - start > 1:  # single slices are looked at here and there
+        if before < start and stop - start > 1:  # single slices are read at several places
             self._begun[before, start] = self._begin(before, start)
         try:
             for one in decoding:
@@ -92,7 +92,7 @@ class FileStack(ABC):
         return repr(str(self.place / name))
 
     def _plane(self) -> tuple[int, int]:
-        """Pixels of all slices from the heads of their PNGs, TIFFs but the first unread. Raises `SliceError`."""
+        """Pixels of all slices from the headers of their PNGs, or of the first TIFF. Raises `SliceError`."""
         first: Header | None = None
         for name in self.names:
             png = name.lower().endswith(".png")
@@ -201,7 +201,7 @@ def open_stack(path: str | Path) -> FileStack:
         The slices, read one at a time.
 
     Raises:
-        SliceError: There is nothing, or nothing of these.
+        SliceError: The path does not exist, or is not of these kinds.
     """
     place = Path(path)
     if os.path.isdir(place):
@@ -228,7 +228,7 @@ def layer_height(stack: object) -> float | None:
         stack: The slices.
 
     Returns:
-        Height of a layer [mm]; None if the file does not say.
+        Height of a layer [mm]; None if the file does not state it.
     """
     if not isinstance(stack, ZipStack) or all(info.filename != "config.ini" for info in stack.others):
         return None
@@ -241,12 +241,12 @@ def layer_height(stack: object) -> float | None:
 
 
 def _check_entry(info: zipfile.ZipInfo, place: str) -> None:
-    """Reject what is dangerous to unpack, and what cannot be read."""
+    """Reject entries that are dangerous to unpack, and those that cannot be read."""
     name = info.orig_filename.replace("\\", "/")
     path = PurePosixPath(name)
     why = ""
     if path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name) or "\0" in name:
-        why = "climbs out of the folder it would be unpacked in"
+        why = "would be unpacked outside its folder"
     elif stat.S_ISLNK(info.external_attr >> 16):
         why = "is a link"
     elif len(name) > MOST_NAME:

@@ -1,4 +1,4 @@
-"""Differentiable functions: values on a device, and derivatives by the inputs from those by the value."""
+"""Differentiable functions: values on a device, and derivatives by the inputs, computed from those by the value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vamgpu.operators.space import Space
 
 
 class Differentiable(ABC):
-    """A function of fields with its vector-Jacobian product; heirs become functions of PyTorch and JAX.
+    """A function of fields with its vector-Jacobian product; subclasses become functions of PyTorch and JAX.
 
     Attributes:
         device: The device of its arrays.
@@ -36,7 +36,7 @@ class Differentiable(ABC):
         """Compute the function.
 
         Args:
-            inputs: Fields [space.shape] of its spaces; stay as they are.
+            inputs: Fields [space.shape] of its spaces; they do not change.
 
         Returns:
             The value, [space.shape].
@@ -47,8 +47,8 @@ class Differentiable(ABC):
         """Compute derivatives by the inputs.
 
         Args:
-            inputs: Where to differentiate, each [space.shape].
-            slope: Derivative of a number by the value, [space.shape]; stays as it is.
+            inputs: Point at which to differentiate, each [space.shape].
+            slope: Derivative of a number by the value, [space.shape]; it does not change.
 
         Returns:
             Derivatives of that number by each input, [space.shape].
@@ -56,7 +56,7 @@ class Differentiable(ABC):
 
 
 class Linear(Differentiable):
-    """An operator, whose transpose is its vector-Jacobian product everywhere.
+    """An operator; its transpose is its vector-Jacobian product at every point.
 
     Args:
         operator: The operator.
@@ -83,7 +83,7 @@ class Linear(Differentiable):
 class Kinetics(Differentiable):
     """Effective dose of visible and ultraviolet light, by the adjoint of the kinetics.
 
-    Derivatives expose the light again, because a model keeps only the states of the last light.
+    Derivatives expose the light again, because a model stores only the states of the last light.
 
     Args:
         model: The model of both colors.
@@ -128,6 +128,6 @@ def function_of(what: Any) -> Differentiable:
 
 
 def sent(device: Device, values: np.ndarray) -> DeviceArray:
-    """A field of an array on the host, shared where device and host share memory."""
+    """A field from an array on the host; shares memory if device and host do."""
     real = np.asarray(values, device.real)
     return device.upload(real) if device.is_gpu else device.field(device.adopt(to_read(real)))

@@ -22,8 +22,8 @@ def differentiable(what: Any) -> Callable[..., jax.Array]:
     """A function of arrays that `jax.grad` differentiates by exact transposes; works under ``jit`` and ``vmap``.
 
     Args:
-        what: An operator, `ProofDose`, a `KineticModel`, or any `Differentiable`. Linear ones can be differentiated any
-            number of times backwards, others once.
+        what: An operator, `ProofDose`, a `KineticModel`, or any `Differentiable`. Linear functions can be
+            differentiated backwards any number of times, others once.
 
     Returns:
         A function of one array for each input, whose value has the type of the first.

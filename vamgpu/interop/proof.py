@@ -15,12 +15,12 @@ from vamgpu.printing.independent_exposure import IndependentExposure
 
 @final
 class ProofDose(LinearOperator):
-    """Light [angle, r, z] to the dose that `simulate` judges: traced independently of the operator, on finer voxels.
+    """Map light [angle, r, z] to the dose that `simulate` judges, traced independently of the operator on finer voxels.
 
     The transpose is exact but computed on the host in float64: at 128³ voxels and 360 angles it takes minutes.
 
     Args:
-        A: Gives the geometry; none of its tables is read.
+        A: Gives the geometry; its tables are not used.
 
     Raises:
         BadInput: ``A`` is no `Projection`, or no ray reaches the resin.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:  # types are checked where there is no PyTorch, too
+if TYPE_CHECKING:  # types are also checked without PyTorch
     torch: Any = None
     once_differentiable: Any = None
     Tensor = Any
@@ -33,8 +33,8 @@ def differentiable(what: Any) -> Callable[..., Tensor]:
     """A function of tensors that `torch.autograd` differentiates by exact transposes.
 
     Args:
-        what: An operator, `ProofDose`, a `KineticModel`, or any `Differentiable`. Linear ones can be differentiated any
-            number of times, others once.
+        what: An operator, `ProofDose`, a `KineticModel`, or any `Differentiable`. Linear functions can be
+            differentiated any number of times, others once.
 
     Returns:
         A function of one tensor for each input, whose value has the type and the device of the first.
@@ -71,7 +71,7 @@ def to_tensor(array: DeviceArray, like: Tensor) -> Tensor:
         like: Gives type and device.
 
     Returns:
-        The tensor; memory of a GPU is shared or copied there, memory of the host is copied.
+        The tensor; memory of a GPU is shared or copied on the GPU, memory of the host is copied.
     """
     found = torch.from_numpy(array.numpy()) if not _on_gpu(array.device) else torch.from_dlpack(array)
     return found.to(like.device, like.dtype)
@@ -127,7 +127,7 @@ class _Evaluated(torch.autograd.Function):
 
 @dataclass(frozen=True)
 class TensorLoss(Loss):
-    """A loss written in PyTorch, for `optimize` to lower.
+    """A loss written in PyTorch, which `optimize` minimizes.
 
     Args:
         function: Of the dose and the target, tensors [x, y, z] relative to the part's dose, to a number. Voxels that do
@@ -148,5 +148,5 @@ class TensorLoss(Loss):
         loss = self.function(given, torch.where(counted, to_tensor(target, like), 0.0))
         (slope,) = torch.autograd.grad(loss, given)
         device.put(to_device(device, slope * counted), out)
-        device.synchronize()  # before the tensor goes
+        device.synchronize()  # before the tensor is freed
         return float(loss.detach())

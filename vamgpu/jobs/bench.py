@@ -1,4 +1,4 @@
-"""Time the projection operators on this machine's devices, and the stages of a job."""
+"""Time the projection operators on this machine's devices, or the stages of a job."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RADIUS = 12.4
 
 @dataclass(frozen=True)
 class Timing:
-    """Medians [s] of one operator on one device: projection of n³ voxels at ``angles`` angles, and backprojection."""
+    """Medians [s] of one operator on one device: projection of n³ voxels at ``angles`` angles, and back projection."""
 
     device: str
     operator: str
@@ -133,7 +133,7 @@ class _Watched:
             self._last, self._began = stage, now
 
     def tell(self, text: str) -> None:
-        """Messages of a job are not timed."""
+        """Messages are not part of a job's time."""
 
 
 def bandwidth(device: Device, nbytes: int = 1 << 28) -> float:
@@ -150,7 +150,7 @@ def _ball(n: int) -> np.ndarray:
 
 
 def _median(run: Callable[[], Any], device: Device, repeats: int) -> float:
-    """Median of repeats, after one run that compiles."""
+    """Median of the repeats, after one run that compiles."""
     run()
     device.synchronize()
     seconds = []

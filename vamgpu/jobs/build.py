@@ -43,9 +43,9 @@ from vamgpu.targets.target import Target
 from vamgpu.units import deg, rad
 
 SPARE = 2
-"""Pixels by which a beam extends beyond the part on every side if the job leaves out its pixels."""
+"""Pixels by which a beam extends beyond the part on every side if the job does not give its pixels."""
 ANGLES = {"angle_deg": deg, "angle_rad": rad}
-"""Columns for angles, and their units."""
+"""Columns that hold angles, and their units."""
 
 
 def target_of(job: Job, device: Device) -> Target:
@@ -67,12 +67,12 @@ def target_of(job: Job, device: Device) -> Target:
 
 
 def pitch_of(file: JobFile) -> float:
-    """Edge of a voxel of a job [mm]: that of the job, or a pixel in the resin, along z if that is less."""
+    """Edge of a voxel of a job [mm]: that of the job; by default a pixel in the resin, or along z if smaller."""
     return file.target.pitch or min(resin_pixel(_pixel(file), _light(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
-    """The bodies of a job whose paths begin at ``folder``; None for a single part. Raises `JobError`, `BadInput`."""
+    """The bodies of a job with paths relative to ``folder``, or None. Raises `JobError`, `BadInput`."""
     if not file.body:
         return None
     given = {key: getattr(file.target, key) for key in ("orientation", "origin", "void")}
@@ -94,7 +94,7 @@ def _source(key: str, section: TargetSection | BodySection, folder: Path) -> Any
 
 
 def motion_of(section: TurntableSection, folder: Path, enough: int = MOST_ANGLES) -> Turntable:
-    """The turntable of a job whose paths begin at ``folder``. Raises `JobError`."""
+    """The turntable of a job whose paths are relative to ``folder``. Raises `JobError`."""
     if isinstance(section.angles, str):
         return read_angles(folder / section.angles, section.lit_share)
     span, share = FULL_TURN if section.range is None else min(section.range, FULL_TURN), section.lit_share
@@ -103,7 +103,7 @@ def motion_of(section: TurntableSection, folder: Path, enough: int = MOST_ANGLES
 
 
 def _pixel(file: JobFile) -> Beam:
-    """Light of one pixel, for uses that do not depend on the number of pixels."""
+    """Light of one pixel, if the number of pixels does not matter."""
     return Beam((1, 1), file.beam.pitch)
 
 
@@ -114,7 +114,7 @@ def _light(file: JobFile) -> Any:
 
 
 def read_angles(path: Path, lit_share: float | None = None) -> Turntable:
-    """Measured angles of a CSV file, one row each in the order they are shown, with their times if there are any."""
+    """Measured angles of a CSV file, one row each in the order in which they are shown, with their times if given."""
     try:
         table = read_columns(path)
         unit = next((name for name in ANGLES if name in table), None)
@@ -131,7 +131,7 @@ def read_angles(path: Path, lit_share: float | None = None) -> Turntable:
 def projection_of(
     file: JobFile, target: Target, device: Device, folder: Path = Path(), motion: Turntable | None = None
 ) -> Any:
-    """The projector of a job whose paths are relative to ``folder``, with everything in its light."""
+    """The projector of a job whose paths are relative to ``folder``, with everything in its light path."""
     light = _light(file)
     vessel = light if file.light is None else None
     check = getattr(vessel, "check_fits", None)

@@ -1,4 +1,4 @@
-"""Independent tasks, in sequence in this process or on the workers of a Dask cluster."""
+"""Independent tasks, run one after another in this process or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from vamgpu.errors import BadInput, DeviceError, VamError, WorkerLost
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 UNDISTURBED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""Start of local workers: Ctrl-C in a terminal also reaches them, and they must then still return the plan."""
+"""Start of local workers: Ctrl-C in a terminal also reaches them, but they must still return the plan."""
 TRIES = 100
-"""How often a task restarts after its worker died."""
+"""Number of times that a task restarts after its worker died."""
 AHEAD = 3
-"""Tasks per worker that start before the first of their results is read, if results are read in order."""
+"""Tasks per worker that start before the first result is read, if results are read in order."""
 LOOK = 5.0
 """Time after which a silent worker is checked [s]."""
 RETURN = 5.0
-"""Time for a lost worker to return before another one takes its slab [s]."""
+"""Time for a lost worker to return before another worker takes its slab [s]."""
 PATIENCE = 60.0
 """Time for workers to start [s]."""
 
@@ -68,7 +68,7 @@ def _client(where: str) -> Any:
 
 @contextmanager
 def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDevice]]:
-    """The workers of a cluster as one device, which splits every field along z; see `vamgpu.backend.slabs`."""
+    """The workers of a cluster as one device, which divides every field along z; see `vamgpu.backend.slabs`."""
     client = _client(where)
     try:
         _refuse_unlike(client, device)
@@ -87,7 +87,7 @@ def slabs(where: str, device: str | None = None) -> Iterator[Callable[[], SlabDe
 
 
 def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteDevice:
-    """A device of a worker, one of ``count``; of another worker if fewer are left. Raises `WorkerLost`."""
+    """A device of a worker, one of ``count``; a device of another worker if fewer are left. Raises `WorkerLost`."""
     until = time.monotonic() + PATIENCE
     while True:
         try:
@@ -136,7 +136,7 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
 
 
 def about(device: str | None) -> tuple[str, str]:
-    """A worker's version of the library, and why it lacks the device; "" if it has it."""
+    """A worker's version of the library, and the reason if it lacks the device ("" if it has it)."""
     try:
         vamgpu.open_device(device)
     except DeviceError as error:

@@ -18,7 +18,7 @@ from vamgpu.printing.proof import Proof
 
 
 def recolored(file: JobFile) -> JobFile:
-    """A job whose vessel has the absorption of the second color. Raises `BadInput` for one that has no resin."""
+    """A job whose vessel has the absorption of the second color. Raises `BadInput` for a job without a resin."""
     assert file.colors is not None
     for name in ("vial", "vat", "vessel"):
         vessel = getattr(file, name)

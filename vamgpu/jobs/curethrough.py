@@ -1,4 +1,4 @@
-"""Jobs of stereolithography: slices, printer and resin from a TOML file; a model or a correction of them."""
+"""Jobs of stereolithography: slices, printer and resin from a TOML file; modeling or correcting the slices."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ DIFFERENT = 1e-3
 
 
 class PrinterSection(Section):
-    """Printer and resin: ``speed`` of a continuous printer, ``exposure`` of a slice if it prints layer by layer.
+    """Printer and resin: ``speed`` for a continuous printer, ``exposure`` of a slice for a layer-by-layer printer.
 
     absorption_height: depth in which light falls to a tenth.  critical_dose: dose at which the resin solidifies.
     slice_height: height of a slice.  speed: speed of the platform.  exposure: time of each slice.  dead_zone: depth
@@ -108,11 +108,11 @@ class SlicesSection(Section):
 class CorrectSection(Section):
     """The correction. Inside features the dose is ``flat`` at ``most`` critical doses, or ``parallel`` to its bounds.
 
-    profile: profile of the dose.  most: greatest dose of a flat profile, in critical doses.  share: position of a
-    parallel profile between its bounds.  tail: number of slices added after the last.  platform: whether the platform
-    is below the first slice.  dither: neighboring pixels round at different thresholds, up to half a gray level higher
-    or lower.  device: device that computes; by default the best one.  whole_columns: solve columns with features or
-    voids out of reach by least squares.
+    profile: profile of the dose. most: greatest dose of a flat profile, in critical doses. share: position of a
+    parallel profile between its bounds. tail: number of slices added after the last. platform: whether the platform is
+    below the first slice. dither: round neighboring pixels at different thresholds, up to half a gray level higher or
+    lower. device: device that computes; by default the best one. whole_columns: solve columns whose features or voids
+    cannot be printed by least squares.
     """
 
     profile: Literal["flat", "parallel"] = "flat"
@@ -154,7 +154,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
 
     @property
     def correction(self) -> Correction:
-        """The correction. Raises `BadInput` if light or darkness does not suffice."""
+        """The correction. Raises `BadInput` if the light or dark irradiance does not suffice."""
         section, machine = self.file.correct, self.machine
         profile: Profile = Flat() if section.most is None else Flat(section.most)
         if section.profile == "parallel":
@@ -179,7 +179,7 @@ class CurethroughJob(CheckedJob[CurethroughFile]):
         said, height = layer_height(stack), self.file.printer.slice_height
         if said is not None and abs(said - height) > DIFFERENT * height:
             warnings.warn(
-                f"{str(place)!r} has layers of {1e3 * said:g} µm, the job has {1e3 * height:g} µm and is used: "
+                f"{str(place)!r} has layers of {1e3 * said:g} µm, but the job has {1e3 * height:g} µm, which is used: "
                 "correct printer.slice_height if that is wrong",
                 SliceWarning,
                 stacklevel=2,

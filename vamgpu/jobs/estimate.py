@@ -16,15 +16,15 @@ from vamgpu.optics.outer_resin import outer_cells
 from vamgpu.storage.memory import size
 
 FEW_VOLUMES, FEW_SINOGRAMS = 15, 18
-"""Most fields of the other methods: L-BFGS with five pairs takes 97 % of them on a boat of 32 voxels."""
+"""Largest number of fields of the other methods: L-BFGS with five pairs takes 97 % of it on a boat of 32 voxels."""
 
 BEFORE = 8.0
 """Time before the first evaluation, in evaluations. The estimate was 0.6 to 1.4 of the processor time, on boats of 32
 to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."""
 PASSES = 20
-"""Time of an evaluation's other work (products of pairs, losses, the window), in sums over patterns."""
+"""Time of the other work of an evaluation (products of pairs, losses, the window), in sums over patterns."""
 TIMED = 3
-"""Timed runs, of which the shortest counts: the others waited for a busy machine."""
+"""Number of timed runs; the shortest one counts, because the others waited for a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Expected:
 
     nbytes: int  # most memory on the device
     evaluations: float  # evaluations of the projector, for all corners together
-    seconds: float  # time of one evaluation with the method's other work
+    seconds: float  # time of one evaluation, with the method's other work
     corners: int = 1
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ class Expected:
 
 
 def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int = 1) -> Expected:
-    """Memory and time of a run, from the fields of the most demanding method and a timed evaluation."""
+    """Memory and time of a run, from the number of fields of the most demanding method and a timed evaluation."""
     voxels, pixels = prod(A.domain.shape), prod(A.range.shape)
     counted = FEW_VOLUMES * voxels * corners + FEW_SINOGRAMS * pixels
     if isinstance(method, SurfaceRamp):
@@ -61,7 +61,7 @@ def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int 
 
 
 def _quickest(work: Callable[[], Any]) -> float:
-    """Least time of a few runs [s]."""
+    """Shortest time of a few runs [s]."""
     took: list[float] = []
     for _ in range(1 + TIMED):  # the first one compiles
         began = time.perf_counter()

@@ -21,9 +21,9 @@ from vamgpu.schema.registry import families, find
 from vamgpu.storage.reading import parse_toml
 
 FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": MachineFile, "slices": CurethroughFile}
-"""What a file is for → its model."""
+"""Kind of file → its model."""
 EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
-"""What a file is for → a valid example."""
+"""Kind of file → a valid example."""
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",
@@ -69,12 +69,12 @@ def schema_of(name: str) -> dict[str, Any]:
 
 
 def commented(name: str) -> str:
-    """Write a job file that is ready to be solved, with every other key and its meaning in comments."""
+    """Write a job file that can be solved at once, with every other key and its meaning in comments."""
     if name not in EXAMPLES:
         raise BadInput(f"no file {name!r}; expected one of {', '.join(EXAMPLES)}")
     given, file = parse_toml(EXAMPLES[name]), FILES[name]
-    lines = _remark(f"{HEADS[name]}, written by `vam init`. Keys behind # are left out and show their default; "
-                    "`vam keys` explains all keys.")  # fmt: skip
+    lines = _remark(f"{HEADS[name]}, written by `vam init`. Keys behind # are left out and show their default; `vam "
+                    "keys` explains all keys.")  # fmt: skip
     for table, field in file.model_fields.items():
         values = given.get(table)
         model = model_in(field.annotation, field.metadata, values or {})
@@ -102,12 +102,12 @@ def _kinds(field: Any) -> str:
 
 
 def _usual(default: str) -> str:
-    """A default as a comment shows it."""
+    """A default in the form that a comment shows."""
     return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
 
 
 def _toml(value: Any) -> str:
-    """A value as TOML has it."""
+    """A value in TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {_toml(part)}" for key, part in value.items()) + " }"
     return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)

@@ -1,6 +1,6 @@
 """A web machine from a TOML file, for the report of its limits.
 
-The file may be that of a web job: tables that do not describe the machine are ignored.
+The file may be that of a web job: tables that do not concern the machine are ignored.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class WebSection(Section):
 class WebResinSection(Section):
     """Flow of the uncured resin.
 
-    density: density of the resin.  viscosity: viscosity of the resin; a gel has none.
+    density: density of the resin. viscosity: viscosity of the resin; a gel has none.
     """
 
     density: Density = WebLimits.density

@@ -1,4 +1,4 @@
-"""Lines of keys in a TOML file, which the standard parser does not report."""
+"""Line numbers of keys in a TOML file, which the standard parser does not report."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _path(words: list[str]) -> Path:
 
 
 def line_of(lines: dict[Path, int], key: Path) -> int | None:
-    """Line of a key, or of the nearest table around it; None if the file has none of them."""
+    """Line of a key, or of the nearest table around it; None if the file has neither."""
     while key:
         if key in lines:
             return lines[key]

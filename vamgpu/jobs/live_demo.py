@@ -42,7 +42,7 @@ bits = 8
 AGED = {
     "inhibitor": 41.8 / 56.8, "lamp": 1.0, "drift": 0.003, "absorption": 0.1, "across": 0.3, "along_z": 0.02,
 }  # fmt: skip
-"""How the demo's print differs from its plan (`vamgpu.live.Truth`): the third print of the paper, and more."""
+"""Differences between the demo's print and its plan (`vamgpu.live.Truth`): the third print of the paper, and more."""
 
 
 def demo_job(out: str | Path, *, progress: StageProgress = quiet) -> Path:

@@ -34,7 +34,7 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
     Raises:
         StorageError: The folder is missing, of another kind, or damaged.
         JobError: A key of a job file is invalid.
-        BadInput: It is not a path.
+        BadInput: The argument is not a path.
     """
     place = as_path(path)
     if place.suffix.lower() == ".toml":
@@ -51,7 +51,7 @@ def load(path: str | Path, device: str | Device | None = None) -> Plan | Frames 
 
 
 def _plan_of(folder: Folder, device: Device) -> Plan | None:
-    """The plan of a folder that stores patterns; None for bytes, and if only Python describes its operator."""
+    """The plan of a folder that stores patterns; None for bytes, or for an operator that only Python describes."""
     if "geometry" not in folder.manifest.inputs or folder.record("frames").dtype == "uint8":
         return None
     try:

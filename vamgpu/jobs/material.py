@@ -1,4 +1,4 @@
-"""Fill index, absorption and critical dose of a material into a job file."""
+"""Fill in index, absorption and critical dose of a material in a job file."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def diffusion_of(section: Any, folder: Path | None) -> Diffusion | None:
 def _filled(
     given: dict[str, Any], family: str, kind: Any, resin: Resin, table: dict[str, Any], where: tuple[str, ...]
 ) -> dict[str, Any]:
-    """A vessel's table with the values of a resin, also in the vessels inside."""
+    """A vessel's table with the values of a resin, also in nested vessels."""
     try:
         fields = {field.name: field for field in fields_of(find(family, kind))}
     except BadInput:

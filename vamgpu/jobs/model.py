@@ -1,6 +1,6 @@
-"""Models of a job file. Lengths and the like carry their units and are read into mm, s and mJ.
+"""Models of a job file. Lengths and other quantities carry their units and are read into mm, s and mJ.
 
-Tables of components have the fields of their constructors, which `vamgpu.schema` reads; this file has the other tables.
+Tables of components have the fields of their constructors, which `vamgpu.schema` reads; this file has all other tables.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Missed = Annotated[Positive, Field(description="largest relative error of the wi
 TOLERANCE = {"tolerance": (Missed, 0.02)}
 LENGTH = Quantity("a length", least=0.0)
 MOST_ANGLES = 1_000_000
-"""Most angles per turn: more are a typing error, and fail after minutes for lack of memory."""
+"""Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""
 Plain: Any = Field(default={}, validate_default=True)
 """An optional table."""
 
@@ -130,7 +130,7 @@ class TargetSection(Section):
 
 
 def _length_or_file(text: Any) -> float | str:
-    """A length, or the path of a calibration: a text that begins like a number and is not a file is a length."""
+    """A length, or the path of a calibration: text that begins like a number and does not name a file is a length."""
     if isinstance(text, str) and (text.endswith(".toml") or "/" in text or "\\" in text or text[:1].isalpha()):
         return text
     try:
@@ -160,8 +160,8 @@ def _count_or_file(value: Any) -> Any:
     if not named and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
         raise ValueError('expected a whole number of angles ≥ 1, or a file of measured ones: angles = "measured.csv"')
     if isinstance(value, int) and value > MOST_ANGLES:
-        raise ValueError(f"expected at most {MOST_ANGLES:,} angles: a turn of 10 minutes with 1,000 frames per "
-                         "second has 600,000")  # fmt: skip
+        raise ValueError(f"expected at most {MOST_ANGLES:,} angles: even a turn of 10 minutes with 1,000 frames per "
+                         "second has only 600,000")  # fmt: skip
     return value
 
 
@@ -191,11 +191,11 @@ class TurntableSection(Section):
 
 
 class WobbleSection(Section):
-    """Offset of the rotation axis: across and along the light, or a circle.
+    """Offset of the rotation axis, across and along the light, or on a circle.
 
-    across: offset across the light, one for all angles or one for each.  along: offset along the light, one for all
-    angles or one for each.  radius: radius of the circle that the axis describes once per turn, in place of offsets.
-    phase: direction, from x, of the point of the turntable that the axis passes through.
+    across: offset across the light, one for all angles or one for each. along: offset along the light, one for all
+    angles or one for each. radius: radius of the circle that the axis describes once per turn, in place of offsets.
+    phase: direction, measured from x, of the point of the turntable through which the axis passes.
     """
 
     across: Places = 0.0
@@ -239,10 +239,10 @@ class ResinSection(Section):
 
 
 class ColorsSection(Section):
-    """A second color that undoes the dose of the first.
+    """A second color that reduces the dose of the first.
 
-    absorption: absorption of the resin for the second color.  strength: dose of the first color that one unit of the
-    second undoes.  rule: rule that finds the patterns of both colors.
+    absorption: absorption of the resin for the second color. strength: dose of the first color that one unit of the
+    second removes. rule: rule that finds the patterns of both colors.
     """
 
     absorption: Absorption
@@ -291,7 +291,7 @@ class FramesSection(Section):
 
 
 class PrintSection(Section):
-    """Lamp and resin, from which print times are predicted.
+    """Lamp and resin, for predicting print times.
 
     irradiance: irradiance of a full-on pixel in air.  critical_dose: dose at which the resin solidifies.  absorption:
     absorption of the resin, if the vessel has none.
@@ -306,8 +306,8 @@ class JobFile(Section):
     """A whole job file.
 
     [vessel] is any container; [vial] and [vat] are the usual ones. [light] is a cone of light, inclined light, or a
-    vessel with one ray per pixel, in which the axis may also wobble along the light. [tolerances] are the errors that
-    the print must tolerate: one set of patterns serves all their corners.
+    vessel with one ray per pixel. In these, the axis may also wobble along the light. [tolerances] are the errors that
+    the print must tolerate; one set of patterns is found for all their corners.
     """
 
     target: TargetSection

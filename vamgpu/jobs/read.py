@@ -1,4 +1,4 @@
-"""Read a job file, and report for every invalid value its line, the value, what was expected and the remedy."""
+"""Read a job file; report the line of every invalid value, the value, what was expected and the remedy."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from vamgpu.storage import reading
 from vamgpu.storage.reading import parse_toml
 
 MOST_REPORTED = 100
-"""Invalid values of a file that one message names."""
+"""Number of invalid values of a file that one message lists."""
 
 File = TypeVar("File", bound=BaseModel)
 
 
 @dataclass(frozen=True)
 class CheckedJob(Generic[File]):
-    """A checked job. given: its keys as written, with ``--set``.  folder: base of its relative paths."""
+    """A checked job. given: its keys as written, after ``--set``. folder: base of its relative paths."""
 
     file: File
     given: dict[str, Any]
@@ -56,7 +56,7 @@ class CheckedJob(Generic[File]):
     def of(
         cls, tables: dict[str, Any], settings: Iterable[str] = (), *, folder: Path = Path(), name: str = "job"
     ) -> Self:
-        """A job from tables, as TOML would have them; arguments and errors as for `parse`."""
+        """A job from tables in the form of TOML; arguments and errors as for `parse`."""
         file: Any
         file, given = validated(cls.model, tables, settings, source=name, folder=folder)
         return cls(file, given, folder, name)
@@ -95,7 +95,7 @@ def validated(
     folder: Path = Path(), files: bool = False,
     complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
-    """Tables as a model of a file; arguments and errors as for `checked`, ``text`` yields their lines."""
+    """Tables as a model of a file; arguments and errors as for `checked`; ``text`` yields their lines."""
     replaced = {_replace(data, setting) for setting in settings}
     if complete is not None:
         complete(data)
@@ -103,14 +103,24 @@ def validated(
         return model.model_validate(data, context={"folder": folder, "files": files}), data
     except ValidationError as error:
         lines = key_lines(text)
-        every = error.errors()
+        raised = error.errors()
+        every = [entry for entry in raised if not _misspelled(entry, raised)]
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
         found += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
         raise JobError("\n".join(found)) from error
 
 
+def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
+    """Whether a missing key is there under a similar name, whose own error suggests it."""
+    *table, name = entry["loc"] or [""]
+    return entry["type"] == "missing" and any(
+        other["type"] == "extra_forbidden" and list(other["loc"][:-1]) == table
+        and nearest_of(other["loc"][-1], [str(name)]) for other in others
+    )  # fmt: skip
+
+
 def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
-    """Put ``key=value`` into the data; the value is TOML (so ``false`` is false), else plain text."""
+    """Put ``key=value`` into the data; the value is TOML (``false`` is false), or else plain text."""
     dotted, separator, text = setting.partition("=")
     key = tuple(part.strip() for part in dotted.split("."))
     if not separator or not all(key):
@@ -125,7 +135,7 @@ def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
 
 
 def toml_value(text: str) -> Any:
-    """A value as TOML reads it; text that is not a TOML value stays as it is."""
+    """A value as TOML reads it; text that is not a TOML value is not changed."""
     try:
         read = parse_toml(f"value = {text}")
     except tomllib.TOMLDecodeError:
@@ -139,7 +149,7 @@ def _complaint(
 ) -> str:  # fmt: skip
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     key = tuple(str(part) for part in (*entry["loc"], *between))
-    named = _as_written(tuple(part for part in key if not part.isdigit()), file, data)
+    named = tuple(part for part in key if not part.isdigit())
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
@@ -167,7 +177,7 @@ def _numbered(key: tuple[str, ...], named: tuple[str, ...], lines: Mapping[tuple
 def _models(
     key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]
 ) -> Iterator[tuple[type[BaseModel], dict[str, Any]]]:
-    """The model and the data of a file and of the tables that a key leads through."""
+    """The model and the data of a file, and of each table along a key."""
     model = file
     yield model, data
     for part in key:
@@ -175,15 +185,6 @@ def _models(
         data = data.get(part, {}) if isinstance(data, dict) else {}
         model = model if field is None else model_in(field.annotation, field.metadata, data) or model
         yield model, data
-
-
-def _as_written(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> tuple[str, ...]:
-    """A key with the old name of its last part, if the file has that name."""
-    if not key:
-        return key
-    *_, (model, table) = _models(key[:-1], file, data)
-    old = {new: old for old, new in getattr(model, "renamed", {}).items() if isinstance(table, dict) and old in table}
-    return (*key[:-1], old.get(key[-1], key[-1]))
 
 
 def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any]) -> str:
@@ -196,7 +197,7 @@ def _spelling(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any])
 
 
 def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str, Any], table: Any) -> str:
-    """Components allowed in a table that have a key which its own component lacks; empty if there are none."""
+    """Components allowed in a table that have a key which the table's own component lacks; empty if there are none."""
     if len(key) < 2:
         return ""
     *_, (within, _) = _models(key[:-2], file, data)

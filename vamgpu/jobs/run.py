@@ -70,13 +70,13 @@ from vamgpu.targets.target import Target
 CHECKPOINT = 300.0
 """Interval at which a run on a cluster saves its plan [s]: the most that is lost with a worker."""
 RARELY = 10.0
-"""Least interval between saved plans, in start times of the run."""
+"""Shortest interval between saved plans, in start times of the run."""
 TRIES = 100
-"""How often a run continues after workers were lost."""
+"""Number of times that a run continues after workers were lost."""
 BLOCK = 1 << 26
-"""Bytes of a target that are hashed at once."""
+"""Bytes of a target that are hashed at a time."""
 StageProgress = Callable[[str, float], None]
-"""Notified of progress: the stage, and the share of it that is done, 0..1."""
+"""Receives progress: the stage, and the share of it that is done, 0..1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def solve(
 
 @contextmanager
 def _kept_on_the_way(place: Path, onward: bool) -> Iterator[Path]:
-    """Where plans are kept until a job is done: at its place, or beside it if other patterns there will be replaced."""
+    """Folder in which plans are saved until a job is done: the job's own, or one beside it to replace patterns."""
     if not os.path.lexists(place) or (onward and is_interrupted(place)):
         yield place
         return
@@ -142,7 +142,7 @@ def _while_stopped(error: BaseException | None) -> bool:
 
 @dataclass
 class _Due:
-    """Whether to save a plan, given the seconds since the start of the first iteration."""
+    """Whether to save a plan at a given number of seconds after the start of the first iteration."""
 
     period: float
     came: bool = False
@@ -161,7 +161,7 @@ def _solve(
     job: Job, method: Any, place: Path, device: Device, *, overwrite: bool, start: str | Path | None, pareto: bool,
     progress: StageProgress, kept: Path | None, due: _Due | None = None,
 ) -> Folder:  # fmt: skip
-    """`solve` on a device. Plans that are ``due`` are saved at ``kept``, from which the run continues if it exists."""
+    """`solve` on a device. Plans that are ``due`` are saved at ``kept``; a run continues from an existing ``kept``."""
     file = job.file
     packing = packing_of(file.frames, job.folder)
     progress("voxels", 0.0)
@@ -199,7 +199,7 @@ def _solve(
 
 
 def _keep(plan: Any, place: Path, inputs: dict[str, Any], anywhere: bool = False) -> None:
-    """Save the plan of an interrupted run unless another job is there, so that the next run continues from it."""
+    """Save the plan of an interrupted run for the next run, unless another job is at that place."""
     if plan is not None and (anywhere or not os.path.lexists(place) or is_interrupted(place)):
         save_plan(plan, place, inputs={**inputs, INTERRUPTED: len(plan.history)}, overwrite=True)
 
@@ -224,7 +224,7 @@ def _one(
     rings = file.solve.operator == "rings"
     if rings or (file.solve.operator == "auto" and finer_voxels(method, A, target) is None):  # else the method chooses
         light, A = (_on_rings(light, A, rings),) * 2
-    describe(A, {})  # reject what a manifest cannot describe or frames cannot show before the long work
+    describe(A, {})  # before the long computation, reject what a manifest cannot describe or frames cannot show
     check_dither(file.frames.dither, A, target, file.frames.bits)
     if (tell := getattr(progress, "tell", None)) is not None:
         progress("rays", 0.0)
@@ -237,7 +237,8 @@ def _one(
     lamp = {} if file.solve.exposure_limit is None else {"exposure_limit": file.solve.exposure_limit, **_lamp(job)}
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
-        evaluations=file.solve.evaluations, tolerances=file.tolerances, progress=_share(progress, limit), cancel=due,
+        evaluations=file.solve.evaluations, tolerances=file.tolerances, cancel=due,
+        progress=lambda step: progress("light", step.iteration / limit),
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
@@ -270,7 +271,7 @@ def _onward(
     place: str | Path | None, operator: Any, target: Target, method: Any, tolerances: Tolerances | None,
     lamp: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    """Arguments of `optimize` that resume an equal plan, or start from the patterns of another."""
+    """Arguments of `optimize` that resume the plan of the same job, or start from the patterns of another."""
     if place is None:
         return {}
     begun = load_plan(place, operator.device)
@@ -332,7 +333,7 @@ def prove(
     off = tolerances_from(folder) if tolerances else None
     if tolerances and (off is None or strength):
         what = "two colors" if strength else "no tolerances"
-        raise BadInput(f"{str(path)!r} has {what}; expected [tolerances] in the job it was solved for, and one color")
+        raise BadInput(f"{str(path)!r} has {what}; expected a job with [tolerances] and one color")
     if evaluations and strength:
         raise BadInput(f"{str(path)!r} has two colors, for which there is no bound; prove it without --bound")
     progress("read", 0.0)
@@ -342,8 +343,8 @@ def prove(
         progress("frames", 0.0)
         frames = frames_of(folder, place)
         progress("proof", 0.0)
-        told = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
-        proof = replace(simulate(A, frames, target, **told, **exposure), history=record.history)
+        settings = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        proof = replace(simulate(A, frames, target, **settings, **exposure), history=record.history)
         if evaluations:
             progress("bound", 0.0)
             most = evaluations * (len(off.corners()) if off is not None else 1)
@@ -361,7 +362,7 @@ def prove(
 
 
 def _recorded(folder: Folder) -> tuple[PlanRecord, dict[str, Any], float]:
-    """Plan, lamp and resin, and strength of a second color (0 without one) in a manifest. Raises `StorageError`."""
+    """Plan, lamp and resin, and strength of a second color (0 without one), from a manifest. Raises `StorageError`."""
     inputs = folder.manifest.inputs
     try:
         exposure, colors = dict(inputs.get("print") or {}), inputs.get("colors")
@@ -398,11 +399,6 @@ def _method(name: str) -> Any:
         return chosen(name)
     except BadInput as error:
         raise JobError(f"solve.method: {error}") from None
-
-
-def _share(progress: StageProgress, limit: int) -> Callable[[Step], None]:
-    """An optimizer's steps as a share of its iterations."""
-    return lambda step: progress("light", step.iteration / limit)
 
 
 def _spent(progress: StageProgress, evaluations: float) -> Callable[[Step], None]:

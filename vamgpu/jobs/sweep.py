@@ -17,7 +17,7 @@ from vamgpu.storage.atomic import replacing
 from vamgpu.storage.folder import Folder
 
 MOST = 100_000
-"""Most points of a sweep; more are a mistake."""
+"""Largest number of points of a sweep; more are a mistake."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Point:
         folder: The job folder.
         window: Proved strict process window, relative to the greatest dose; NaN if there is none.
         iou: Proved intersection over union at the best threshold [0 to 1].
-        error_rate: Share of voxels on the wrong side of it.
+        error_rate: Share of voxels on the wrong side of that threshold.
         seconds: Exposure predicted by the proof [s]; NaN if the job has no irradiance.
-        error: Why the point failed; "" if it did not.
+        error: Reason why the point failed; "" if it did not.
     """
 
     number: int
@@ -74,15 +74,15 @@ def sweep(
 ) -> list[Point]:
     """Solve and prove a job for every combination of values.
 
-    If the folder of a point exists from an earlier run, it is proved and not solved again. ``sweep.csv`` is rewritten
-    after every point.
+    If the folder of a point exists from an earlier run, the point is only proved, not solved again. ``sweep.csv`` is
+    rewritten after every point.
 
     Args:
-        job: The TOML file; workers of a cluster must see it, and ``path``, at the same place.
+        job: The TOML file; workers of a cluster must see it and ``path`` under the same paths.
         vary: Key of the job → its values.
         path: Folder of the job folders, which are numbered from 0001.vam in the order of the combinations.
         settings: ``key=value`` for all points.
-        cluster: As `vamgpu.jobs.cluster.workers` takes it; None for this process.
+        cluster: As for `vamgpu.jobs.cluster.workers`; None for this process.
         progress: Called with every finished point, and the number of points.
 
     Returns:
@@ -90,7 +90,7 @@ def sweep(
 
     Raises:
         JobError: The file or a key is invalid; the error of a single point is in its ``error``.
-        BadInput: Nothing varies, or there are too many points.
+        BadInput: No key varies, or there are too many points.
         DeviceError: As `vamgpu.jobs.cluster.workers`.
         StorageError: The folder cannot be written.
     """

@@ -43,7 +43,7 @@ RATIOS = (1.00, 0.92, 0.84, 0.75, 0.67)
 class WebTarget(Section):
     """The part on the web: a lattice, a mesh repeated along it, or an array of fractions [l, rho, z].
 
-    A mesh keeps its coordinates: x along the web, y outwards from the roller's side, z across, 0 in the middle.
+    A mesh keeps its coordinates: x along the web, y outwards from the roller's side, z across; 0 is in the middle.
 
     lattice: name of a lattice of `vamgpu.targets.lattices`.  cell: edge of its cell.  strut: thickness of its struts.
     level: level of its surface.  mesh: file of a part.  period: distance from one part to the next.  tiles: NumPy file.
@@ -115,7 +115,7 @@ class WebFrames(Section):
 
 
 class WebFile(Section):
-    """A whole job file of a web. `vam limits` reads the tables of its machine."""
+    """A whole job file of a web. `vam limits` reads the tables that describe its machine."""
 
     film: Annotated[Film, noun("film")]
     roller: Roll
@@ -273,7 +273,7 @@ def _segment(task: _Task) -> Segment | VamError:
 
 
 _latest: tuple[WebJob, Stream] | None = None
-"""The last job of this process and its stream, which takes longer to make than some segments to solve."""
+"""The last job of this process and its stream; making the stream takes longer than solving some segments."""
 
 
 def contrasts(

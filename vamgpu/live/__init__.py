@@ -29,7 +29,7 @@ __all__ = [
 
 
 class _CallablePackage(ModuleType):
-    """``vamgpu.live`` names this package and the function ``vamgpu.hosts.live.live_print.live``: calling it prints."""
+    """The package ``vamgpu.live`` is also the function ``vamgpu.hosts.live.live_print.live``: a call prints."""
 
     def __call__(self, *args: Any, **options: Any) -> Any:
         return import_module("vamgpu.hosts.live.live_print").live(*args, **options)

@@ -11,11 +11,11 @@ from vamgpu.backend.device import Device
 from vamgpu.live.fields import picked, places
 
 PAIRS = 50_000
-"""Most neighbors on either side of the surface that are used, spread evenly."""
+"""Greatest number of neighbors on either side of the surface that are used, spread evenly."""
 FARTHEST = 1.5
 """Distance [voxels] at which the error of a surface is clipped."""
 STEEPEST = 1e-3
-"""Least fall of the dose between neighbors, relative to the threshold, that gives a position."""
+"""Smallest decrease of the dose between neighbors, relative to the threshold, that gives a position."""
 
 
 class Border:

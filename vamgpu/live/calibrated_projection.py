@@ -1,4 +1,4 @@
-"""A projector as it turned out to be: its light moved, and its dose times a gain that varies slowly."""
+"""A projector as estimated: its light is moved, and its dose is multiplied by a gain that varies slowly."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class CalibratedProjection(Derived):
         self.device.launch(multiply, x=out, y=self.gain, out=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A field to work in, kept: new memory costs several times what a pass over it does."""
+        """A reusable work field: allocating memory takes several times as long as one pass over it."""
         held = vars(self._held)  # of each thread
         if name not in held:
             held[name] = self.device.empty(shape)

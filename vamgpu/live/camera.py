@@ -1,4 +1,4 @@
-"""The camera that watches a print: light through the vial, or scattered in it, as images and back."""
+"""The camera that watches a print: images of light through the vial, or scattered in it, and fields from images."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from vamgpu.schema.quantities import NonNegative, Place, Quantity, Turn
 Bits = Annotated[int, Quantity(least=1.0, most=16.0, whole=True)]
 
 TAIL = 5.0
-"""Standard deviations kept of a point spread, and one pixel more."""
+"""Standard deviations after which a point spread is cut off, plus one pixel."""
 LEAST = 1e-6
-"""Share of a column's light that gets in, from which on its pixels see anything."""
+"""Share of a column's light that must enter for its pixels to count."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise of gray levels: variance = read² + gain·level + 1/12, the last of rounding.
+    """Noise of gray levels: variance = read² + gain·level + 1/12; the last term is rounding.
 
     Args:
         read: Standard deviation in the dark [gray levels].
@@ -99,11 +99,11 @@ class CameraPose:
 
     @property
     def centered(self) -> bool:
-        """Whether images are in the geometry of the projection."""
+        """Whether images already have the geometry of the projection."""
         return self == CameraPose()
 
     def seen(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Turn centered images into images of this pose.
+        """Turn centered images into images of a camera in this pose.
 
         Args:
             images: Gray levels or other values, [angle, row, column].
@@ -116,7 +116,7 @@ class CameraPose:
         return _resampled(images, turn.T, -turn.T @ shift)
 
     def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Turn images of this pose into those of a centered camera.
+        """Turn images of a camera in this pose into centered ones.
 
         Args:
             images: Gray levels or other values, [angle, row, column].
@@ -129,13 +129,13 @@ class CameraPose:
 
     @property
     def _turn(self) -> np.ndarray:
-        """Centered (row, column) → those of the images."""
+        """Map from centered (row, column) to those of the images."""
         cosine, sine = np.cos(self.roll), np.sin(self.roll)
         return np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _resampled(images: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Images whose pixel p, from the middle, is that at turn·p + shift; edge values continue outside."""
+    """Images whose pixel p, counted from the middle, is the pixel at turn·p + shift; edge values continue outside."""
     from scipy.ndimage import affine_transform  # takes longer to load than all of vamgpu
 
     middle = 0.5 * (np.array(images.shape[1:]) - 1.0)
@@ -147,22 +147,22 @@ def _resampled(images: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.nd
 
 @dataclass(frozen=True, eq=False)
 class MonitoringCamera:
-    """A telecentric camera opposite to, or at an angle to, collimated light that resin does not absorb.
+    """A telecentric camera, opposite to or at an angle to collimated light that resin does not absorb.
 
-    Each pixel sees along one ray, so that a `Projection` with the camera's pixels, spread and angles and the vial's
-    indices at its wavelength is its geometry. In images [angle, row, column] rows count along z and columns along r.
+    Each pixel sees along one ray. Its geometry is therefore a `Projection` with the camera's pixels, spread and angles,
+    and the vial's indices at its wavelength. In images [angle, row, column] rows count along z and columns along r.
 
     To first order: scattered light is lost to the view through the vial, and light scattered into the view at an angle
-    is not weakened.
+    is not attenuated.
 
     Args:
-        projection: The rays. Its vessel absorbs nothing: absorption before the print is in the open field.
+        projection: The rays. Its vessel must absorb nothing: absorption before the print is part of the open field.
         open_field: Gray levels through the vial before the print, with the vignetting of light and lens:
             [row, column], or [angle, row, column] of one turn, or one number.
         noise: Noise of the sensor.
         pose: Pose of the sensor.
-        focus: How far downstream of the axis the camera is in focus [mm]. Cured resin of another index bends light, and
-            edges show bright and dark in proportion to this.
+        focus: Distance of the camera's focus downstream of the axis [mm]. Cured resin with another index bends light;
+            the brightness of edges is proportional to this distance.
 
     Raises:
         BadInput: The vessel absorbs, or the open field is dark, not finite, or saturates the sensor throughout.
@@ -215,7 +215,7 @@ class MonitoringCamera:
         return self._as_images(self.transmission(extinction, index)) * self.open_field
 
     def transmission(self, extinction: Any, index: Any = None) -> np.ndarray:
-        """Share of the open field's light that a centered camera sees.
+        """Share of the open field's light that a centered camera receives.
 
         Args:
             extinction: As for `transmitted`, [x, y, z].
@@ -230,7 +230,7 @@ class MonitoringCamera:
         return 1.0 - self.darkened(extinction, index).numpy()
 
     def darkened(self, extinction: Any, index: Any = None) -> DeviceArray:
-        """Share of the open field's light that a centered camera misses.
+        """Share of the open field's light that a centered camera does not receive.
 
         Args:
             extinction: As for `transmitted`, [x, y, z], NumPy or on the device.
@@ -274,7 +274,7 @@ class MonitoringCamera:
         return through * np.where(reached > 0, 1.0 / np.maximum(reached, LEAST), 0.0)
 
     def _curvature(self, path: np.ndarray) -> np.ndarray:
-        """Σ of the second derivatives of optical path [mm] across an image, over the index of the resin [1/mm]."""
+        """Σ of the second derivatives of optical path [mm] across an image, divided by the resin's index [1/mm]."""
         pitch, vessel = self.projection.beam.pitch, self.projection.vessel
         bent = np.zeros_like(path)
         for axis in (1, 2):
@@ -293,7 +293,7 @@ class MonitoringCamera:
 
     @cached_property
     def reached(self) -> np.ndarray:
-        """Share of the light of each column that the projection counts, by its transmittance (columns, 1)."""
+        """Share of the light of each column that the projection includes, by its transmittance (columns, 1)."""
         A = self.projection
         columns = A.beam.columns()
         return (np.ones(columns.size) if A.vessel is None else A.vessel.chords(columns).transmittance)[:, None]
@@ -311,13 +311,13 @@ class MonitoringCamera:
 
     @cached_property
     def _sharp(self) -> Projection:
-        """The rays without spread: it spreads light, not the logarithm of light."""
+        """The rays without spread: the spread blurs light, not the logarithm of light."""
         A = self.projection
         return Projection(A.grid, replace(A.beam, fill=1.0, spread=0.0), A.motion, A.vessel, A.device)
 
     @cached_property
     def _blur(self) -> Blur | None:
-        """A Gaussian's discrete twin, which has its variance."""
+        """A discrete Gaussian with the same variance."""
         from scipy.special import ive  # takes longer to load than all of vamgpu
 
         A, sigma = self.projection, self.projection.beam.sigma
@@ -327,12 +327,12 @@ class MonitoringCamera:
         taps /= 2.0 * taps.sum() - taps[0]
         return Blur(A.range, A.device, taps, np.ones(1) if A.beam.flat else taps)
 
-    # ---- and back ---------------------------------------------------------------------------------------------------
+    # ---- from images to fields ---------------------------------------------------------------------------------------
     def optical_depth(self, images: Any) -> tuple[np.ndarray, np.ndarray]:
         """Optical depth of a print, and its weight.
 
-        Pixels that are saturated, not finite (a lost frame is NaN throughout), or darker than twice their noise weigh
-        nothing. The open field counts as exact.
+        Pixels that are saturated, not finite (a lost frame is NaN throughout), or darker than twice their noise have
+        weight 0. The open field is assumed to be exact.
 
         Args:
             images: Gray levels [angle, row, column].
@@ -352,13 +352,13 @@ class MonitoringCamera:
         weight = np.where(good, levels**2 / np.where(good, variance, 1.0), 0.0)
         if not self.pose.centered:
             pitch = self.projection.beam.pitch
-            known = self.pose.centering(good.astype(np.float32), pitch) > 0.99  # no spline through what is not known
+            known = self.pose.centering(good.astype(np.float32), pitch) > 0.99  # no spline through unknown values
             depth = self.pose.centering(depth, pitch)
             weight = np.where(known, np.maximum(self.pose.centering(weight, pitch), 0.0), 0.0)
         return depth.swapaxes(1, 2), weight.swapaxes(1, 2)
 
     def measured(self, images: Any) -> tuple[DeviceArray, DeviceArray]:
-        """`optical_depth` as a projection has it, times the share of its column's light that gets in.
+        """`optical_depth` in the projection's geometry, multiplied by the share of its column's light that enters.
 
         Args:
             images: Gray levels [angle, row, column].
@@ -376,7 +376,7 @@ class MonitoringCamera:
             known = np.divide(weight, share**2, out=np.zeros_like(weight), where=share > 0.0)
             return device.upload(depth * share), device.upload(known)
         if np.asarray(images).dtype.kind == "f":
-            levels = np.nan_to_num(levels, posinf=self.noise.brightest)  # a level of 0 says nothing
+            levels = np.nan_to_num(levels, posinf=self.noise.brightest)  # a level of 0 has no depth
         shown = device.table(levels)
         depth, weight = (device.empty(self.projection.range.shape) for _ in range(2))
         device.launch(

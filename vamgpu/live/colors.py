@@ -30,8 +30,8 @@ class ReplannedColors:
     """Light of both colors of each of the turns that remain.
 
     Args:
-        light: Light of one turn, [angle, r, z] on the device, 0 to the projectors' bounds; dark if the print should
-            stop.
+        light: Light of one turn, [angle, r, z] on the device, from 0 to the projectors' limits; dark if the print
+            should stop.
         kept: Forecast of the print with the running plan.
         expected: Forecast with this light; its ``turns`` is the moment to stop.
         evaluations: Projector evaluations spent, each one forward and one back projection of both colors.
@@ -45,18 +45,18 @@ class ReplannedColors:
 
 @dataclass(frozen=True, eq=False)
 class ColorReplanner:
-    """Optimizes the light of both colors for the turns that remain; all of them show the same.
+    """Optimizes the light of both colors for the turns that remain; all of these turns show the same light.
 
-    Doses of two colors do not add up: what was delivered is the state of the species in every voxel, from which the
-    kinetics of the rest begin. Voxels that are surely over their limit (void that is solid, part above the most that is
-    asked) cannot be corrected and get no weight.
+    Doses of two colors do not add up: the delivered light is described by the state of the species in every voxel, from
+    which the remaining kinetics start. Voxels that are certainly over their limit (void that is solid, part above its
+    greatest dose) cannot be corrected and have no weight.
 
     Args:
         target: A `Target`, or fractions [x, y, z].
         model: Model of the planned print.
         most: Greatest light of a pixel of each color, in units of the plan's.
         weights: Required effective doses.
-        threshold: Least effective dose of solid resin; None for the middle between outside and inside.
+        threshold: Least effective dose of solid resin; None for the mean of outside and inside.
 
     Raises:
         BadInput: A value is out of its range.
@@ -84,11 +84,11 @@ class ColorReplanner:
         self, model: KineticModel, delivered: SpeciesFields, plan: Pair, planned: int, turns: Sequence[int], *,
         evaluations: float, deviation: Any = 0.0,
     ) -> ReplannedColors:  # fmt: skip
-        """The best light for the rest of a print within the given evaluations.
+        """The best light for the rest of a print with the given number of evaluations.
 
         Args:
-            model: With operators and lamps as estimated, for example `KineticModel.going_on`; its turns and start do
-                not count.
+            model: Model with operators and lamps as estimated, for example `KineticModel.going_on`; its turns and start
+                have no effect.
             delivered: State after the turns so far, for example `KineticModel.state` of the light that was shown.
             plan: Planned light of each remaining turn, [angle, r, z] of both colors.
             planned: Planned number of remaining turns.
@@ -131,12 +131,12 @@ class ColorReplanner:
     def _start(
         self, model: KineticModel, plan: Pair, planned: int, counts: Sequence[int], rise: float, before: float
     ) -> tuple[int, Pair]:
-        """Turns, and starting light: the plan's, scaled so that the part gets the middle of the required doses."""
+        """Turns, and the starting light: the plan's, scaled to give the part the middle of the required doses."""
         missing = max(0.5 * (self.weights.inside + self.weights.most) - before, 0.02)
         share = planned * missing / rise
         peak = share * max(extent(plan.visible)[1], 1e-30)
         count = next((n for n in counts if n and peak <= n * self.most[0] * (1.0 + ROUNDING)), counts[-1])
-        weaker = self.model.resin.ultraviolet / model.resin.ultraviolet  # its lamp's light over that found
+        weaker = self.model.resin.ultraviolet / model.resin.ultraviolet  # its light, relative to that found
         gains = (share / count, weaker * planned / count)
         return count, Pair(*(
             capped(combine(gain, part, 0.0, part, part.device.empty(part.shape)), most)
@@ -166,7 +166,7 @@ class ColorReplanner:
         return replace(band, weight=(~lost).astype(np.float32)) if lost.any() and not lost.all() else band
 
     def _judged(self, turns: int, dose: DeviceArray, judge: OptimizerState, loss: Loss) -> tuple[Forecast, float]:
-        """The forecast of a print and its loss; the dose becomes the loss's gradient."""
+        """The forecast of a print and its loss; the dose is overwritten by the loss's gradient."""
         return self._forecast(turns, dose, judge), judge.loss(dose, loss)
 
     def _forecast(self, turns: int, dose: DeviceArray, judge: OptimizerState) -> Forecast:

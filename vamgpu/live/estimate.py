@@ -1,4 +1,4 @@
-"""Estimates the effect of the light so far: a few parameters, then a gain of every voxel."""
+"""Estimates the effect of the light so far: first a few parameters, then a gain for every voxel."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from vamgpu.operators.space import require
 from vamgpu.printing.scenarios import clouded_and_displaced, displaced
 
 EDGE = 1e-3
-"""Least distance of starting values from their bounds."""
+"""Least distance of initial values from their bounds."""
 STEPS = (0.05, 0.1, 0.1)
-"""Steps of the differences for derivatives: a factor of absorption, and shares of a pixel."""
+"""Steps of the finite differences for derivatives: a factor of absorption, and shares of a pixel."""
 APART = (4, 2, 2)
-"""Steps from one place that derivatives are taken about to the next; the dose is known to second order between."""
+"""Distances between the points about which derivatives are taken; between them the dose is known to second order."""
 FAR = 0.75
 """Share of these distances beyond which derivatives are computed again."""
 KEPT = 16
-"""Operators whose tables are kept."""
+"""Number of operators whose tables are kept."""
 REWEIGHTED = 2
 """Fits from one set of derivatives, the later weighted by how many voxels err alike."""
 SLICES = 32
-"""Most slices with voxels that parameters are estimated from: slices do not light each other."""
+"""Greatest number of slices used to estimate parameters; slices do not light each other."""
 
 
 TINY = 1e-30
-"""Less than any variance of conversion."""
+"""A value below any variance of conversion."""
 FAINT = 0.02
 """Share of the greatest dose below which two operators are not compared."""
 OTHER = 1.5
@@ -67,7 +67,7 @@ class Estimate:
         values: Value of each of `NAMES`, (7,).
         covariance: Covariance matrix, (7, 7), larger if the residuals exceed the noise.
         delivered: Dose so far, in units of Aᵀ(light), [x, y, z] on the device.
-        lit: The part of it from the light since the last estimate, from only the parameters, [x, y, z] on the device.
+        lit: The part of ``delivered`` since the last estimate, by the parameters only, [x, y, z] on the device.
         std: Standard deviation of the dose of each voxel, in its unit, [x, y, z] on the device.
         chi_square: Sum of squared residuals of the voxels used, each over its variance.
         voxels: Number of voxels used for the parameters.
@@ -111,9 +111,9 @@ class Estimate:
         return Prior(self.values, self.covariance)
 
     def corrected(self, history: ResinHistory) -> ResinHistory:
-        """A vial's history with the oxygen that the sensitivity speaks for; for use before ``history.printed``.
+        """A vial's history with the oxygen that follows from the sensitivity; use it before ``history.printed``.
 
-        Lamp and oxygen are one gain here: give the history of a vial only where the lamp was measured.
+        Lamp and oxygen are one gain here: use this only if the lamp was measured.
 
         Args:
             history: The assumed history before the print.
@@ -125,25 +125,25 @@ class Estimate:
 
 
 def _raising(rows: int, up: float) -> np.ndarray:
-    """The matrix (rows, rows) that raises light by ``up`` rows, linear between them."""
+    """The matrix (rows, rows) that raises light by ``up`` rows, by linear interpolation."""
     return np.maximum(1.0 - np.abs(np.arange(rows)[:, None] - up - np.arange(rows)), 0.0)
 
 
 class Estimator:
-    """The most probable parameters of a print, given the conversion seen.
+    """The most probable parameters of a print, given the observed conversion.
 
         minimize Σ ((M(D(p)) − seen) / deviation)² + (p − mean)ᵀ covariance⁻¹ (p − mean)
 
-    by Gauss-Newton, the dose D and its derivatives by operators that are moved and clouded by the parameters. What then
-    is left of a voxel is a relative gain of its own, smoothed over its neighbors and drawn towards 0.
+    by Gauss-Newton. The dose D and its derivatives come from operators with moved and more absorbing resin. The
+    remaining deviation gives each voxel a relative gain, which is smoothed over its neighbors and drawn towards 0.
 
     Args:
         operator: The operator of the plan.
         response: Conversion M of a dose in units of Aᵀ(light).
-        samples: Most voxels used for the parameters.
+        samples: Greatest number of voxels used for the parameters.
         rounds: Number of times that derivatives are computed again.
         residual: Standard deviation of a voxel's own relative gain.
-        smooth: Standard deviation [voxels] of the neighborhood that shares it.
+        smooth: Standard deviation [voxels] of the neighborhood over which that gain is smoothed.
         rings: Whether `nearly` computes on rings, see `RingProjection`; None if they are faster.
 
     Raises:
@@ -222,10 +222,10 @@ class Estimator:
         return CalibratedProjection(placed, self._gain(values), float(values[3]))
 
     def nearly(self, values: np.ndarray, light: Any, dose: Any) -> CalibratedProjection:
-        """`calibrated`, to plan with: on rings where they are faster, and `calibrated` itself elsewhere.
+        """A faster form of `calibrated` for planning: on rings if they are faster, otherwise `calibrated` itself.
 
-        The tables of rings are those of the planned operator. Light is moved; what more or less absorption does is a
-        gain, with which some light has the dose that it should. The dose of other light is nearly right.
+        It uses the rings' tables of the planned operator. Light is moved; a gain represents the changed absorption.
+        It is exact for one given light, and approximate for any other.
 
         Args:
             values: Value of each of `NAMES`, (7,).
@@ -239,14 +239,14 @@ class Estimator:
             return self.calibrated(values)
         device, raised = self.operator.device, self.quick.raised(float(values[3]))
         across = float(values[2]) if abs(values[2]) > STILL * self.operator.beam.pitch else 0.0
-        moved, wanted = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
+        moved, planned = CalibratedProjection(raised, self._gain(values), across=across), here(device, dose)
         got = moved.T(here(device, light))
-        device.launch(match_dose, dose=wanted, got=got, least=FAINT * extent(wanted)[1], most=OTHER, gain=moved.gain)
+        device.launch(match_dose, dose=planned, got=got, least=FAINT * extent(planned)[1], most=OTHER, gain=moved.gain)
         return moved
 
     @cached_property
     def quick(self) -> RingProjection | None:
-        """The planned operator on rings; None if rays go on. Its tables are made when it is first asked for."""
+        """The planned operator on rings; None if rays are used. Its tables are made on first use."""
         return on_rings(self.operator, self.rings)
 
     def _placed_anew(self, absorption: float, across: float) -> Projection:
@@ -264,7 +264,7 @@ class Estimator:
             deviation: Standard deviation of each voxel's conversion, [x, y, z], NumPy or on the device, or one for all.
             prior: Prior of the parameters of these turns.
             before: The estimate before these turns; None at the start.
-            start: Start of the search, for example the last values, (7,); None for the prior's.
+            start: Initial values of the search, for example the last values, (7,); None for the prior's.
             correlated: Whether neighbors may err alike; how many count as one is then measured.
             common: Relative error that the conversion seen has in all voxels alike, such as that of the turbidity, and
                 its change from the middle to the top, and to the rim.
@@ -283,23 +283,23 @@ class Estimator:
         seen, spread, good = self._told(seen, deviation)
         used = self._used(slices, good)
         at = places(device, used, shape)
-        told, sigma = picked(seen, at), picked(spread, at)
-        if not (np.isfinite(told).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        measured, sigma = picked(seen, at), picked(spread, at)
+        if not (np.isfinite(measured).all() and np.isfinite(sigma).all() and (sigma > 0.0).all()):
             raise self._unseen(used.size)
         base = 0.0 if before is None else picked(here(device, before.delivered), at)
         whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
-        fit = Fit(lit, used, base, told, sigma, prior.mean, whitening)
+        fit = Fit(lit, used, base, measured, sigma, prior.mean, whitening)
         values, data, residuals, count = self._fitted(fit, values, correlated)
         spread = scaled(spread, sqrt(count))
         chi = float(count * (residuals @ residuals))
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
-        unexplained = float(count * np.square(residuals * sigma).mean() / max(float(told.var()), TINY))
+        unexplained = float(count * np.square(residuals * sigma).mean() / max(float(measured.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
-        seen_off = common * told * trends(*self._profile(used)) / (excess * sqrt(count) * sigma)
+        seen_off = common * measured * trends(*self._profile(used)) / (excess * sqrt(count) * sigma)
         shifts = covariance @ data.T @ seen_off.T  # by errors that all voxels have alike
         covariance = covariance + shifts @ shifts.T
         dose = self.calibrated(values).T(lit)
@@ -336,26 +336,26 @@ class Estimator:
         return values, data, residuals, count
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
-        """Conversion and its deviation on the device, 0 where nothing is seen, and where something is; None for all."""
+        """Conversion and its deviation on the device, 0 at unseen voxels; mask of seen voxels, None for all."""
         device = self.operator.device
         known = None if isinstance(seen, DeviceArray) else np.isfinite(seen)
         good = None if known is None or known.all() else known
-        told = here(device, seen if good is None else np.where(good, seen, 0.0))
+        measured = here(device, seen if good is None else np.where(good, seen, 0.0))
         if isinstance(deviation, DeviceArray) and good is None:
-            return told, here(device, deviation), None
-        spread = np.broadcast_to(np.asarray(deviation, float), told.shape)
+            return measured, here(device, deviation), None
+        spread = np.broadcast_to(np.asarray(deviation, float), measured.shape)
         if good is not None:
             spread = np.where(good, spread, 0.0)
         if not np.isfinite(spread).all():
             raise self._unseen(spread.size if good is None else int(good.sum()))
-        return told, device.upload(spread), good
+        return measured, device.upload(spread), good
 
     def _unseen(self, count: int) -> BadInput:
-        return BadInput(f"the conversion seen has {count} finite voxels in the judged cylinder; expected some, "
-                        "with finite deviations above 0: drop this turn's images")  # fmt: skip
+        return BadInput(f"the conversion seen has {count} finite voxels in the judged cylinder; expected some, with "
+                        "finite deviations above 0: drop this turn's images")  # fmt: skip
 
     def _slices(self, light: Any) -> np.ndarray:
-        """Numbers of slices to look at: half of them spread evenly, half where light changes most along z."""
+        """Numbers of the slices to use: half of them spread evenly, half where light changes most along z."""
         count = self.operator.grid.shape[2]
         if count <= SLICES:
             return np.arange(count)
@@ -368,7 +368,7 @@ class Estimator:
         return np.sort(np.concatenate([even, np.argsort(-steep, kind="stable")[: SLICES // 2]]))
 
     def _used(self, slices: np.ndarray, good: np.ndarray | None) -> np.ndarray:
-        """Numbers of the voxels that parameters are estimated from, spread evenly over those of the judged cylinder."""
+        """Numbers of the voxels used to estimate parameters, spread evenly over those of the judged cylinder."""
         columns, count = np.flatnonzero(self.operator.grid.cylinder()), self.operator.grid.shape[2]
         if good is None:
             some, draw = None, columns.size * slices.size
@@ -385,7 +385,7 @@ class Estimator:
         return columns[column] * count + slices[k]
 
     def _center(self, values: np.ndarray) -> np.ndarray:
-        """The nearest values that derivatives are taken about: few, so that tables of operators serve many turns."""
+        """The nearest values for derivatives: few different ones, because tables of operators then serve many turns."""
         center = values.copy()
         center[list(OPTICAL)] = self._apart * np.round(values[list(OPTICAL)] / self._apart)
         return center
@@ -400,14 +400,14 @@ class Estimator:
         return STEPS[0], *(step * self.operator.beam.pitch for step in STEPS[1:])
 
     def _mixed(self, light: DeviceArray, weights: np.ndarray) -> DeviceArray:
-        """Slices of light by the weights of its rows, (slices, rows)."""
+        """Slices of light, weighted by the weights of its rows, (slices, rows)."""
         device = self.operator.device
         mixed = device.empty((*light.shape[:2], len(weights)))
         device.launch(resample, source=light, lanes=light, **banded(device, weights), target=mixed)
         return mixed
 
     def _near(self, light: DeviceArray, center: np.ndarray, used: np.ndarray, before: Any) -> LocalDose:
-        """The dose about some parameters, by differences of operators."""
+        """The dose near given parameters, by finite differences of operators."""
         count, weights, step = self.operator.grid.shape[2], self.operator.row_weights, STEPS[2]
         slices, place = np.unique(used % count, return_inverse=True)
         shape = (*self.operator.grid.shape[:2], slices.size)
@@ -422,13 +422,13 @@ class Estimator:
         absorption, across = (round(center[k + 1] / self._steps[k]) for k in (0, 1))
 
         def even(light: DeviceArray, clouds: int = 0, aside: int = 0) -> np.ndarray:
-            """Dose of a gain of 1 at the voxels used, so many steps of absorption and of the axis off the center."""
+            """Dose of a gain of 1 at the voxels used, with given steps of absorption and of the axis off the center."""
             placed = self._placed((absorption + clouds) * self._steps[0], (across + aside) * self._steps[1])
             return picked(placed.lit_slices(light), at)
 
         middle = even(still)
         slopes, curves = np.zeros((2, len(OPTICAL), used.size))
-        slopes[2] = even(rising)  # its curve is that of a kink: light is interpolated linearly between rows
+        slopes[2] = even(rising)  # its curve has a kink, because light is interpolated linearly between rows
         for k, possible in enumerate((self._absorbs, self._movable)):
             if possible:
                 low, high = (even(still, side * (k == 0), side * (k == 1)) for side in (-1, 1))
@@ -447,7 +447,7 @@ class Estimator:
 
     @cached_property
     def _movable(self) -> bool:
-        """Whether the vessel looks the same at every angle, so that it can stand beside the light's middle."""
+        """Whether the vessel looks the same at every angle, which allows it to be off the light's middle."""
         try:
             return displaced(self.operator, STEPS[1]) is not None
         except BadInput:
@@ -461,15 +461,15 @@ class Estimator:
         off = max(abs(values[2]) / (0.1 * self._width(0)), abs(values[3]) / (0.1 * self._width(1)))
         absurd = (values <= 1.05 * LEAST) | (values >= 0.95 * MOST)
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
-            told = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
-            raise BadInput(f"got {told} from the conversion seen, impossible for a print; expected that of this print: "
-                           "drop this turn's images and go on by the last plan")  # fmt: skip
+            measured = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
+            raise BadInput(f"got {measured} from the conversion seen, impossible for a print; expected that of this "
+                           "print: drop this turn's images and go on by the last plan")  # fmt: skip
 
     def _width(self, axis: int) -> float:
         return self.operator.beam.pixels[axis] * self.operator.beam.pitch
 
     def _by_voxel(self, dose: DeviceArray, seen: DeviceArray, spread: DeviceArray) -> DeviceArray:
-        """Give each voxel's dose a gain estimated from its neighbors; returns the deviation that is left."""
+        """Give each voxel's dose a gain estimated from its neighbors; return the remaining deviation."""
         device, curve = self.operator.device, self._curve
         shared = 1.0 / (2.0 * self.smooth * np.sqrt(np.pi)) ** 3  # Σ of the squared weights of a neighborhood
         weight, pull = (device.empty(dose.shape) for _ in range(2))

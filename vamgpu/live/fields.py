@@ -1,4 +1,4 @@
-"""Operations on whole fields, on the device where they are."""
+"""Operations on whole fields, on the device that holds them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vamgpu.operators.reductions import EVERYWHERE, extent
 
 
 def here(device: Device, values: Any) -> DeviceArray:
-    """Values [i, j, z] as a field on a device; they pass the host only if they live on another device."""
+    """Values [i, j, z] as a field on a device; they pass through the host only if they are on another device."""
     away = isinstance(values, DeviceArray) and values.device is not device
     return device.field(values.numpy() if away else values)
 

@@ -1,8 +1,8 @@
-"""A film of a print that was watched: turn by turn what the camera saw, and what was made of it."""
+"""A film of a recorded print: for each turn, the camera image and what was estimated from it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CURVES = {"sensitivity": style.BLUE, "absorption": style.ORANGE, "inhibitor": style.GREEN}
-"""Estimates that are drawn over the turns; all are 1 where nothing is off."""
+"""Estimates that are drawn against the turns; all are 1 if nothing deviates."""
 
 
 def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
@@ -29,7 +29,7 @@ def film(record: LiveRecord, path: str | Path, rate: float = 1.0) -> Path:
 
 
 def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
-    """One picture a turn, uint8 [row, column, color], all of one size."""
+    """One picture per turn, uint8 [row, column, color], all of one size."""
     part, open_field, count = record.part(), record.setup().open_field, len(record.decided())
     before: list[Decision] = []
     for _, frames, decision in record.again():
@@ -39,7 +39,7 @@ def pictures(record: LiveRecord) -> Iterator[np.ndarray]:
 
 
 def drawn(part: np.ndarray, frames: np.ndarray, decisions: Sequence[Decision], open_field: float, count: int) -> Figure:
-    """A figure of one turn: its frames, and the decisions up to the one after it. count: turns of the whole print."""
+    """A figure of one turn: its frames, and the decisions so far and the next one. count: turns of the whole print."""
     now = decisions[-1]
     with style.styled():
         figure, axes = style.sheet("cdv;ppp", 4.8, height_ratios=(1.4, 1.0), width_ratios=(1.0, 1.5, 1.5))
@@ -69,13 +69,9 @@ def _pixels(figure: Figure) -> np.ndarray:
 def _curves(axis: Any, before: Sequence[Decision], count: int) -> None:
     found = [each for each in before if each.parameters]
     for name, color in CURVES.items():
-        pairs = np.array([_pair(each.parameters, name, each.inhibitor) for each in found]).reshape(-1, 2)
+        pairs = np.array([each.parameters.get(name, (each.inhibitor, 0.0)) for each in found]).reshape(-1, 2)
         turns = [each.turn for each in found]
         axis.errorbar(turns, pairs[:, 0], pairs[:, 1], marker="o", markersize=4, capsize=2.5, color=color, label=name)
     axis.axhline(1.0, color=style.FAINT, lw=1.0)
     axis.set(xlim=(0.5, count + 0.5), ylim=(0.3, 1.5), xlabel="turn", title="over planned")
     axis.legend(loc="upper left", ncols=len(CURVES))
-
-
-def _pair(parameters: Mapping[str, tuple[float, float]], name: str, inhibitor: float) -> tuple[float, float]:
-    return parameters.get(name, (inhibitor, 0.0))

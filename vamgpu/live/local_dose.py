@@ -1,4 +1,4 @@
-"""Dose of some voxels near some parameters of a print, to second order."""
+"""Dose of some voxels near given parameters of a print, to second order."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LocalDose:
     """Dose of n voxels near some parameters, to second order in the optical ones."""
 
     center: np.ndarray  # parameters, (7,)
-    even: np.ndarray  # dose at the center of a gain of 1, (n,)
+    even: np.ndarray  # dose at the center for a gain of 1, (n,)
     slopes: np.ndarray  # derivatives of it, (3, n)
     curves: np.ndarray  # second derivatives, (3, n)
     up: np.ndarray  # profile of the gain along z, (n,)

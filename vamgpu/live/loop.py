@@ -1,4 +1,4 @@
-"""Sense, estimate, replan, swap: the decision after every turn, a pure function of the images."""
+"""Measure, estimate, replan, swap: the decision after every turn, a pure function of the images."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import total
 
 SIGNIFICANT = 0.1
-"""Conversion that counts as seen."""
+"""Smallest conversion that counts as seen."""
 ENOUGH = 50
-"""Fewest such voxels for an estimate."""
+"""Smallest number of such voxels for an estimate."""
 MODEL = 0.1
-"""Conversion by which resin and tomograph may be wrong besides the noise."""
+"""Error of the conversion from resin and tomograph, in addition to the noise."""
 COMMON = 0.05
 """Relative error of the conversion seen that all voxels have alike."""
 FIRST = 1000
-"""Most voxels of the first estimate."""
+"""Greatest number of voxels of the first estimate."""
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
-"""Deviations of parameters that a rounded field hardly separates, and of the inhibitor that a vial's age used up; [mm]
-or dimensionless."""
+"""Deviations of parameters that a blurred field hardly distinguishes, and of the inhibitor that a vial's age consumed;
+[mm] or dimensionless."""
 GAINS = np.geomspace(0.5, 2.0, 41)
 INHIBITORS = np.linspace(0.4, 1.1, 36)
-"""Light and inhibitor, relative to the plan, tried before the rest is estimated."""
+"""Values of light and inhibitor, relative to the plan, to try before the other parameters are estimated."""
 ROUNDING = 1e-3
-"""Turns that sums of light may be off by."""
+"""Tolerance, in turns, of sums of light."""
 ONSET = 0.02
 """Share of the planned print's darkening below which nothing counts as cured."""
 KEPT = 4
-"""Lights whose copies on the device are kept."""
+"""Number of lights whose copies on the device are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,11 @@ class Decision:
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
         iou: Overlap claimed for the end: the least within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
-        doubt: Why images no longer decide; empty if they do. Then the planned light continues until images are as dark
-            as its print makes them, with at most the dose of the plan, and no overlap is expected.
+        doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
+            as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
         misfit: Misfit of the images, dimensionless, see `Reconstruction.misfit`; 0 without images.
+        checks: Values and limits, dimensionless, of what was checked: ``images``, their misfit, and ``conversion``, the
+            share that the light shown does not explain.
         stages: Wall time of "see", "estimate" and "replan" [s]; not in `entry`, because a replay takes another time.
         dose: Estimated dose of all light so far, relative to that of solid resin, [x, y, z] on the device
             (``.numpy()`` copies it); not in `entry`. None if nothing is estimated.
@@ -86,6 +88,7 @@ class Decision:
     reason: str = ""
     doubt: str = ""
     misfit: float = 0.0
+    checks: dict[str, tuple[float, float]] = field(default_factory=dict)
     stages: dict[str, float] = field(default_factory=dict)
     dose: DeviceArray | None = None
     conversion: DeviceArray | None = None
@@ -98,18 +101,19 @@ class Decision:
             "inhibitor": self.inhibitor, "parameters": {name: list(v) for name, v in self.parameters.items()},
             "iou": self.iou, "reason": self.reason,
             "light": digest(np.asarray(self.light, np.float32)), "doubt": self.doubt, "misfit": self.misfit,
+            "checks": {name: list(pair) for name, pair in self.checks.items()},
         }  # fmt: skip
 
 
 class _Laps:
-    """Wall time of stages that follow each other [s]."""
+    """Wall time of successive stages [s]."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._last = perf_counter()
 
     def over(self, stage: str) -> None:
-        """A stage ends now."""
+        """End a stage now."""
         now = perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
         self._last = now
@@ -121,10 +125,10 @@ class LiveState:
 
     Args:
         turn: Turns shown so far.
-        shown: Sum of their light, [angle, r, z], on the device or NumPy.
+        shown: Sum of the light shown so far, [angle, r, z], on the device or NumPy.
         pending: Light whose radicals have not reacted yet, [angle, r, z], on the device or NumPy.
         light: Light of the next turn, [angle, r, z].
-        turns: Number of turns for which it is to be shown.
+        turns: Number of turns for which the light is to be shown.
         version: Version of the light.
         seen: The last field; None before the first.
         committed: Light of earlier turns that can no longer be changed, one [angle, r, z] each; the next images belong
@@ -134,7 +138,7 @@ class LiveState:
         level: Mean level of the last images, [row, column]; None before the first turn.
         sunk: Shift of what is cured towards lower rows since it was first seen [pixels].
         images: Digest of the last images.
-        doubt: Why images no longer decide; empty where they do.
+        doubt: Reason why images no longer decide; empty if they do.
     """
 
     turn: int
@@ -155,7 +159,7 @@ class LiveState:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A turn that is over: its number, turns left, the state before it, and light shown, pending and committed now."""
+    """A completed turn: its number, remaining turns, the previous state; the light shown, pending and committed."""
 
     # clear: level of images before anything cured, and level: now; sunk: as in a state; cured: share of the planned
     # print's darkening that is seen now
@@ -175,10 +179,10 @@ class _Turn:
 
 @dataclass(frozen=True, eq=False)
 class LiveLoop:
-    """Decides after every turn. Work is counted in projector evaluations, so that a replay decides the same.
+    """Decides after every turn. Work is counted in projector evaluations: a replay then decides the same.
 
-    Consumed inhibitor counts as dose that the resin already has. The camera does not see light that has not reacted
-    yet; it counts as delivered.
+    Consumed inhibitor counts as dose that the resin already has. The camera cannot see light that has not reacted yet;
+    that light counts as delivered.
 
     Args:
         tomograph: Makes fields from images.
@@ -191,7 +195,7 @@ class LiveLoop:
         iterations: Projector evaluations of the tomograph per decision.
         evaluations: Projector evaluations of the replanner per decision.
         prior: Prior of the parameters.
-        ahead: Turns that begin before a decision can reach the projector.
+        ahead: Number of turns that begin before a decision can reach the projector.
         every: Number of turns from one decision to the next.
         trust: Limits within which images decide.
     """
@@ -211,7 +215,7 @@ class LiveLoop:
     trust: Trust = field(default_factory=Trust)
 
     def start(self) -> LiveState:
-        """The state before the first turn. It also makes tables, so that no turn waits for them."""
+        """The state before the first turn. It also makes tables; no turn then waits for them."""
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
         self.replanner.prepare(self.estimator.operator)
         light = self._planned
@@ -221,10 +225,10 @@ class LiveLoop:
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
         """Decide after one more turn of the first committed light, or of the state's light if none is committed.
 
-        Images or estimates that are rejected only cost the update of this turn.
+        If images or estimates are rejected, only the update of this turn is lost.
 
         Args:
-            state: Before the turn.
+            state: The state before the turn.
             frames: Frames of the turn, gray levels [angle, row, column].
 
         Returns:
@@ -239,18 +243,20 @@ class LiveLoop:
             elif at.turn % self.every:
                 decision = self._kept(at, f"decided after every {self.every} turns")
             else:
-                told = self.tomograph.measure(frames)
-                seen = self.tomograph.see(told, seen, iterations=self.iterations)
+                depths = self.tomograph.measure(frames)
+                seen = self.tomograph.see(depths, seen, iterations=self.iterations)
                 laps.over("see")
                 doubt = self.trust.of_images(seen)
-                decision = self._by_plan(at, doubt) if doubt else self._replanned(at, told, seen, laps)
-                decision = replace(decision, misfit=seen.misfit)
+                decision = self._by_plan(at, doubt) if doubt else self._replanned(at, depths, seen, laps)
+                images = seen.misfit, self.trust.limit(seen)
+                decision = replace(decision, misfit=seen.misfit, checks={"images": images} | decision.checks)
         except VamError as error:
             decision = self._kept(at, f"refused: {error}")
         conversion = None if seen is None else seen.cured
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
+        found = np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else state.values
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, _values(decision, state.values), at.clear, at.level, at.sunk, at.images,
+                          at.committed, found, at.clear, at.level, at.sunk, at.images,
                           decision.doubt)  # fmt: skip
         return after, decision
 
@@ -267,7 +273,7 @@ class LiveLoop:
             if clear is not None and state.level is not None:
                 moved += sunk(clear - state.level, clear - level)
             share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
-            if clear is None or share < ONSET:  # what darkens images before anything cures is no cure
+            if clear is None or share < ONSET:  # darkening before anything cures is not curing
                 clear = level
         left, seen = max(state.turns - 1, 0), digest(some(frames))
         last = state.level if level is None else level
@@ -296,7 +302,7 @@ class LiveLoop:
         return {}
 
     def corrected(self, state: LiveState, lights: Mapping[int, np.ndarray], showed: Sequence[int]) -> LiveState:
-        """The state if the versions shown differ from those decided, for example because one came too late.
+        """The state if other versions were shown than decided, for example because one came too late.
 
         Args:
             state: The state before a turn.
@@ -310,14 +316,14 @@ class LiveLoop:
         return replace(state, committed=tuple(committed), light=light)
 
     def replay(self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None) -> Iterator[Decision]:
-        """The decisions for recorded images, bit for bit those of the print.
+        """The decisions for recorded images, equal bit for bit to those of the print.
 
         Args:
             turns: Frames of each turn, [angle, row, column], in order.
             showed: Versions of each turn, as for `corrected`; None if all were shown as decided.
 
         Yields:
-            The decision after each.
+            The decision after each turn.
         """
         return (decision for _, decision in self.states(turns, showed))
 
@@ -346,7 +352,7 @@ class LiveLoop:
         return Decision(at.turn, "stop" if stop else "keep", before.version, before.light, at.left, reason=reason)
 
     def _by_plan(self, at: _Turn, doubt: str) -> Decision:
-        """The planned light, until images are as dark as its print makes them; its dose at most."""
+        """The planned light until images are as dark as planned, with at most the dose of the plan."""
         before, turns = at.before, self._allowed(at)
         if at.cured >= 1.0 or at.turn + self.ahead >= self.longest:
             turns = 0
@@ -356,7 +362,7 @@ class LiveLoop:
                         reason=f"by the plan: {doubt}", doubt=doubt)  # fmt: skip
 
     def _allowed(self, at: _Turn) -> int:
-        """Turns of planned light that the dose of the plan has room for."""
+        """Number of turns of planned light that the remaining dose of the plan allows."""
         spent = total(added(at.shown, *map(self.field, at.committed))) / total(self.field(self._planned))
         return max(floor(self.planned - spent + ROUNDING), 0)
 
@@ -368,43 +374,45 @@ class LiveLoop:
 
     @cached_property
     def _dark(self) -> np.ndarray:
-        """Darkening of the images when planned light is to end, as what is in flight still reacts."""
+        """Darkening of the images at which planned light ends; light in flight still reacts afterwards."""
         share = max(1.0 - (self.resin.dark + self.ahead) / self.planned, 0.0)
         cured = self.estimator.conversion(share * self._planned_dose.numpy())
         passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
         return darkening(-np.log(np.maximum(some(passed), TINY)).mean(axis=0))
 
-    def _replanned(self, at: _Turn, told: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
+    def _replanned(self, at: _Turn, depths: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
             # A weak lamp must not end a print before anything is seen.
             some = max(at.left, min(1, self.longest - at.turn - self.ahead))
             return self._kept(replace(at, left=some), "nothing cured yet")
-        deviation = self._deviation(told, seen)
+        deviation = self._deviation(depths, seen)
         laps.over("see")
         acted = added(at.shown, at.pending, factor=-1.0)
         found = self._estimated(at.before, acted, self.field(seen.cured), deviation)
         laps.over("estimate")
+        checks = {"conversion": (found.unexplained, self.trust.conversion)}
         if doubt := self.trust.of_estimate(found):
-            return self._by_plan(at, doubt)
+            return replace(self._by_plan(at, doubt), checks=checks)
         calibrated = self.estimator.nearly(found.values, acted, found.lit)
         more = calibrated.T(added(at.pending, *map(self.field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
         plan = self.replanner.replan(
             calibrated, delivered, self.field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
-            wanted=self._wanted(float(found.values[6])), error=min(total(found.std) / total(found.delivered), 1.0),
+            expected_dose=self._expected_dose(float(found.values[6])),
+            error=min(total(found.std) / total(found.delivered), 1.0),
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
-        return decision
+        return replace(decision, checks=checks)
 
     def _cured(self, seen: Reconstruction) -> int:
-        """Voxels in the judged cylinder that have."""
+        """Number of voxels in the judged cylinder with visible conversion."""
         level = float(np.nextafter(np.float32(SIGNIFICANT), np.float32(inf)))
         return int(above(Parts(seen.cured, seen.cured, -inf), level)[0, IN, 1])
 
     def _estimated(self, before: LiveState, acted: DeviceArray, seen: DeviceArray, deviation: DeviceArray) -> Estimate:
-        """Parameters and dose of the light that has acted, from the conversion seen and its deviation."""
+        """Parameters and dose of the light that has reacted, from the conversion seen and its deviation."""
         columns, slices = np.flatnonzero(self.estimator.operator.grid.cylinder()), seen.shape[2]
         count = columns.size * slices
         column, z = np.divmod(np.arange(0, count, max(count // FIRST, 1)), slices)
@@ -416,7 +424,7 @@ class LiveLoop:
         return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, correlated=True, common=COMMON)
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
-        """The decision that follows from a plan of the rest."""
+        """The decision that follows from a plan of the remaining turns."""
         turns, light = plan.expected.turns, at.before.light
         swapped = not alike(plan.light, self.field(light))
         if swapped:
@@ -430,9 +438,9 @@ class LiveLoop:
             dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
-    def _deviation(self, told: OpticalDepths, seen: Reconstruction) -> DeviceArray:
-        """Standard deviation of the conversion seen: noise, what is rounded off at edges, and what models lack."""
-        variance = self.field(self.tomograph.variance(told, iterations=self.iterations))
+    def _deviation(self, depths: OpticalDepths, seen: Reconstruction) -> DeviceArray:
+        """Standard deviation of the conversion seen: noise, smoothing at edges, and errors of the models."""
+        variance = self.field(self.tomograph.variance(depths, iterations=self.iterations))
         sharp = self.field(seen.cured)
         variance.device.launch(
             conversion_deviation, extinction=self.field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
@@ -442,7 +450,7 @@ class LiveLoop:
 
     @cached_property
     def _slopes(self) -> dict[str, DeviceArray]:
-        """Slopes of the conversion, and the extinctions where they begin, as tables."""
+        """Slopes of the conversion, and the extinctions at which they begin, as tables."""
         resin, device = self.tomograph.turbidity, self.estimator.operator.device
         return {"knots": device.table(np.array(resin.extinction[:-1])), "slopes": device.table(resin.slopes)}
 
@@ -451,8 +459,8 @@ class LiveLoop:
         """Smoothing like that of edges in a reconstruction."""
         return Smoothing(self.estimator.operator.device, self.estimator.operator.grid.shape, 1.0)
 
-    def _wanted(self, initial_dose: float) -> DeviceArray:
-        """Dose of the whole plan, by as much less as resin with a head start needs, which counts as dose."""
+    def _expected_dose(self, initial_dose: float) -> DeviceArray:
+        """Dose of the whole plan, reduced for resin that has consumed inhibitor, because that counts as dose."""
         solid = self.resin.solid
         return scaled(self._planned_dose, (solid - initial_dose) / solid, initial_dose)
 
@@ -462,14 +470,10 @@ class LiveLoop:
         return A.T(A.device.field((self.planned * self.light).astype(np.float32)))
 
     def _first_look(self, dose: np.ndarray, seen: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
-        """Light and inhibitor over planned that explain best what is seen: where neither is known, slopes are none."""
+        """Light and inhibitor, relative to the plan, that explain best what is seen; used while neither is known."""
         usual = np.log(GAINS)[:, None] ** 2 / self.prior.covariance[0, 0] + 0.0 * INHIBITORS
         used = self.resin.induction * (1.0 - INHIBITORS)[:, None]
         for row, gain in zip(usual, GAINS, strict=True):
             row += np.square((self.estimator.conversion(gain * dose + used) - seen) / deviation).sum(axis=1)
         i, k = np.unravel_index(int(np.argmin(usual)), usual.shape)
         return float(GAINS[i]), float(INHIBITORS[k])
-
-
-def _values(decision: Decision, last: np.ndarray | None) -> np.ndarray | None:
-    return np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else last

@@ -1,4 +1,4 @@
-"""Pictures of what is believed of a print: two cuts through a field, and where the part's surface shall be."""
+"""Pictures of the estimated print: two cuts through a field, with the intended surface of the part."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from vamgpu.live.fields import picked, places
 from vamgpu.reports.chart import colored
 
 BRIGHT = 1.5
-"""Dose of the brightest color, over that from which resin is solid."""
+"""Dose of the brightest color, relative to the dose from which resin is solid."""
 TALL = 160
 """Least height of a picture [pixels]."""
 GAP = 6
-"""Between the cuts [pixels]."""
+"""Distance between the cuts [pixels]."""
 OUTLINE = np.array([255, 255, 255], np.uint8)
 
 
 def cuts(field: Any, part: np.ndarray, most: float, colors: str = "magma") -> np.ndarray:
-    """A cut across the axis beside one along it, uint8 [row, column, color]; the part is outlined in both."""
+    """A cut across the axis next to one along it, uint8 [row, column, color]; the part is outlined in both."""
     most = positive("most", most)
     shape = field.shape if isinstance(field, DeviceArray) else np.shape(field)
     if len(shape) != 3 or shape != np.shape(part):
@@ -42,9 +42,9 @@ def _cut(field: Any, axis: int, at: int) -> np.ndarray:
     """The plane ``at`` along an axis."""
     if not isinstance(field, DeviceArray):
         return np.take(field, at, axis)
-    wanted = [np.arange(count) for count in field.shape]
-    wanted[axis] = wanted[axis][at : at + 1]
-    numbers = np.ravel_multi_index(np.ix_(*wanted), field.shape)
+    indices = [np.arange(count) for count in field.shape]
+    indices[axis] = indices[axis][at : at + 1]
+    numbers = np.ravel_multi_index(np.ix_(*indices), field.shape)
     found = picked(field, places(field.device, numbers.reshape(-1), field.shape))
     return found.reshape(numbers.shape).squeeze(axis)
 

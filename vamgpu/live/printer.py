@@ -1,4 +1,4 @@
-"""A print that only computes: resin on voxels of its own, lit by rays of its own, and the camera that looks at it."""
+"""A simulated print: resin on its own voxels, lit by its own rays, and the camera that watches it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Positive, Share
 
 FINER = 2
-"""Voxels of the resin along an edge of the plan's."""
+"""Number of voxels of the resin along an edge of the plan's voxels."""
 HIGHEST = 3.0
-"""Dose that the response is sampled to, in units of the part's."""
+"""Greatest dose at which the response is sampled, in units of the part's."""
 MOST = 0.999
 """Greatest conversion at a gel point."""
 GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
@@ -34,8 +34,8 @@ GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
 class CuringResin:
     """Resin whose inhibitor must be consumed before it cures, and that continues to cure in the dark.
 
-    dose rate E: inhibitor −E until it is gone, from then on radicals R' = E − R/dark, and conversion
-    M' = rate·(1 − M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
+    dose rate E: inhibitor −E until it is consumed; from then on radicals R' = E − R/dark, and conversion M' = rate·(1 −
+    M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
 
     Args:
         induction: Dose that consumes the inhibitor of fresh resin, in units of the part's.
@@ -114,7 +114,7 @@ class CuringResin:
             state: As for `expose`, (3, ...).
 
         Returns:
-            Conversion when they are gone, shaped as a voxel field, (voxels,) or [x, y, z].
+            Conversion when no radicals remain, with the shape of a voxel field, (voxels,) or [x, y, z].
         """
         return 1.0 - (1.0 - state[2]) * np.exp(-self.rate * state[1])
 
@@ -141,10 +141,10 @@ class Truth:
 
 
 class VirtualPrinter:
-    """A print as it goes: voxels half as wide as the plan's, exposed by traced rays, seen by a camera with noise.
+    """A print in progress: voxels half as wide as the plan's, exposed by traced rays and seen by a camera with noise.
 
-    Nothing here is read from the operator of the plan but its geometry: `IndependentExposure` lights voxels half as
-    wide again, shifted by a quarter of one. The camera's images are made from the resin's own voxels.
+    Of the plan's operator, only the geometry is used: `IndependentExposure` lights voxels half as wide again, shifted
+    by a quarter of one. The camera's images are made from the resin's own voxels.
 
     Args:
         operator: The operator of the plan.
@@ -188,7 +188,7 @@ class VirtualPrinter:
     @cached_property
     def _gain(self) -> np.ndarray:
         z = self.grid.axes()[2]
-        # Light per voxel is planned for voxels of the plan: those of the resin are smaller, and get as much less.
+        # Light per voxel is planned for the plan's voxels; the resin's voxels are smaller and get proportionally less.
         return FINER**3 * (1.0 + self.truth.along_z * z / z[-1])
 
     def dose(self, light: np.ndarray) -> np.ndarray:
@@ -231,7 +231,7 @@ class VirtualPrinter:
         return self.turbidity.extinction_at(self.state[2]).astype(np.float32)
 
     def printed(self) -> np.ndarray:
-        """Conversion when all radicals are gone, the mean over each voxel of the plan, [x, y, z]."""
+        """Conversion when no radicals remain, averaged over each voxel of the plan, [x, y, z]."""
         nx, ny, nz = (n // FINER for n in self.grid.shape)
         return self.resin.rest(self.state).reshape(nx, FINER, ny, FINER, nz, FINER).mean(axis=(1, 3, 5))
 

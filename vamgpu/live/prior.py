@@ -1,4 +1,4 @@
-"""Parameters of a print: their names, bounds, and what is known of them before a turn is seen."""
+"""Parameters of a print: their names, bounds, and prior."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
 NAMES = ("sensitivity", "absorption", "across", "height", "along_z", "along_r", "initial_dose")
-"""Factors of the dose and of the absorption coefficient; places of the axis across the light and of the light along z
-[mm]; what the gain changes by from the middle to the top, and over half of the squared radius; dose that the resin has
-had before, as where inhibitor was used up."""
+"""Factors of the dose and of the absorption coefficient; positions of the axis across the light and of the light along
+z [mm]; change of the gain from the middle to the top, and over half of the squared radius; dose of the resin before the
+print, for example where inhibitor was consumed."""
 NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 OPTICAL = (1, 2, 3)
 """Parameters that need an operator of their own; the dose is linear in the others."""
 DEVIATIONS = (0.3, 0.2, 0.1, 0.1, 0.1, 0.1, 1e-3)
 LEAST = np.array([0.1, 0.2, -np.inf, -np.inf, -1.0, -1.0, -np.inf])
 MOST = np.array([10.0, 5.0, np.inf, np.inf, 1.0, 1.0, np.inf])
-"""Beyond these a print is no print any more; nor is the axis, or the height, farther off than a tenth of the beam."""
+"""Values beyond these are impossible for a print; the axis and the height are also at most a tenth of the beam off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +75,10 @@ class Prior:
         return cls(mean, np.diag([positive(f"deviation of {name}", usual[name]) ** 2 for name in NAMES]))
 
     def drifted(self, deviations: Mapping[str, float]) -> Prior:
-        """The prior a turn later, of parameters that wander by so much a turn.
+        """The prior one turn later, for parameters that change by the given deviations per turn.
 
         Args:
-            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; others stay as they are.
+            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; others do not change.
 
         Returns:
             The prior of the next turn.

@@ -1,4 +1,4 @@
-"""The record of a live print: what was planned, what was seen each turn, and every decision."""
+"""The record of a live print: the plan, the images of each turn, and every decision."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from vamgpu.storage.reading import parse_json, read_text
 
 SETUP, DECISIONS = "live.json", "live.jsonl"
 STAGES = ("sense", "see", "estimate", "replan", "pack", "upload")
-"""Stages of a decision: images become a field, parameters, light and frames, which are checked and kept."""
+"""Stages of a decision: images become a field, then parameters, light and frames, which are checked and saved."""
 ENTRY = "turn", "action", "version", "turns", "inhibitor", "parameters", "iou", "reason", "light"
 """Keys of every decision in a record."""
 
 
 @dataclass(frozen=True)
 class LiveSetup:
-    """All that a `LiveLoop` is made of besides part and light, as plain values.
+    """Everything that a `LiveLoop` consists of, except part and light, as plain values.
 
     Args:
         shape: Voxels of the grid.
         pitch: Pitch of the voxels [mm].
-        pixels: Columns and rows of beam and camera.
+        pixels: Columns and rows of both beam and camera.
         pixel: Their pitch [mm].
         angles: Images of a turn.
         vial: The vial for the printing light.
@@ -55,12 +55,12 @@ class LiveSetup:
         iterations: Projector evaluations of the tomograph per decision.
         evaluations: Projector evaluations of the replanner per decision.
         device: Device of the decisions; other devices round differently.
-        ahead: Turns that begin before a decision can reach the projector.
+        ahead: Number of turns that begin before a decision can reach the projector.
         every: Number of turns from one decision to the next.
         fill: Share of a pixel of the beam that is lit.
         spread: Standard deviation of the beam's point spread [mm]; None for half a pixel.
         dose: Dose of one unit of planned light, in units of the resin's dose.
-        lit_share: Share of each step during which its image is lit while the vial turns; camera images are of its
+        lit_share: Share of each step during which its image is lit while the vial turns; camera images are taken at its
             angle.
         rings: Whether to reconstruct and plan on rings, see `vamgpu.RingProjection`; None if they are faster.
     """
@@ -130,11 +130,11 @@ class LiveSetup:
         )  # fmt: skip
 
     @classmethod
-    def of(cls, told: dict[str, Any]) -> LiveSetup:
+    def of(cls, entries: dict[str, Any]) -> LiveSetup:
         """Read the values that `dataclasses.asdict` made of a setup.
 
         Args:
-            told: The values by name.
+            entries: The values by name.
 
         Returns:
             The setup.
@@ -145,14 +145,14 @@ class LiveSetup:
         kinds = {"vial": Vial, "red": Vial, "noise": SensorNoise, "resin": CuringResin, "turbidity": Turbidity}
         try:
             plain: dict[str, Any] = {
-                name: kinds[name](**value) if name in kinds else value for name, value in told.items()
+                name: kinds[name](**value) if name in kinds else value for name, value in entries.items()
             }
             plain |= {name: tuple(plain[name]) for name in ("shape", "pixels")}
-            plain.setdefault("lit_share", 0.0)  # what has no such key was decided for a vial at rest
+            plain.setdefault("lit_share", 0.0)  # a setup without this key is from a vial at rest
             return cls(**plain)
         except (TypeError, KeyError) as error:
-            raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: take "
-                           f"{SETUP} as it was written") from error  # fmt: skip
+            raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: "
+                           f"take {SETUP} as it was written") from error  # fmt: skip
 
 
 class LiveRecord:
@@ -181,7 +181,7 @@ class LiveRecord:
             light: Light of each turn of the plan, [angle, r, z].
 
         Returns:
-            The loop that the record is of.
+            The loop that was recorded.
 
         Raises:
             StorageError: The folder already holds a live print, or cannot be written.
@@ -199,12 +199,12 @@ class LiveRecord:
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
-        """Add a turn: its frames first, so that every decision has its frames.
+        """Add a turn; its frames are written first, and every decision then has its frames.
 
         Args:
             frames: Gray levels, [angle, row, column].
             decision: The decision from them.
-            facts: More to keep beside it, such as ``showed``, see `LiveLoop.corrected`, and seconds that it took.
+            facts: Further facts to store: ``showed``, see `LiveLoop.corrected`, and the time of the decision [s].
 
         Raises:
             StorageError: The folder cannot be written.
@@ -235,32 +235,32 @@ class LiveRecord:
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
-        """Recorded decisions in order, each with later notes."""
-        lines, told = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
+        """Recorded decisions in order, each with facts added later."""
+        lines, entries = self._text(DECISIONS).splitlines(), dict[int, dict[str, Any]]()
         try:
             for each in map(parse_json, lines):
                 if "of" in each:
-                    was = told[each.pop("of")]
+                    was = entries[each.pop("of")]
                     was |= each | {"stages": was.get("stages", {}) | each["stages"]}
                 else:
-                    told[each["turn"]] = {name: each[name] for name in ENTRY} | each
+                    entries[each["turn"]] = {name: each[name] for name in ENTRY} | each
         except (ValueError, KeyError, TypeError) as error:
             raise StorageError(f"{DECISIONS} in {str(self.folder)!r} is damaged: {error!r}") from error
-        return list(told.values())
+        return list(entries.values())
 
     def decided(self) -> list[dict[str, Any]]:
-        """The decisions, of which there is one at least.
+        """The decisions; there is at least one.
 
         Returns:
             As `decisions`.
 
         Raises:
-            StorageError: There is none, or the file is missing or damaged.
+            StorageError: There is no decision, or the file is missing or damaged.
         """
-        told = self.decisions
-        if not told:
+        entries = self.decisions
+        if not entries:
             raise StorageError(f"{str(self.folder)!r} holds no decision; use the record of a print that was watched")
-        return told
+        return entries
 
     def setup(self) -> LiveSetup:
         """The setup of the loop.
@@ -286,18 +286,18 @@ class LiveRecord:
         """Repeat the decision of every turn from the recorded images.
 
         Yields:
-            The recorded decision, and the names of values that differ now: none if it is the same bit for bit.
+            The recorded decision, and the names of values that now differ; none if it is the same bit for bit.
 
         Raises:
             BadInput: The setup cannot be read.
             StorageError: A file is missing or damaged.
         """
         for was, _, now in self.again():
-            told = parse_json(json.dumps(now.entry))
-            yield was, [name for name in told if told[name] != was.get(name)]
+            entries = parse_json(json.dumps(now.entry))
+            yield was, [name for name in entries if entries[name] != was.get(name)]
 
     def again(self) -> Iterator[tuple[dict[str, Any], np.ndarray, Decision]]:
-        """Go through the print once more.
+        """Repeat the print, turn by turn.
 
         Yields:
             The recorded decision of each turn, its frames, [angle, row, column], and the repeated decision.
@@ -358,8 +358,8 @@ class LiveRecord:
         try:
             return read_text(self.folder / name)
         except FileNotFoundError as error:
-            raise StorageError(f"{str(self.folder)!r} has no {name}; expected the folder of a run that was watched, as "
-                               "`vam print --live` makes one") from error  # fmt: skip
+            raise StorageError(f"{str(self.folder)!r} has no {name}; expected the folder of a run that was watched, "
+                               "as `vam print --live` makes one") from error  # fmt: skip
         except OSError as error:
             raise explained("read", self.folder / name, error) from error
 
@@ -370,7 +370,7 @@ def _rounded(stages: Mapping[str, float]) -> dict[str, float]:
 
 def budget(decisions: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float, int]]:
     """Name, median and greatest wall time [s], and number of decisions of each stage."""
-    told = [each.get("stages", {}) for each in decisions]
-    names = [name for name in STAGES if any(name in each for each in told)]
-    times = {name: [each[name] for each in told if name in each] for name in names}
+    entries = [each.get("stages", {}) for each in decisions]
+    names = [name for name in STAGES if any(name in each for each in entries)]
+    times = {name: [each[name] for each in entries if name in each] for name in names}
     return [(name, float(np.median(each)), max(each), len(each)) for name, each in times.items()]

@@ -1,4 +1,4 @@
-"""The light of the turns that remain, for what the turns so far delivered."""
+"""The light of the remaining turns, computed from the delivered dose."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import DoseObjective
 from vamgpu.methods.minimize import Channel, StepRule, minimize
 from vamgpu.methods.part import fractions_of, one_limit
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import Parts
 from vamgpu.operators.compose import capped, combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot, extent, total
 from vamgpu.operators.space import require
 
 SURE = 2.0
-"""Standard deviations by which a voxel must be over its limit to be given up."""
+"""Standard deviations by which a voxel must exceed its limit to be given up."""
 LITTLE = 0.02
-"""Dose of the first light looked at where the part has its dose already, for the sake of voxels that have not."""
+"""Dose of the first trial light if the part already has its dose, for voxels that do not."""
 CAP, SPAN = 0.25, 0.25
 """Frequency [cycles per column] beyond which the preconditioner is level."""
 ROUNDING = 1e-6
 """Share by which light may seem to exceed a bound."""
 RATIO = 5.0
-"""Greatest factor by which a pixel of the plan is brightened for the dose that is wanted."""
+"""Greatest factor by which a pixel of the plan is brightened to reach the required dose."""
 FORMED = 1.0
-"""Distance from the part's [voxels] within which a surface must lie where a print may stop."""
+"""Distance of a print's surface from the part's [voxels] within which the print may stop."""
 WORTH = 0.02
-"""Distance by which further turns must bring the surface nearer to the part's [voxels]."""
+"""Distance by which further turns must bring the surface closer to the part's [voxels]."""
 
 
 def finite(space: Any, values: Any, device: Device, name: str) -> DeviceArray:
@@ -86,7 +86,7 @@ class Replanned:
     """Light of each of the turns that remain.
 
     Args:
-        light: Light of one turn, [angle, r, z] on the device, 0 to the projector's bound; dark if the print should
+        light: Light of one turn, [angle, r, z] on the device, from 0 to the projector's limit; dark if the print should
             stop.
         kept: Forecast of the print with the running plan.
         expected: Forecast with this light; its ``turns`` is the moment to stop.
@@ -114,7 +114,7 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Printed:
-    """A print, and how far its surface is off [voxels]."""
+    """A print, and the distance of its surface from the part's [voxels]."""
 
     forecast: Forecast
     off: float
@@ -122,11 +122,11 @@ class _Printed:
 
 @dataclass(frozen=True, eq=False)
 class Replanner:
-    """Optimizes the light of the turns that remain; all of them show the same.
+    """Optimizes the light of the turns that remain; all of these turns show the same light.
 
-    The delivered dose enters the loss as an offset. Voxels that are surely over their limit (void that is already
-    printed, part above ``most``) cannot be corrected and get no weight. How much of the light is given, and whether any
-    is, is decided by where the surface of the print will lie.
+    The delivered dose enters the loss as an offset. Voxels that are certainly over their limit (void that is already
+    printed, part above ``most``) cannot be corrected and have no weight. The expected surface of the print decides
+    whether light is given, and how much.
 
     Args:
         target: A `Target`, or fractions [x, y, z].
@@ -134,8 +134,8 @@ class Replanner:
         outside: Greatest dose outside the part, in units of the part's dose.
         inside: Least dose in the part.
         greatest: Greatest dose in the part.
-        threshold: Least dose that makes resin solid; the three doses above are scaled so that it is midway between
-            outside and inside. None leaves them as they are.
+        threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
+            and inside. None does not scale them.
         thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
 
     Raises:
@@ -161,10 +161,10 @@ class Replanner:
         object.__setattr__(self, "threshold", share * middle)
 
     def replan(
-        self, operator: Projector, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
-        evaluations: float, deviation: Any = 0.0, wanted: Any = None, error: float = 0.0,
+        self, operator: Operator, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
+        evaluations: float, deviation: Any = 0.0, expected_dose: Any = None, error: float = 0.0,
     ) -> Replanned:  # fmt: skip
-        """The best light for the rest of a print within the given evaluations.
+        """The best light for the rest of a print with the given number of evaluations.
 
         Args:
             operator: The estimated operator, e.g. `Estimator.calibrated`.
@@ -174,12 +174,12 @@ class Replanner:
             turns: Allowed numbers of further turns, 0 for a stop now.
             evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
-            wanted: Dose that the whole print was meant to have, [x, y, z]; the plan's light is first corrected by
-                what is left of it. None to begin with the plan as it is.
+            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its
+                missing part. None starts with the plan's light unchanged.
             error: Relative error of the dose, which `Forecast.least` counts in.
 
         Returns:
-            The light found, or the plan's own if its surface is not farther off.
+            The light found, or the plan's own if its surface is no farther off.
 
         Raises:
             BadInput: A dose or light is not a number, or there are no turns.
@@ -196,28 +196,28 @@ class Replanner:
         kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
         if counts[-1]:
-            fewest = self._begin(task, dose, wanted)
+            fewest = self._begin(task, dose, expected_dose)
             loss = self._loss(given, target, deviation).on(state.field)
             best = self._lowered(state, loss, given, fewest)
             found = self._sized(task, best, dose)
         return self._chosen(task, planned, kept, best, found)
 
-    def _begin(self, task: _Task, dose: DeviceArray, wanted: Any) -> int:
-        """Make the state's light that of all the turns together, to begin with; the fewest turns that can give it."""
+    def _begin(self, task: _Task, dose: DeviceArray, expected_dose: Any) -> int:
+        """Make the total light of all turns the initial light; return the fewest turns that can give it."""
         state, light = task.state, task.light
         lacking = 0.5 * (self.inside + self.greatest) - state.part_mean(task.given)
         share = max(lacking, LITTLE) / state.part_mean(dose)
         begin = state.memory["light"] = state.sinogram()
         state.scale(share, light, begin)
         fewest = self._turns(begin, task.counts)
-        if wanted is not None and state.affords(1.0 + 0.5):
-            whole = finite(state.operator.domain, wanted, state.device, "the wanted dose")
+        if expected_dose is not None and state.affords(1.0 + 0.5):
+            whole = finite(state.operator.domain, expected_dose, state.device, "the expected dose")
             self._corrected(state, begin, share, dose, task.given, whole)
         capped(begin, fewest * self.most)
         return fewest
 
     def _sized(self, task: _Task, light: DeviceArray, dose: DeviceArray) -> _Printed:
-        """Scale light to what brings the surface nearest to the part's, as far as the projector can; its print."""
+        """Scale light to bring the surface closest to the part's, as far as the projector can; return the print."""
         state, counts = task.state, task.counts
         state.expose(light, dose)
         possible = counts[-1] * self.most / max(extent(light)[1], 1e-30)
@@ -228,7 +228,7 @@ class Replanner:
     def _chosen(
         self, task: _Task, planned: int, kept: _Printed, light: DeviceArray | None, found: _Printed | None
     ) -> Replanned:
-        """Darkness, the plan's light or the light found, by the expected surface of the print."""
+        """Darkness, the plan's light or the light found, selected by the expected surface of the print."""
         counts, spent = task.counts, task.state.evaluations
         possible = planned in counts and extent(task.light)[1] <= self.most * (1.0 + ROUNDING)
         going_on = min(inf if found is None else found.off, kept.off if possible else inf)
@@ -245,16 +245,16 @@ class Replanner:
         task.state.combine(1.0, task.given, share, dose, whole)
         return _Printed(self._forecast(task, turns, whole), task.border.off(whole))
 
-    def prepare(self, operator: Projector) -> None:
-        """Find the part's border now, not in the first plan.
+    def prepare(self, operator: Operator) -> None:
+        """Find the part's border now instead of in the first plan.
 
         Args:
-            operator: As that of `replan`, on the same device.
+            operator: Operator as for `replan`, on the same device.
         """
         self._part(operator)
 
-    def _part(self, operator: Projector) -> tuple[DeviceArray, Border]:
-        """The part on an operator's device, and its border: found once, however often the operator is clouded."""
+    def _part(self, operator: Operator) -> tuple[DeviceArray, Border]:
+        """The part on an operator's device, and its border; found only once for all absorptions of the operator."""
         place = operator.device, operator.domain
         if place not in self._known:
             target = fractions_of(operator, one_limit(self.target))
@@ -262,16 +262,16 @@ class Replanner:
         return self._known[place]
 
     def _turns(self, light: DeviceArray, counts: Sequence[int]) -> int:
-        """The fewest turns above 0 in which the projector gives so much light."""
+        """The smallest number of turns above 0 in which the projector can give this light."""
         return next((n for n in counts if n and extent(light)[1] <= n * self.most * (1.0 + ROUNDING)), counts[-1])
 
     def _corrected(
         self, state: OptimizerState, light: DeviceArray, share: float, dose: DeviceArray, given: DeviceArray,
-        wanted: DeviceArray,
+        expected_dose: DeviceArray,
     ) -> None:  # fmt: skip
-        """Light, which gives ``share`` times a dose, times what is wanted over what it gives along each of its rays."""
+        """Light that gives ``share`` times a dose, multiplied along each ray by the required over the given dose."""
         missing, there, here = state.volume(), state.sinogram(), state.sinogram()
-        combine(1.0, wanted, -1.0, given, missing, floor=0.0)
+        combine(1.0, expected_dose, -1.0, given, missing, floor=0.0)
         state.project(missing, there)
         state.project(dose, here)
         state.device.launch(
@@ -279,7 +279,7 @@ class Replanner:
         )
 
     def _lowered(self, state: OptimizerState, loss: Loss, given: DeviceArray, turns: int) -> DeviceArray:
-        """Light of all the turns together, from the state's on, with what may be spent less one half."""
+        """Total light of all turns, starting from the state's, with half an evaluation less than the limit."""
         gain = getattr(state.operator, "gain", None)
         gain = 1.0 if gain is None else dot(gain, gain) / prod(gain.shape)
         pace = StepRule(1.0 / gain, soon=1.0, possible=True)

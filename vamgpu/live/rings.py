@@ -1,4 +1,4 @@
-"""Rings in place of voxels, where a decision is in a hurry."""
+"""Rings in place of voxels, for fast decisions."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection, prefers_rings
 
 WIDTH = 1.0
-"""Width of rings over that of voxels; they take a little over half of the time of the narrower rings for plans. Results
-are as near to the truth as by rays, as the dose so far is known and few evaluations follow."""
+"""Ratio of the width of rings to that of voxels; these rings take a little over half the time of the narrower rings for
+plans. Results are as accurate as with rays, because the dose so far is known and few evaluations follow."""
 
 
 def on_rings(A: Projection, asked: bool | None) -> RingProjection | None:

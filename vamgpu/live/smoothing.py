@@ -17,7 +17,7 @@ REACH = 4.0
 
 
 class Smoothing:
-    """Gaussian means over voxels on a device; at the faces of the grid, over the voxels that exist. sigma: [voxels]."""
+    """Gaussian means over voxels on a device; at the faces of the grid, over the existing voxels. sigma: [voxels]."""
 
     def __init__(self, device: Device, shape: tuple[int, int, int], sigma: float) -> None:
         reach = np.arange(int(REACH * sigma + 0.5) + 1)

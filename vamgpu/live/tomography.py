@@ -35,9 +35,9 @@ from vamgpu.operators.space import require
 
 ITERATIONS = 30
 NEIGHBORS = 12.0
-"""Greatest absolute row sum of the second differences along three axes."""
+"""Greatest sum of absolute values in a row of the second differences along three axes."""
 TINY = 1e-30
-"""Less than any weight and any bound of a step."""
+"""A value below any weight and any bound of a step."""
 PATCH = 2.0
 """Standard deviation [voxels] of the patches in which a deviation is measured."""
 
@@ -46,7 +46,7 @@ PATCH = 2.0
 class OpticalDepths:
     """Optical depths of a turn's images, in the geometry of a camera's projection, on its device."""
 
-    depth: DeviceArray  # times the share of its column's light that enters, [angle, r, z]
+    depth: DeviceArray  # multiplied by the share of its column's light that enters, [angle, r, z]
     weight: DeviceArray  # 1/variance, [angle, r, z]; 0 for invalid pixels
     pixels: int  # number of valid pixels
 
@@ -60,7 +60,7 @@ class Reconstruction:
         cured: Conversion of the resin, [x, y, z] on the tomograph's device.
         iterations: Projector evaluations that were made; a replay uses the same number.
         misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
-            camera and noise are as described.
+            camera and noise are described correctly.
         seconds: Wall time [s].
         contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
     """
@@ -86,22 +86,22 @@ class Reconstruction:
 class Tomograph:
     """Fields of conversion from the images of a `MonitoringCamera`, turn by turn.
 
-    The most probable extinction x ≥ 0 of images with their noise and of neighbors that differ little:
+    The most probable extinction x ≥ 0, given images with their noise and neighbors that differ little:
 
         minimize Σ w·(A x − y)² + Σ_neighbors (x − x')² / δ²
 
-    with optical depths y of weight w = 1/variance. Steps have Nesterov's momentum and, voxel by voxel, lengths of a
-    separable surrogate (H. Erdoğan, J. Fessler, Phys. Med. Biol. 44 (1999) 2835), so that nothing has to be tuned. What
-    the camera does that is not linear (point spread of light instead of its logarithm, bending) is taken from the last
-    field.
+    with optical depths y of weight w = 1/variance. Steps have Nesterov's momentum. Their length in each voxel is that
+    of a separable surrogate (H. Erdoğan, J. Fessler, Phys. Med. Biol. 44 (1999) 2835), which needs no tuning.
+    Effects of the camera that are not linear (point spread of light instead of its logarithm, bending) are computed
+    from the last field.
 
-    Only resin within the vial's printable radius is seen; farther out it counts as not cured.
+    Only resin within the vial's printable radius is reconstructed; farther out it counts as uncured.
 
     Args:
         camera: The camera of the images.
         turbidity: Turbidity of the resin.
-        contrast: δ, how much neighboring voxels differ, over the extinction of fully cured resin. The more, the
-            sharper and the noisier.
+        contrast: δ, typical difference of neighboring voxels, relative to the extinction of fully cured resin. A larger
+            value gives a sharper and noisier field.
         rings: Whether to reconstruct on rings, see `RingProjection`; None if they are faster.
 
     Raises:
@@ -123,14 +123,14 @@ class Tomograph:
 
     @cached_property
     def operator(self) -> Projection | RingProjection:
-        """The operator of reconstructions; its tables are made when it is first asked for."""
+        """The operator of reconstructions; its tables are made on first use."""
         return on_rings(self.camera.projection, self.rings) or self.camera.projection
 
     def measure(self, images: Any) -> OpticalDepths:
-        """Optical depths of a turn's images; `see` and `deviation` take them in place of the images.
+        """Optical depths of a turn's images; `see` and `deviation` accept them in place of the images.
 
         Args:
-            images: Gray levels [angle, row, column]; frames that were lost are NaN.
+            images: Gray levels [angle, row, column]; lost frames are NaN.
 
         Returns:
             Depths and weights, on the device.
@@ -149,12 +149,12 @@ class Tomograph:
     def see(
         self, images: Any, last: Reconstruction | None = None, *, iterations: int = ITERATIONS, deadline: float = inf
     ) -> Reconstruction:
-        """The field behind the images of one turn.
+        """Reconstruct the field from the images of one turn.
 
         Args:
-            images: Gray levels [angle, row, column]; frames that were lost are NaN. Or what `measure` made of them.
-            last: Result of the turn before, as a start.
-            iterations: Most projector evaluations.
+            images: Gray levels [angle, row, column]; lost frames are NaN. Alternatively, the result of `measure`.
+            last: Result of the previous turn, as a start.
+            iterations: Greatest number of projector evaluations.
             deadline: Time limit [s]; the best field so far is returned, after at least one iteration.
 
         Returns:
@@ -165,8 +165,8 @@ class Tomograph:
             ShapeMismatch: Images or field are of another geometry.
         """
         begun = perf_counter()
-        told = self._measured(images, iterations)
-        start, depth = self._device.empty(self.operator.domain.shape), told.depth
+        depths = self._measured(images, iterations)
+        start, depth = self._device.empty(self.operator.domain.shape), depths.depth
         if last is None:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
@@ -174,7 +174,7 @@ class Tomograph:
             was = here(self._device, last.field)
             combine(1.0, was, 0.0, was, start)
             depth = self._unbiased(depth, start, last)
-        steps = _Descent(self, depth, told, start, floor=0.0)
+        steps = _Descent(self, depth, depths, start, floor=0.0)
         done, longest, now = 0, 0.0, perf_counter()
         while done < iterations and (not done or now + longest - begun < deadline):
             steps.advance()
@@ -186,18 +186,18 @@ class Tomograph:
         return Reconstruction(steps.field, cured, done, misfit, perf_counter() - begun, contrast)
 
     def deviation(self, images: Any, *, iterations: int = ITERATIONS, seed: int = 0) -> np.ndarray:
-        """Standard deviation of the extinction that the noise of a turn's images leaves.
+        """Standard deviation of the extinction due to the noise of a turn's images.
 
-        Noise as the camera has it goes through the same steps, and its size is measured about every voxel. That x ≥ 0
-        makes void more certain does not count, nor what smoothing rounds off.
+        Simulated noise of the camera goes through the same steps, and its magnitude is measured around every voxel.
+        The higher certainty of voids from x ≥ 0, and errors by smoothing, are not included.
 
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.
-            iterations: As for `see`; it takes as long.
+            iterations: As for `see`; it takes the same time.
             seed: Seed of the noise.
 
         Returns:
-            [1/mm], [x, y, z]; times `Turbidity.slope_at` that of the conversion.
+            [1/mm], [x, y, z]; multiply by `Turbidity.slope_at` for that of the conversion.
 
         Raises:
             BadInput: No pixel is valid, or iterations is below 1.
@@ -220,11 +220,11 @@ class Tomograph:
             BadInput: As `deviation`.
             ShapeMismatch: As `deviation`.
         """
-        told = self._measured(images, iterations)
+        depths = self._measured(images, iterations)
         noise, start = self._device.empty(self.operator.range.shape), self._device.empty(self.operator.domain.shape)
-        self._device.launch(draw_noise, weight=told.weight, slices=self._rows, seed=seed, noise=noise)
+        self._device.launch(draw_noise, weight=depths.weight, slices=self._rows, seed=seed, noise=noise)
         combine(0.0, self._ones, 0.0, self._ones, start)
-        steps = _Descent(self, noise, told, start, floor=NO_FLOOR)
+        steps = _Descent(self, noise, depths, start, floor=NO_FLOOR)
         for _ in range(iterations):
             steps.advance()
         self._device.launch(multiply, x=steps.field, y=steps.field, out=start)
@@ -236,7 +236,7 @@ class Tomograph:
         return images if isinstance(images, OpticalDepths) else self.measure(images)
 
     def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, last: Reconstruction) -> DeviceArray:
-        """Depths less by how much deeper the camera sees a field than the linear operator says, [angle, r, z]."""
+        """Depths minus the camera's excess depth of a field over the linear operator's, [angle, r, z]."""
         index = None
         if self.turbidity.index and self.camera.focus:
             index = self.turbidity.index_at(self.turbidity.conversion_at(last.extinction))
@@ -269,7 +269,7 @@ class Tomograph:
 
     @cached_property
     def _lengths(self) -> DeviceArray:
-        """A·1, what every ray passes of the grid."""
+        """A·1, the length of every ray in the grid."""
         return self.operator(self._ones)
 
     @cached_property
@@ -282,10 +282,10 @@ class _Descent:
     """Steps towards the most probable field, all on the device."""
 
     def __init__(
-        self, tomograph: Tomograph, depth: DeviceArray, told: OpticalDepths, start: DeviceArray, floor: float
+        self, tomograph: Tomograph, depth: DeviceArray, depths: OpticalDepths, start: DeviceArray, floor: float
     ) -> None:
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
-        self._depth, self._weight, self._pixels = depth, told.weight, told.pixels
+        self._depth, self._weight, self._pixels = depth, depths.weight, depths.pixels
         device, ones = self._A.device, tomograph._ones
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)
         self.field, (self._ahead, self._slope, self._part, self._next, self._length) = (
@@ -296,7 +296,7 @@ class _Descent:
         self._A.T(self._weighted, out=self._slope)
         combine(1.0, self._slope, NEIGHBORS * tomograph._stiffness, ones, self._slope)
         combine(1.0, ones, 0.0, ones, self._length)
-        over = {"scale": 1.0, "target": ones, "low": 1.0, "high": 1.0, "most": 1.0 / TINY}  # one over the bound
+        over = {"scale": 1.0, "target": ones, "low": 1.0, "high": 1.0, "most": 1.0 / TINY}  # inverse of the bound
         device.launch(correct_by_ratio, dose=self._slope, **over, model=self._length)
 
     @property
@@ -306,12 +306,12 @@ class _Descent:
 
     @property
     def contrast(self) -> float:
-        """Mean square of the depths, in standard deviations; `misfit` comes first, as this takes its fields."""
+        """Mean square of the depths, in standard deviations; call `misfit` first: this overwrites its fields."""
         self._A.device.launch(multiply, x=self._depth, y=self._weight, out=self._weighted)
         return dot(self._depth, self._weighted) / self._pixels
 
     def advance(self) -> None:
-        """One pair of projections."""
+        """One forward and one back projection."""
         launch: Callable[..., None] = self._A.device.launch
         self._A(self._ahead, out=self._residual)
         combine(1.0, self._residual, -1.0, self._depth, self._residual)
@@ -325,7 +325,7 @@ class _Descent:
         self.field, self._next, self._taken = self._next, self.field, self._taken + 1
 
     def _add_differences(self) -> None:
-        """Add the slope of the differences between neighbors."""
+        """Add the gradient of the differences between neighbors."""
         launch, taps, part = self._A.device.launch, self._tomograph._bending, self._part
         for across in range(3):
             if across == 0:

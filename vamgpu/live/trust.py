@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from vamgpu.live.tomography import Reconstruction
 
 CLEAREST = 0.05
-"""Quantile of the pixels that are taken as without cured resin."""
+"""Quantile of the pixels that are assumed to show no cured resin."""
 VISIBLE = 0.05
 """Least greatest optical depth from which a shift is looked for."""
 SOME = 32
 """Least number of angles whose images are looked at for that."""
 FAINT = 0.05
-"""Share of the greatest darkening up to which pixels are not compared."""
+"""Share of the greatest darkening below which pixels are not compared."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,19 @@ class Trust:
     conversion: float = 0.35
     sinking: float = 0.25
 
+    def limit(self, seen: Reconstruction) -> float:
+        """Greatest misfit of a reconstruction."""
+        return max(self.misfit, self.images * seen.contrast)
+
     def of_images(self, seen: Reconstruction) -> str:
-        """Why not to trust a reconstruction; empty without a reason."""
-        if seen.misfit <= max(self.misfit, self.images * seen.contrast):
+        """Reason not to trust a reconstruction; empty if there is none."""
+        if seen.misfit <= self.limit(seen):
             return ""
-        return (f"images differ from any field by {seen.misfit:.3g} times their noise (expected at most "
-                f"{self.misfit:g}): check open field, noise, orientation and place of the camera")  # fmt: skip
+        return (f"images differ from any field by {seen.misfit:.3g} times their noise (at most {self.limit(seen):.3g} "
+                "expected): check open field, noise, orientation and place of the camera")  # fmt: skip
 
     def of_estimate(self, found: Estimate) -> str:
-        """Why not to trust an estimate; empty without a reason."""
+        """Reason not to trust an estimate; empty if there is none."""
         if found.unexplained <= self.conversion:
             return ""
         return (f"the light shown does not explain {100.0 * found.unexplained:.0f} % of the conversion seen (at most "
@@ -87,7 +91,7 @@ def some(frames: np.ndarray) -> np.ndarray:
 
 
 def digest(frames: np.ndarray) -> str:
-    """Digest of images or patterns; empty where no number is finite, as where no image arrived."""
+    """Digest of images or patterns; empty if no number is finite, for example if no image arrived."""
     values = np.asarray(frames)
     if values.dtype.kind not in "fiu" or not np.isfinite(values).any():
         return ""
@@ -95,27 +99,26 @@ def digest(frames: np.ndarray) -> str:
 
 
 def mean_level(frames: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Mean logarithm of gray levels [angle, row, column] over the angles that arrived, [row, column]; None of none."""
+    """Mean logarithm of gray levels [angle, row, column] over the angles that arrived, [row, column], or None."""
     values = np.asarray(frames)
     if values.shape != shape or values.dtype.kind not in "fiu":
-        return None  # what looks at the images says what is wrong with them
-    arrived = [frame for frame in some(values) if np.isfinite(frame).all()]  # one after the other: no copy of them all
+        return None  # the analysis of the images reports what is wrong with them
+    arrived = [frame for frame in some(values) if np.isfinite(frame).all()]  # one after another: no copy of all of them
     total = sum((np.log(np.maximum(frame, 1.0)) for frame in arrived), np.zeros(shape[1:]))
     return total / len(arrived) if arrived else None
 
 
 def darkening(change: np.ndarray) -> np.ndarray:
-    """Optical depths of pixels less that of the clearest, sorted: no gain or orientation of a camera alters them."""
+    """Optical depths of pixels minus that of the clearest, sorted; a camera's gain and orientation cancel."""
     return np.sort((change - np.quantile(change, CLEAREST)).ravel())
 
 
-def share_of(seen: np.ndarray, wanted: np.ndarray) -> float:
-    """How much of a darkening is seen: the median over pixels, weighted by what is wanted; NaN where nothing is."""
-    # A median, so that a bubble or dust in front of some pixels does not count.
-    counted = wanted > FAINT * wanted[-1]
-    if seen.shape != wanted.shape or not counted.any():
+def share_of(seen: np.ndarray, expected: np.ndarray) -> float:
+    """Share of the expected darkening that is seen: the weighted median over pixels, which ignores dust; or NaN."""
+    counted = expected > FAINT * expected[-1]
+    if seen.shape != expected.shape or not counted.any():
         return float("nan")
-    ratio, weight = seen[counted] / wanted[counted], wanted[counted]
+    ratio, weight = seen[counted] / expected[counted], expected[counted]
     order = np.argsort(ratio)
     half = np.searchsorted(weight[order].cumsum(), 0.5 * weight.sum())
     return float(ratio[order][min(half, ratio.size - 1)])

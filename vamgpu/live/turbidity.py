@@ -1,4 +1,4 @@
-"""Turbidity of curing resin for light that does not cure: it scatters more, and bends."""
+"""Turbidity of curing resin, for light that does not cure: the resin scatters more, and bends light."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class MeasuredTurbidity:
 class Turbidity:
     """Extinction and refractive index of resin against conversion, as changes from the resin before the print.
 
-    Straight lines between the samples. All three lists are as long.
+    Values between samples are interpolated linearly. All lists have the same length.
 
     Args:
         conversion: Samples, shares in 0..1, dimensionless, ascending, the first 0.
@@ -85,7 +85,7 @@ class Turbidity:
         return np.interp(conversion, self.conversion, self.index or np.zeros(len(self.conversion)))
 
     def conversion_at(self, extinction: np.ndarray) -> np.ndarray:
-        """Conversion of an extinction [1/mm], (...,); beyond the samples that of the nearest.
+        """Conversion for an extinction [1/mm], (...,); beyond the samples, that of the nearest sample.
 
         Args:
             extinction: Extinction above the resin's before the print [1/mm], (...,).

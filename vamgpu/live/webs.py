@@ -1,4 +1,4 @@
-"""The frames of a web that are not committed yet, for the light as it turned out to be."""
+"""The frames of a web that are not committed yet, optimized for the light as measured."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from vamgpu.webs.store import RECORD, SegmentRecord, WebFolder
 from vamgpu.webs.stream import Progress, Stream
 
 PlanFolders = WebFolder | Sequence[WebFolder]
-"""A web as shown: a folder, or several, each of which continues the one before."""
+"""A web as shown: one folder, or several, each of which continues the previous one."""
 
 
 class WebReplanner:
     """Optimizes the segments of a web beyond the commit horizon, for another lamp or another resin.
 
     Frames before the horizon do not change. Their dose in columns that later frames also light is an offset of the
-    loss. Later frames start as planned, and no pixel is brighter than the lamp then allows.
+    loss. Later frames start as planned, and no pixel is brighter than the lamp allows.
 
     Args:
         stream: The stream that planned the web; its tiles are read from the start.
@@ -56,7 +56,7 @@ class WebReplanner:
 
     @property
     def gain(self) -> float:
-        """Light relative to the plan, from now on."""
+        """Current light relative to the plan."""
         return self.drifts[-1].gain
 
     def open_window(self, horizon: int) -> tuple[int, int]:
@@ -66,7 +66,7 @@ class WebReplanner:
             horizon: Number of committed segments.
 
         Returns:
-            The first, and the one after the last.
+            The first column, and the one after the last.
         """
         layout = self.stream.layout
         start = int((horizon * layout.core - layout.lead) * layout.step)
@@ -81,7 +81,7 @@ class WebReplanner:
         """Dose that the committed frames deliver to the open window.
 
         Args:
-            plan: The web as planned; several folders if each continues the one before.
+            plan: The web as planned; several folders if each continues the previous one.
             horizon: Number of committed segments.
 
         Returns:
@@ -103,7 +103,7 @@ class WebReplanner:
         self, folders: Sequence[WebFolder], first: int, poses: int,
         drifts: Callable[[WebFolder], Sequence[WebDrift]],
     ) -> DeviceArray:  # fmt: skip
-        """Light [pose, r, z] of frames from ``first`` on, by what the frames of each folder were given."""
+        """Light [angle, r, z] of frames from ``first`` on, from the light that each folder's frames had."""
         light, begin = None, 0
         for folder in folders:
             gain = gains(drifts(folder), 0, folder.frames)
@@ -117,13 +117,13 @@ class WebReplanner:
     def segments(
         self, plan: PlanFolders, horizon: int, *, delivered: np.ndarray | None = None, first: int | None = None
     ) -> Iterator[Segment]:
-        """Solve segment after segment, from the horizon on.
+        """Solve one segment after another, from the horizon on.
 
         Args:
-            plan: The web as planned, or as replanned before; several folders where each goes on where the one before
-                it ends.
+            plan: The web as planned, or as replanned before; several folders if each continues where the previous one
+                ends.
             horizon: Number of committed segments.
-            delivered: Dose of the open window [l, rho, z]; that of the committed frames by default.
+            delivered: Dose of the open window [l, rho, z]; by default that of the committed frames.
             first: Number of the first segment to solve; the horizon by default.
 
         Yields:
@@ -167,21 +167,21 @@ class WebReplanner:
         self, path: str | Path, plan: PlanFolders, horizon: int, *, count: int | None = None,
         delivered: np.ndarray | None = None, overwrite: bool = False, progress: Progress | None = None,
     ) -> WebFolder:  # fmt: skip
-        """Write a web of the committed frames, byte for byte, and of those found for the rest.
+        """Write a web of the committed frames, byte for byte, and of the new frames for the rest.
 
-        A killed run leaves a folder of whole segments; the same call continues it, to the same bytes.
+        A killed run leaves a folder of whole segments; the same call continues it and gives the same bytes.
 
         Args:
             path: Path of the folder, not the plan's.
             plan: As for `segments`.
             horizon: Number of committed segments.
-            count: Number of segments beyond the horizon; None for all. A later call continues with further ones.
+            count: Number of segments beyond the horizon; None for all. A later call adds further ones.
             delivered: As for `segments`, [l, rho, z].
             overwrite: Replace an existing folder.
             progress: Called after each segment.
 
         Returns:
-            The folder, which tells `vamgpu.webs.proof.prove_web` the light of its frames.
+            The folder, from which `vamgpu.webs.proof.prove_web` knows the light of its frames.
 
         Raises:
             BadInput, ShapeMismatch, TileError: As for `segments`.
@@ -230,7 +230,7 @@ def _folders(plan: PlanFolders) -> tuple[WebFolder, ...]:
 
 
 def _segments(plan: PlanFolders, horizon: int) -> list[tuple[WebFolder, SegmentRecord]]:
-    """Each segment, and the folder that has it. Raises `BadInput` for a horizon beyond them."""
+    """Each segment, and the folder that contains it. Raises `BadInput` for a horizon beyond the last segment."""
     found: list[tuple[WebFolder, SegmentRecord]] = []
     for folder in _folders(plan):
         found += [(folder, record) for record in folder.segments[len(found) :]]

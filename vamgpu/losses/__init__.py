@@ -1,4 +1,4 @@
-"""What a dose is judged by: small objects of a value and a gradient that compose with weights and responses."""
+"""Losses of a dose: small objects with a value and a gradient, which combine with weights and responses."""
 
 from __future__ import annotations
 

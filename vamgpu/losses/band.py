@@ -15,9 +15,9 @@ from vamgpu.losses.loss import KernelLoss, steepest
 from vamgpu.losses.response import Linear, Response
 
 MOST = 1e12
-"""Weights and slacks are below this: sums of what they multiply must fit float32, as devices keep it."""
+"""Upper limit of weights and slacks: sums of their products must fit float32, which devices use."""
 GREATEST_POWER = 64.0
-"""Greatest power of an excess: that of a dose three times the part's to a higher power exceeds float32."""
+"""Largest power of an excess: with a higher power, a dose three times the part's would exceed float32."""
 
 
 def check_thresholds(outside: float, inside: float, most: float) -> None:
@@ -31,7 +31,7 @@ def check_thresholds(outside: float, inside: float, most: float) -> None:
 class Band(KernelLoss):
     """Loss Σ w·gain·e^power + ridge·M², e = max(0, |M − c| − slack) with M = response(dose).
 
-    Pairs are for outside and inside the part; between for a fractional voxel unless ``binary``.
+    Pairs are for outside and inside the part; fractional voxels are interpolated between both unless ``binary``.
 
     Args:
         center: The middle c of the band, in units of M, dimensionless.
@@ -39,7 +39,7 @@ class Band(KernelLoss):
         gain: A factor of the loss.
         power: Exponent of the excess.
         ridge: A factor of M².
-        binary: A voxel is in the part if at least half of it is filled; no voxel is partly in the part.
+        binary: A voxel belongs to the part if at least half of it is filled; no voxel counts partly.
         response: M(d), the response to a dose.
         weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
@@ -63,13 +63,12 @@ class Band(KernelLoss):
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
                 f"{self!r}: expected two of slack and gain, centers that are numbers, the others ≥ 0 and below "
-                f"{MOST:g}, "
-                f"and a power from 1 to {GREATEST_POWER:g}"
+                f"{MOST:g}, and a power from 1 to {GREATEST_POWER:g}"
             )
 
     @classmethod
     def thresholds(cls, outside: float, inside: float, most: float = 1.0, power: float = 2.0) -> Band:
-        """At most ``outside`` where nothing is, between ``inside`` and ``most`` in the part.
+        """At most ``outside`` outside the part, between ``inside`` and ``most`` in it.
 
         Args:
             outside: Greatest dose outside, relative to the part's.
@@ -81,7 +80,7 @@ class Band(KernelLoss):
             The loss.
 
         Raises:
-            BadInput: Unless 0 ≤ outside < inside ≤ most.
+            BadInput: The values are not 0 ≤ outside < inside ≤ most.
         """
         check_thresholds(outside, inside, most)
         center, slack = (0.5 * outside, 0.5 * (inside + most)), (0.5 * outside, 0.5 * (most - inside))

@@ -34,9 +34,9 @@ class Loss(ABC):
 
     @property
     def coupling(self) -> str:
-        """Why the derivative of a voxel depends on other voxels.
+        """Reason why the derivative of a voxel depends on other voxels.
 
-        Empty for a sum over voxels of losses of their own dose and target, which can be minimized piece by piece.
+        Empty for a sum over voxels, each with its own loss; such a loss can be minimized segment by segment.
         """
         return f"{type(self).__name__} is not declared as a sum over voxels; define its coupling as empty if it is one"
 
@@ -47,7 +47,7 @@ class Loss(ABC):
         """The loss of a dose, on its device.
 
         Args:
-            dose: Dose relative to the part's, [x, y, z]; unchanged unless it is ``out``.
+            dose: Dose relative to the part's, [x, y, z]; unchanged unless it is also ``out``.
             target: Fractions [x, y, z].
             out: Array for the derivative by dose, [x, y, z]; may be ``dose``.
             reach: Radius about the axis [voxels] beyond which voxels do not count: their derivative is 0.
@@ -58,7 +58,7 @@ class Loss(ABC):
         ...
 
     def curvature(self) -> float:
-        """Greatest second derivative of a voxel's loss by its dose, which bounds the length of steps.
+        """Largest second derivative of a voxel's loss by its dose, which limits the length of steps.
 
         Returns:
             The curvature of the loss.
@@ -69,10 +69,10 @@ class Loss(ABC):
         raise BadInput(f"{self!r} has no curvature, which the steps along a web need; define curvature()")
 
     def on(self, field: Callable[[Any], DeviceArray | None]) -> Loss:
-        """The same loss with its weights of voxels on a device.
+        """The same loss with its voxel weights on a device.
 
         Args:
-            field: Makes a field [x, y, z] on the device of what was given.
+            field: Function that makes a field [x, y, z] on the device from an array.
 
         Returns:
             The loss.
@@ -89,10 +89,10 @@ class Loss(ABC):
             The loss.
 
         Raises:
-            BadInput: The loss takes no weights.
+            BadInput: The loss does not support weights.
         """
-        raise BadInput(f"{type(self).__name__} takes no weights of voxels, and the bodies of the target have some; "
-                       "give them the weight 1, or define weighted()")  # fmt: skip
+        raise BadInput(f"{type(self).__name__} does not support voxel weights, but the bodies of the target have "
+                       "some; give them the weight 1, or define weighted()")  # fmt: skip
 
     def __add__(self, other: Loss) -> Loss:
         return Sum((*_terms(self), *_terms(other)))
@@ -107,7 +107,7 @@ class Loss(ABC):
 
 
 class KernelLoss(Loss):
-    """A sum over voxels that one kernel makes, each voxel with its ``weight``, a field of the dataclass that it is."""
+    """A sum over voxels that one kernel computes; the dataclass has a field ``weight``, the weight of each voxel."""
 
     weight: Any
 
@@ -156,7 +156,7 @@ class KernelLoss(Loss):
 
 @dataclass(frozen=True)
 class Sum(Loss):
-    """Losses added up; takes one volume more, and another unless ``out`` is apart from the dose."""
+    """Sum of losses; needs one additional volume, and another if ``out`` is the dose."""
 
     terms: tuple[Loss, ...]
 
@@ -186,7 +186,7 @@ class Sum(Loss):
 
 @dataclass(frozen=True)
 class Power(Loss):
-    """factor·loss^exponent, of a loss that is never negative unless the exponent is 1. Raises `BadInput`."""
+    """factor·loss^exponent, for a loss that is never negative unless the exponent is 1. Raises `BadInput`."""
 
     loss: Loss
     exponent: float
@@ -221,7 +221,7 @@ class Power(Loss):
 
 @dataclass(frozen=True)
 class Mean(Loss):
-    """A loss over the number of voxels that count, so that it does not depend on how many there are.
+    """A loss divided by the number of voxels that count, which makes it independent of that number.
 
     Args:
         loss: A sum over voxels.
@@ -250,7 +250,7 @@ class Mean(Loss):
 
 
 def steepest(loss: Callable[[np.ndarray], np.ndarray], least: float = 0.0, most: float = REACH) -> float:
-    """Greatest second derivative of a function of doses from ``least`` to ``most``."""
+    """Largest second derivative of a function for doses from ``least`` to ``most``."""
     dose = np.linspace(least, most, DOSES)
     return float(np.abs(np.gradient(np.gradient(loss(dose), dose), dose)).max())
 

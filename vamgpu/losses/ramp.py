@@ -19,17 +19,17 @@ class Ramp(KernelLoss):
         t(d) = outside + (inside − outside)·clip(½ + d / 2s, 0, 1)
         e = min(0, D − t) + max(0, D − most) in the part,  e = max(0, D − t) outside
 
-    Two thresholds need a jump of the dose at the surface, which pixels of the width s cannot make. The target is made
-    from fractions by `vamgpu.methods.surface.across`: clip(½ + d / 2s, 0, 1).
+    Two thresholds need a jump of the dose at the surface, which pixels of width s cannot make.
+    `vamgpu.methods.surface.across` makes the target from fractions: clip(½ + d / 2s, 0, 1).
 
     Args:
-        outside: Greatest dose a width s outside the surface, relative to the part's.
-        inside: Least dose a width s inside, relative to the part's.
+        outside: Greatest dose at a distance s outside the surface, relative to the part's.
+        inside: Least dose at a depth s inside, relative to the part's.
         most: Greatest dose in the part, relative to the part's.
         weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
     Raises:
-        BadInput: Unless 0 ≤ outside < inside ≤ most.
+        BadInput: The values are not 0 ≤ outside < inside ≤ most.
     """
 
     outside: float

@@ -13,12 +13,12 @@ from vamgpu.geometry import positive
 
 SAMPLES = 1024
 REACH = 3.0
-"""Curves are sampled from dose 0 to this; beyond, they continue straight."""
+"""Largest sampled dose; curves are sampled from 0 and continue straight beyond it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Samples of a response: at dose ``start`` + k / ``density``."""
+    """Samples of a response, at the doses ``start`` + k / ``density``."""
 
     values: np.ndarray
     start: float
@@ -87,7 +87,7 @@ class GeneralizedLogistic(Response):
         low: M without light, dimensionless.
         high: M in the limit of high dose, dimensionless.
         steepness: Steepness relative to the part's dose, above 0.
-        middle: Dose of the middle, relative to the part's.
+        middle: Dose at the middle of the curve, relative to the part's.
         skew: Skew, above 0, dimensionless.
 
     Raises:
@@ -126,7 +126,7 @@ class Interpolated(Response):
         values: M at each dose, dimensionless.
 
     Raises:
-        BadInput: Doses do not rise, or the numbers of both differ.
+        BadInput: Doses do not rise, or there are not as many values as doses.
     """
 
     doses: tuple[float, ...]

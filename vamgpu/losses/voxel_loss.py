@@ -31,7 +31,7 @@ class VoxelLoss(KernelLoss):
         void: Loss of a voxel out of the part.
         part: Loss of a voxel in the part.
         response: M(d), the response to a dose.
-        binary: A voxel is in the part if at least half of it is filled; no voxel is partly in the part.
+        binary: A voxel belongs to the part if at least half of it is filled; no voxel counts partly.
         weight: Weight w of each voxel [x, y, z], NumPy or on the device; None for 1.
 
     Raises:
@@ -44,7 +44,7 @@ class VoxelLoss(KernelLoss):
     binary: bool = False
     weight: Any = field(default=None, compare=False, repr=False)
     digest: str = field(init=False, repr=False)
-    """Of the samples, by which losses are the same, also those of another run of a script."""
+    """Samples by which losses are compared; they identify equal losses also in another run of a script."""
 
     def __post_init__(self) -> None:
         for name in ("void", "part"):
@@ -82,7 +82,7 @@ class VoxelLoss(KernelLoss):
 
 
 def cross_entropy(response: Response) -> VoxelLoss:
-    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c the least of P(d) − d; its derivative by dose is M(d) − f.
+    """Σ (1 − f)·P(d) + f·(P(d) − d − c), P = ∫₀ M, c = min(P(d) − d). The derivative by dose is M(d) − f.
 
     For a logistic M of steepness s and a target of 0 and 1 this is the cross entropy of M(d) and f divided by s, minus
     that of darkness outside the part. It is convex where M rises, and never negative. For M(d) = d it is half the

@@ -1,4 +1,4 @@
-"""Light for a target: every method through one `optimize(operator, target, method=…)`."""
+"""Patterns for a target: every method is called through `optimize(operator, target, method=…)`."""
 
 from __future__ import annotations
 

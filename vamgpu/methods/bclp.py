@@ -24,15 +24,15 @@ class BCLP(ByDescent):
 
     and in the roll-to-roll paper with λ·Σ M(d)² added, the L2 regularization (S1), and momentum. Printed there without
     max(0, …), which would penalize voxels inside their band, and without the sum of the last term. If λ > 0 and q ≠ p,
-    both sums are means over the voxels: with sums, λ would outweigh the norm more on finer voxels.
+    both sums are means over the voxels: with sums, λ would outweigh the norm on finer voxels.
 
-    What differs here: the step η is not fixed. The first changes the light by ``share``, each next one is ``growth``
-    times as long; a step that raises the loss is taken back, and the next is half as long and without momentum. With a
-    step that only grew, the loss of a web rose from 80 to 2352 without a warning. Momentum is Nesterov's.
+    What differs here: the step η is not fixed. The first step changes the light by ``share``, and each further step is
+    ``growth`` times as long. A step that raises the loss is undone; the next one is half as long and without momentum.
+    With steps that only grew, the loss of a web rose from 80 to 2352 without a warning. Momentum is Nesterov's.
 
     Args:
         p: Exponent, ≥ 1.
-        q: Exponent of the sum, ≥ 1; None makes q = p, so that distant parts of a print do not couple.
+        q: Exponent of the sum, ≥ 1. None makes q = p, which keeps distant parts of a print independent.
         slack: Half widths ε of the band outside and inside the part, dimensionless.
         penalty: Weight w of a voxel outside and inside the part.
         ridge: Weight λ of the regularization.
@@ -66,33 +66,33 @@ class BCLP(ByDescent):
 
     @classmethod
     def paper_002(cls) -> BCLP:
-        """What the roll-to-roll paper prints: p = 3, ε = 0.05 / 0.01, B = 10, momentum 0.5, λ = 0.04.
+        """Values that the roll-to-roll paper prints: p = 3, ε = 0.05 / 0.01, B = 10, momentum 0.5, λ = 0.04.
 
-        It does not print q, the weights, the learning rate and the logistic's middle. Here q = p, so that segments of a
-        web do not couple, the weights are 1, steps find their own length, and the middle is half the part's dose.
+        It does not print q, the weights, the learning rate and the logistic's middle. Here q = p, which keeps segments
+        of a web independent; the weights are 1, the step length adapts, and the middle is half the part's dose.
         """
         return cls(p=3.0, ridge=0.04, momentum=0.5)
 
     @classmethod
     def roll_to_roll(cls) -> BCLP:
-        """The reference run of the roll-to-roll paper, with what its text leaves open: q = 1, weight 3 in the part,
-        learning rate 0.01, the logistic's middle at half the part's dose.
+        """The reference run of the roll-to-roll paper, with values for what its text leaves open: q = 1, weight 3 in
+        the part, learning rate 0.01, the logistic's middle at half the part's dose.
 
-        A learning rate has the unit of its light, which is not told: here the first step changes the light by a
-        hundredth of itself and later ones are as long as its rate makes them, but for those that would raise the loss.
-        q = 1 couples a whole web, by one number: `optimize` updates it at each step of a `WebProjection`, `Stream`
+        A learning rate has the unit of its light, which the paper does not state. Here the first step changes the light
+        by a hundredth of itself; later steps follow from its learning rate, except those that would raise the loss. q =
+        1 couples a whole web through one number: `optimize` updates it at each step of a `WebProjection`, `Stream`
         once, from its first segment.
         """
         return replace(cls.paper_002(), q=1.0, penalty=(1.0, 3.0), share=0.01, growth=1.0)
 
     def band(self) -> Band:
-        """The loss of a voxel, where q is p."""
+        """The loss of a voxel, if q is p."""
         return self._band(self.ridge)
 
     def apart(self, excess: float) -> BCLP:
-        """With q = p, and as much regularization as has the same minimum: then distant parts do not couple.
+        """The loss with q = p and regularization for the same minimum; distant parts are then independent.
 
-        The power q/p of the norm scales its slope by q/p·excess^(q/p − 1); the regularization's is divided by that.
+        The power q/p scales the norm's gradient by q/p·excess^(q/p − 1); the regularization is divided by this factor.
 
         Args:
             excess: Mean over the voxels of w·max(0, |M(d) − f| − ε)^p at that minimum, ≥ 0.
@@ -119,7 +119,7 @@ class BCLP(ByDescent):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty if they do not."""
+        """Reason why distant positions on a web depend on each other; empty if they do not."""
         if self.q in (None, self.p):
             return self.loss.coupling
         return f"q is {self.q} with p = {self.p}: that couples the whole web; expected q = p, or None"

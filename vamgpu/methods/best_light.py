@@ -1,4 +1,4 @@
-"""The best light that a run has evaluated, kept in the run's memory."""
+"""The best light that a run has evaluated, stored in the run's memory."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 
 
 class Best:
-    """One more sinogram of memory, and nothing more: methods offer light whose dose they have computed anyway."""
+    """It needs one more sinogram of memory and no time: methods offer light whose dose they have computed anyway."""
 
     memory: dict[str, Any]
 
     def __init__(self, memory: dict[str, Any], criterion: Criterion) -> None:
         self.memory, self.criterion = memory, criterion
-        self.unseen: Loss | None = None  # that of ``light`` in memory where it has not been evaluated yet
+        self.unseen: Loss | None = None  # that of ``light`` in memory if it has not been evaluated yet
 
     def better(self, loss: float, window: float) -> bool:
-        """Whether a light of this loss and strict window is better than the one kept; never where one is not finite."""
+        """Whether light of this loss and strict window is better than the stored light, and both are finite."""
         if not (isfinite(loss) and isfinite(window)):
             return False
         return window > self.window if self.criterion == "window" else loss < self.loss
 
     def offer(self, light: DeviceArray, loss: float, window: float, iteration: int) -> bool:
-        """Copy the light if it is better than the one kept."""
+        """Copy the light if it is better than the stored light."""
         self.unseen = None
         if not self.better(loss, window):
             return False
@@ -42,21 +42,21 @@ class Best:
 
     @property
     def loss(self) -> float:
-        """Of the light kept; infinite without one."""
+        """Loss of the stored light; infinite without one."""
         return float(self.memory.get("best loss", inf))
 
     @property
     def window(self) -> float:
-        """Of the light kept; −infinity without one."""
+        """Strict window of the stored light; −infinity without one."""
         return float(self.memory.get("best window", -inf))
 
     @property
     def iteration(self) -> int:
-        """Iterations after which the light kept was reached."""
+        """Number of iterations after which the stored light was reached."""
         return int(self.memory.get("best iteration", 0))
 
     def choose(self, state: OptimizerState) -> tuple[DeviceArray, float, int]:
-        """The light to return, by one more evaluation at most, and none where all light was offered."""
+        """The light to return; takes at most one more evaluation, and none if all light was offered."""
         kept = self.memory.get("best")
         if kept is not None and self.unseen is None:
             return kept, self.window, self.iteration

@@ -16,18 +16,18 @@ from vamgpu.methods.certificate import Bound
 from vamgpu.methods.pdhg import PDHG, TOLD
 from vamgpu.methods.plan import Plan
 from vamgpu.methods.progress import Progress
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.run import optimize
 from vamgpu.methods.tolerances import Tolerances, check_tolerances
 from vamgpu.operators.projection import Projection
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.ring_projection import RingProjection
 
 REACHED = 6.0
-"""Standard deviations that a point spread reaches."""
+"""Standard deviations after which a point spread is cut off."""
 
 
 def bound(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     evaluations: float = 1500.0,
     *,
@@ -41,24 +41,24 @@ def bound(
     The window's linear program is solved by PDHG (A. Chambolle, T. Pock, J. Math. Imaging Vis. 40 (2011) 120), whose
     multipliers make the bound. After 1500 evaluations it is within 1 % of the optimum on slices.
 
-    With tolerances it bounds the window at all corners. A bound for some slices also holds for the whole print, so that
-    of the few hardest slices converges sooner and at a fraction of the cost.
+    With tolerances it bounds the window at all corners. A bound for some slices also holds for the whole print; the
+    bound of the few hardest slices converges sooner and at a fraction of the cost.
 
     Args:
         operator: The projector.
         target: A `Target`, or fractions [x, y, z].
         evaluations: Projector evaluations of the run; the bound takes six more.
         tolerances: Tolerances of machine and resin; evaluations of every corner count.
-        slices: First slice, and the one after the last, of a bound for only these slices, whose dual variables it has.
-            For a `Projection` whose rows are as high as its voxels.
+        slices: First slice, and the one after the last, of a bound for only these slices; its dual variables cover only
+            them. For a `Projection` whose rows are as high as its voxels.
         progress: As for `optimize`.
-        cancel: Called before each step; the bound is then that of the dual variables so far.
+        cancel: Called before each step; the bound is then that of the current dual variables.
 
     Returns:
         The bound.
 
     Raises:
-        BadInput: As `optimize` does, for too few evaluations, and for slices that are not there.
+        BadInput: As for `optimize`, for too few evaluations, and for slices that do not exist.
         Cancelled: There are no useful dual variables yet.
     """
     check_tolerances(tolerances)
@@ -83,7 +83,7 @@ def bound(
 def _of_slices(
     operator: Any, target: Any, slices: tuple[int, int], tolerances: Tolerances | None
 ) -> tuple[Projection, np.ndarray]:
-    """A projector of some slices, with all the rows of light that reach them, and their fractions [x, y, z]."""
+    """A projector of some slices, with all rows of light that reach them, and their fractions [x, y, z]."""
     try:
         first, behind = (index(each) for each in slices)
     except (TypeError, ValueError):
@@ -99,8 +99,8 @@ def _of_slices(
     if not 0 <= first < behind <= shape[2]:
         raise BadInput(f"slices are {slices!r}; expected 0 ≤ first < behind ≤ {shape[2]}")
     if (shape[2] - rows) % 2:
-        raise BadInput(f"{rows} rows light {shape[2]} slices, so every row lies between two of them; expected an "
-                       "even difference, or no slices")  # fmt: skip
+        raise BadInput(f"{rows} rows light {shape[2]} slices, so every row lies between two of them; expected an even "
+                       "difference, or no slices")  # fmt: skip
     spreads = [operator.beam.sigma * pitch, *(tolerances.spread or () if tolerances is not None else ())]
     beyond = 2 * ceil(REACHED * max(spreads) / pitch)
     grid = Grid((*shape[:2], behind - first), pitch)

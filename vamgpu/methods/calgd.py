@@ -20,12 +20,12 @@ class GradientDescent(ByDescent):
 
         g ← max(0, g − η·A(M(d) − f)),    M(d) = 1 / (1 + exp(−s·(d − μ)))
 
-    The error is projected without the slope of the sigmoid, so voxels far on the wrong side count in full. That makes
-    A(M(d) − f) the exact gradient of a convex function of light, the cross entropy of M(d) and f divided by s
-    (`cross_entropy`). This is the reported loss, which selects the best light.
+    The error is projected without the slope of the sigmoid; voxels far on the wrong side therefore count fully. As a
+    result, A(M(d) − f) is the exact gradient of a convex function of light: the cross entropy of M(d) and f divided by
+    s (`cross_entropy`). This function is the reported loss, which selects the best light.
 
     What differs here: doses are in units of the part's (published: divided by the greatest dose, with a new μ in each
-    step), the step η grows, and a step that raises the loss is taken back and halved.
+    step), the step η grows, and a step that raises the loss is undone and halved.
 
     Args:
         share: Relative change of the light in the first step, > 0.

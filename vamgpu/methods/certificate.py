@@ -12,20 +12,20 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput
 from vamgpu.kernels.covering import NEVER, cover_scale, divide_prices, level_cover, light_short_pixels
 from vamgpu.kernels.reduce import HIGH
-from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import folded, parts_for, total
 
 if TYPE_CHECKING:
     from vamgpu.methods.plan import Plan
 
 SWEEPS = 4
-"""Successive covers, each with more light where the one before was weakest."""
+"""Number of successive covers; each has more light where the previous one was weakest."""
 GOLDEN, TRIED = 0.5 * (5**0.5 - 1.0), 20
-"""Golden ratio and number of steps of the search for the share of the part's gain that is cheaper to leave out than to
-cover, to 1e-4; the bound is convex in it."""
+"""Golden ratio and number of steps of the search, to 1e-4, for the share of the part's gain that is cheaper to omit
+than to cover; the bound is convex in it."""
 ROUNDING = 1e-4
-"""Share of the part's gain that is left out for the rounding of float32, over a hundred times the rounding seen on any
+"""Share of the part's gain that is omitted because of float32 rounding, over a hundred times the rounding seen on any
 device; it raises the bound by the same amount."""
 
 
@@ -34,7 +34,7 @@ class Bound:
     """Upper bound on the strict process window of any patterns, which the dual variables prove.
 
     Let dual variables p be ≥ 0 outside the part, and A p ≥ 0 on every pixel. Patterns g ≥ 0 of greatest dose 1 have a
-    dose D = Aᵀg, and 0 ≤ g·A p = p·D. If the part has at least the dose a and the voids at most b, a ≥ b, then
+    dose D = Aᵀg, and 0 ≤ g·A p = p·D. Let a ≥ b be the least dose in the part and the greatest in the voids; then
 
         a − b ≤ 1 + Σ p inside + max(0, Σ p outside − 1),
 
@@ -54,7 +54,7 @@ class Bound:
     on: str = ""
 
     def share(self, plan: Plan | float) -> float:
-        """Relate a window to the bound.
+        """Divide a window by the bound.
 
         Args:
             plan: A plan, or a strict window, a share of the greatest dose.
@@ -88,13 +88,13 @@ def _window(plan: Plan | float) -> float:
 
 
 def certified(
-    operator: Projector, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
+    operator: Operator, target: DeviceArray, reach: float, lower: DeviceArray, upper: DeviceArray,
     rows: DeviceArray, columns: DeviceArray, evaluations: float = 0.0,
 ) -> Bound:  # fmt: skip
     """The bound from the multipliers of a run, made feasible; takes `SWEEPS` + 1 evaluations.
 
-    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 for voxels that do not count.  rows, columns: dose of patterns
-    of 1, and projection of the voxels that count, both of any scale.
+    lower, upper: of `vamgpu.kernels.pdhg.dual_step`; 0 for voxels that do not count. rows: dose of patterns of 1.
+    columns: projection of the voxels that count. Both have any scale.
     """
     device = operator.device
     spent = evaluations + SWEEPS + 1.0
@@ -115,7 +115,7 @@ def certified(
     cover, light = columns, combine(0.0, columns, 0.0, columns, device.empty(columns.shape), floor=1.0)
     for sweep in range(SWEEPS):
         scale = _scale(gain, loss, cover, 1.0)
-        if not 0.0 < scale < NEVER:  # nothing to cover, or the first cover fails everywhere
+        if not 0.0 < scale < NEVER:  # there is nothing to cover, or the first cover fails everywhere
             scale = 1.0
         device.launch(light_short_pixels, paid=gain, cost=loss, cover=cover, scale=scale, light=light)
         operator.T(light, out=raised)
@@ -143,7 +143,7 @@ def _scale(paid: DeviceArray, cost: DeviceArray, cover: DeviceArray, keep: float
 
 
 def _lowest(of: Callable[[float], tuple[float, float, float]], most: float) -> tuple[float, float, float]:
-    """Minimum of a convex function between 0 and most, by its first number; to the right of infinite values."""
+    """Minimum of a convex function, by its first result, between 0 and most; it may be infinite on the left."""
     low, high = 0.0, most
     first, second = of(high - GOLDEN * (high - low)), of(low + GOLDEN * (high - low))
     for _ in range(TRIED):

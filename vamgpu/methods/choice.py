@@ -1,4 +1,4 @@
-"""The method that a name, an instance or a loss means."""
+"""The method that a name, an instance or a loss stands for."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _FAMILY = family("method")
 METHODS: dict[str, type[Any]] = {
     "default": find("method", str(_FAMILY.default)), **{name: find("method", name) for name in _FAMILY.nouns}
 }  # fmt: skip
-"""Names a method can be chosen by, with default parameters: those of the registry, and "default"."""
+"""Names of methods with default parameters: those of the registry, and "default"."""
 
 
 def chosen(method: str | Method | Loss) -> Method:
-    """The method meant by a name, an instance, or a loss to lower. Raises `BadInput`."""
+    """The method for a name, an instance, or a loss to minimize. Raises `BadInput`."""
     if isinstance(method, Loss):
         return Descent(method)
     if isinstance(method, str):

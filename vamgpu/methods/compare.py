@@ -1,4 +1,4 @@
-"""Methods on equal terms: the same thresholds, the same number of projector evaluations."""
+"""Methods compared with the same thresholds and the same number of projector evaluations."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from vamgpu.methods.method import Method
 from vamgpu.methods.osmo import OSMO
 from vamgpu.methods.penalty import PenaltyMinimization
 from vamgpu.methods.plan import Plan
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.recipe import Recipe
 from vamgpu.methods.run import optimize
 from vamgpu.methods.surface import SurfaceRamp
+from vamgpu.operators.protocol import Operator
 
 OUTSIDE, INSIDE = 0.78, 0.95
-"""Thresholds that methods are compared at, in units of the part's dose."""
+"""Thresholds for comparing methods, in units of the part's dose."""
 LABELS = {
     "ramp": "surface ramp (default)",
     "lbfgs": "L-BFGS, two thresholds",
@@ -36,9 +36,9 @@ LABELS = {
 
 
 def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -> Method:
-    """A method by its name in `LABELS` that asks for thresholds, in units of the part's dose. Raises `BadInput`."""
-    # Methods of two thresholds take them as they are. Those that fit a sigmoid have one threshold, its middle: half
-    # way between the two. The recipe asks for doses, not for thresholds, filtered back projection for none: both stay.
+    """A method by its name in `LABELS`, set to the given thresholds in units of the part's dose. Raises `BadInput`."""
+    # Methods of two thresholds take both. Those that fit a sigmoid have one threshold, its middle: the mean of the two.
+    # The recipe has required doses instead, and filtered back projection has neither: both stay unchanged.
     Band.thresholds(outside, inside)
     middle = Logistic(middle=0.5 * (outside + inside))
     made: dict[str, Method] = {
@@ -57,7 +57,7 @@ def at_thresholds(name: str, outside: float = OUTSIDE, inside: float = INSIDE) -
 
 
 def compared(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     name: str,
     evaluations: float,

@@ -1,4 +1,4 @@
-"""Minimization of any loss, starting from filtered back projection; other methods of a loss are cases of it."""
+"""Minimization of any loss from filtered back projection; other methods that minimize a loss are special cases."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STEEP = 10.0
 
 @dataclass(frozen=True)
 class Descent(Method):
-    """Projected gradient steps that minimize any loss of the dose; steps that raise it are taken back and halved.
+    """Projected gradient steps that minimize any loss of the dose; steps that raise it are undone and halved.
 
         minimize loss(Aᵀg), g ← max(0, g − η·∂/∂g)
 
@@ -91,7 +91,7 @@ class ByDescent(ABC):
 
 
 def _held(state: OptimizerState) -> Loss | None:
-    """Upper limit of gray bodies, which losses of parts lack; None without any."""
+    """Upper limit of gray bodies, which losses for plain parts lack; None without gray bodies."""
     if state.limits is None or not state.limits.gray.any():
         return None
     most = 0.5 + ABOVE

@@ -1,4 +1,4 @@
-"""What one light is judged by: the loss of its dose, and the penalty of bright light."""
+"""Objective for one set of light: the loss of its dose, and the penalty of bright light."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class DoseObjective:
     """The loss of the dose Aᵀg of light g, plus penalty·Σ g^power.
 
-    A step looks at ``ahead``, which momentum carries beyond the light that is held. Doses are linear, so that the dose
-    of the light itself, by which light is chosen, follows from that of ``ahead`` without projecting. Half an evaluation
-    for a value, half for a gradient.
+    A step evaluates ``ahead``, which momentum extrapolates beyond the current light. Doses are linear; the dose of the
+    light itself, by which the best light is selected, therefore follows from that of ``ahead`` without a projection.
+    Half an evaluation for a value, half for a gradient.
     """
 
     state: OptimizerState
@@ -56,8 +56,8 @@ class DoseObjective:
         loss = state.loss(self.dose, self.loss) + self._bright()
         loss += self._beside.value() if self._beside is not None else 0.0
         if rule.back <= 1.0 and loss > 0.0:
-            self.gradient()  # also where the step is taken back: an iteration is one evaluation
-        if rule.back <= 1.0 and held is not self.dose:  # the loss that counts is that of the light held
+            self.gradient()  # also if the step is undone: an iteration is one evaluation
+        if rule.back <= 1.0 and held is not self.dose:  # the relevant loss is that of the current light
             state.scale(1.0, held, self.dose)
             loss = state.loss(self.dose, self.loss)
         return loss, window
@@ -70,14 +70,14 @@ class DoseObjective:
         return (self._gradient,)
 
     def _bright(self) -> float:
-        """What the light costs; its derivative is added to the gradient, which a value overwrites in vain."""
+        """Penalty of the light; its derivative is added to the gradient after this."""
         penalty, power = self.penalty
         if not penalty:
             return 0.0
         return self.state.apply_penalty(self.state.buffer(self._at), self._gradient, penalty, power, hold=False)
 
     def _dose_of_light(self, carried: float) -> DeviceArray:
-        """Dose of ``light`` from that of ``ahead`` = light + m·(light − the light before it)."""
+        """Dose of ``light`` from that of ``ahead`` = light + m·(light − previous light)."""
         rule, memory, state = self.rule, self.state.memory, self.state
         if rule.history or rule.fixed or rule.momentum == 0.0:
             return self.dose
@@ -86,13 +86,13 @@ class DoseObjective:
         dose = state.buffer("dose")
         if carried:
             state.combine(1.0 / (1.0 + carried), self.dose, carried / (1.0 + carried), dose, dose)
-        else:  # what is in a new volume may be no number
+        else:  # new memory may contain NaN
             state.scale(1.0, self.dose, dose)
         return dose
 
 
 def lower(state: OptimizerState, loss: Loss, rule: StepRule, *, efficiency: float = 0.0, power: float = 1.0) -> Steps:
-    """Lower a loss of the dose, from filtered back projection on, or from where the memory of the state stands."""
+    """Minimize a loss of the dose, from filtered back projection or from the light in the state's memory."""
     memory = state.memory
     if "light" not in memory:
         filtered_light(state, state.volume())

@@ -18,8 +18,8 @@ from vamgpu.methods.state import OptimizerState
 class FilteredBackProjection(Method):
     """Forward projection, ramp filter, clipping: a single projector evaluation.
 
-    Angles are weighted by the directions that they cover. `optimize` rejects a scan that lacks a twentieth of all
-    directions, which cannot be inverted: iterative methods accept it.
+    Angles are weighted by the range of directions that they represent. `optimize` rejects a scan that lacks a twentieth
+    of all directions, because it cannot be inverted; iterative methods accept it.
     """
 
     papers: ClassVar[tuple[str, ...]] = (RAMP,)
@@ -37,7 +37,7 @@ class FilteredBackProjection(Method):
 
 
 def filtered_light(state: OptimizerState, dose: DeviceArray) -> float:
-    """Put the target's clipped, filtered projection, of mean dose one, into memory; the ``light`` before."""
+    """Put the target's filtered and clipped projection, scaled to a mean dose of one, into memory as ``light``."""
     projected, light = state.sinogram(), state.sinogram()
     state.project_scaled(state.target, projected)
     state.filter(projected, ramp(state.operator), light, floor=0.0)

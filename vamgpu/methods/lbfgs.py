@@ -18,7 +18,7 @@ from vamgpu.methods.state import OptimizerState
 
 
 class ByPairs(Method):
-    """What methods share that lower thresholds of the dose by limited-memory quasi-Newton steps."""
+    """Common part of methods that minimize losses with dose thresholds by limited-memory quasi-Newton steps."""
 
     outside: float
     inside: float
@@ -39,7 +39,7 @@ class ByPairs(Method):
 
     @property
     def rule(self) -> StepRule:
-        """Rule of the steps that lower it."""
+        """Rule for the steps that lower it."""
         return StepRule(history=self.history, history_bytes=self.history_bytes)
 
     def __post_init__(self) -> None:
@@ -59,12 +59,12 @@ class LBFGS(ByPairs):
         outside: Greatest dose outside the part, in units of the part's dose.
         inside: Least dose in the part, in units of the part's dose.
         most: Greatest dose in the part, in units of the part's dose.
-        efficiency: Weight of the penalty on bright pixels, relative to a part whose every voxel is wrong by 1. With
-            power 4, it mainly penalizes the few brightest pixels, so the ratio of mean to greatest light rises.
+        efficiency: Weight of the penalty on bright pixels, relative to the loss if every voxel is wrong by 1. With
+            power 4, it mainly penalizes the few brightest pixels; the ratio of mean to greatest light then rises.
         power: Exponent of that penalty, ≥ 1; 1 penalizes all light.
-        history: Pairs of sinograms that are kept.
-        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` says if fewer pairs
-            fit.
+        history: Largest number of stored pairs of sinograms.
+        history_bytes: Memory limit of these pairs; None for the device's free memory. A `MemoryNotice` reports if fewer
+            pairs fit.
 
     Raises:
         BadInput: A value is out of its range.
@@ -90,10 +90,10 @@ class LBFGS(ByPairs):
 
     @property
     def coupling(self) -> str:
-        """Why places far apart on a web depend on each other; empty if they do not."""
+        """Reason why distant positions on a web depend on each other; empty if they do not."""
         if not self.efficiency:
             return ""
-        return f"efficiency is {self.efficiency}: its penalty is set by all light of a web; expected 0"
+        return f"efficiency is {self.efficiency}: its penalty depends on all light of a web; expected 0"
 
     def steps(self, state: OptimizerState) -> Steps:
         yield from lower(state, self.loss, self.rule, efficiency=self.efficiency, power=self.power)

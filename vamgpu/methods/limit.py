@@ -1,4 +1,4 @@
-"""How bright light may be for a print to be done in time."""
+"""Limit of the brightness of pixels that allows a print to finish in time."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from vamgpu.operators.reductions import extent
 from vamgpu.schema.quantities import Absorption, Dose, ExposureTime, Irradiance, measured
 
 MARGIN = 0.99
-"""Share of the brightness allowed that steps keep to, as the threshold moves until the run ends."""
+"""Share of the allowed brightness that steps use, because the threshold moves until the run ends."""
 
 
 @dataclass(frozen=True)
 class ExposureLimit:
-    """A time in which a print must be done, by a lamp and a resin.
+    """Time limit of a print, with its lamp and resin.
 
-    An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical one,
-    with a projector whose brightest pixel is full-on. So it limits the ratio of the brightest pixel to that dose.
+    An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical dose.
+    The brightest pixel is full-on. The time limit therefore limits the ratio of the brightest pixel to that dose.
 
     Args:
         seconds: Longest exposure [s].
@@ -42,7 +42,7 @@ class ExposureLimit:
     def of(
         cls, exposure_limit: Any, irradiance: Any, critical_dose: Any, absorption: Any = None
     ) -> ExposureLimit | None:
-        """From numbers in s, mW, mJ and mm, or text with units; None without a limit. Raises `BadInput`."""
+        """Make a limit from numbers in s, mW, mJ and mm, or text with units, or None. Raises `BadInput`."""
         if exposure_limit is None:
             if irradiance is not None or critical_dose is not None:
                 raise BadInput(
@@ -53,8 +53,8 @@ class ExposureLimit:
         if irradiance is None or critical_dose is None:
             lacking = "irradiance" if irradiance is None else "critical_dose"
             raise BadInput(
-                f"got an exposure_limit without {lacking}; time depends on lamp and resin: give both irradiance "
-                "and critical_dose"
+                f"got an exposure_limit without {lacking}; time depends on lamp and resin: give both irradiance and "
+                "critical_dose"
             )
         return cls(
             measured("exposure_limit", exposure_limit, ExposureTime),
@@ -64,15 +64,15 @@ class ExposureLimit:
         )
 
     def brightness(self, operator: Any) -> float:
-        """Greatest light of a pixel over the dose at the threshold, in operators' units [1/mm]. Raises `BadInput`."""
+        """Greatest light of a pixel divided by the dose at the threshold, in 1/mm. Raises `BadInput`."""
         return self.seconds / self._time(operator)
 
     def seconds_of(self, operator: Any, light: DeviceArray, threshold: float) -> float:
-        """How long light [angle, r, z] takes until its dose ``threshold`` is solid [s]; infinite for none."""
+        """Time [s] after which the dose ``threshold`` of light [angle, r, z] is solid; infinite for a dose of 0."""
         return self._time(operator) * extent(light)[1] / threshold if threshold > 0.0 else inf
 
     def check(self, operator: Any, even: float) -> None:
-        """Reject a time too short even for full-on pixels everywhere, of which 1 gives the part a dose of ``even``."""
+        """Reject a time that is too short for full-on pixels; light of 1 gives the part a dose of ``even``."""
         least = self._time(operator) / even if even > 0.0 else inf
         if least > self.seconds:
             raise BadInput(
@@ -83,12 +83,12 @@ class ExposureLimit:
             )
 
     def _time(self, operator: Any) -> float:
-        """Time [s] of light whose brightest pixel is the dose at the threshold, 1 [1/mm]."""
+        """Time [s] for light whose brightest pixel, divided by the dose at the threshold, is 1 [1/mm]."""
         if not all(hasattr(operator, name) for name in ("beam", "grid", "motion")) or not hasattr(
             operator.motion, "angles"
         ):
             raise BadInput(
-                f"got exposure_limit with {operator!r}; expected a projection, whose turns and pixels tell times"
+                f"got exposure_limit with {operator!r}; expected a projection, whose turns and pixels determine times"
             )
         share = 1.0 / operator.motion.angles
         return self.critical_dose / dose_unit(operator, share, unit=self.irradiance, absorption=self.absorption)

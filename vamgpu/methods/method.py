@@ -24,11 +24,11 @@ class Method(Protocol):
         iterations: Default number of iterations.
         cost: Least projector evaluations of an iteration.
         criterion: Criterion of its best light: the strict window for methods of thresholds, the loss for methods that
-            minimize a loss. With weights or gray bodies it is the loss for all.
-        takes_start: Whether it starts from the ``light`` in the memory, if there is some; without the attribute it does
-            not, and `optimize` rejects a ``start``.
-        takes_weights: Whether weights of bodies change its light, as in all methods that minimize ``state.loss``;
-            without the attribute they do, and if it is False `optimize` rejects them.
+            minimize a loss. With weights or gray bodies it is the loss for all methods.
+        takes_start: Whether the method starts from ``light`` in the memory, if there is any. Without the attribute it
+            does not, and `optimize` rejects a ``start``.
+        takes_weights: Whether weights of bodies change the result, as in all methods that minimize ``state.loss``.
+            Without the attribute they do; if it is False, `optimize` rejects them.
     """
 
     papers: ClassVar[tuple[str, ...]]
@@ -37,10 +37,10 @@ class Method(Protocol):
     criterion: ClassVar[Criterion]
 
     def steps(self, state: OptimizerState) -> Steps:
-        """Improve ``light`` in the memory forever, or until no gain is left.
+        """Improve ``light`` in the memory without end, or until no gain is left.
 
-        ``state.offer`` gets every light whose dose is known, and keeps the best. At every yield, ``state.memory`` has
-        everything that a later run needs to continue.
+        ``state.offer`` receives every light whose dose is known, and stores the best. At every yield, ``state.memory``
+        contains everything that a later run needs to continue.
 
         Args:
             state: State of the run.

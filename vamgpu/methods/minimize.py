@@ -1,4 +1,4 @@
-"""One way down for every loss: steps that keep light ≥ 0, with momentum, restarts and a memory to go on from."""
+"""Descent for every loss: steps that keep light ≥ 0, with momentum, restarts and a memory for resuming."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.reductions import dot
 
 RETREATS = 24
-"""Returns to the best light in a row, each with steps half as long, after which none that helps is expected."""
+"""Number of successive returns to the best light, each with half the step, after which the method stops."""
 TRIES = 12
-"""Lengths that a line search looks at."""
+"""Number of lengths that a line search tries."""
 
 
 def check_pairs(history: int, least: int = 1) -> None:
-    """Raise `BadInput` for a history that is no number of pairs."""
+    """Raise `BadInput` for a history that is not a number of pairs."""
     if isinstance(history, bool) or not isinstance(history, int) or history < least:
         raise BadInput(f"history is {history!r}; expected a whole number of pairs ≥ {least}, such as 5")
 
 
 class Objective(Protocol):
-    """What light is judged by, above all the loss of its dose."""
+    """Objective for light: mainly the loss of its dose."""
 
     loss: Loss
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:
-        """Loss and strict window of the light held, or of the light ``ahead`` of it by ``carried`` of the last step."""
+        """Loss and strict window of the current light, or of light ``ahead`` by ``carried`` of the last step."""
         ...
 
     def gradient(self) -> Sequence[DeviceArray]:
-        """Derivatives of the loss last valued by the light of each channel, ahead as it was; may be overwritten."""
+        """Derivatives of the loss, last evaluated ahead, by the light of each channel; may be overwritten."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Light of one color: ``light`` and ``ahead`` of it in the memory of its state."""
+    """Light of one color: ``light`` and ``ahead`` in the memory of its state."""
 
     state: OptimizerState
     taps: Taps
@@ -63,7 +63,7 @@ class Channel:
         return self.state.buffer("ahead")
 
     def gain(self, rounds: int) -> float:
-        """Greatest eigenvalue of exposing what is filtered and projected, by power iteration; not counted."""
+        """Greatest eigenvalue of projecting, filtering and exposing, by power iteration; not counted as evaluations."""
         state, value = self.state, 1.0
         x = state.device.upload(np.random.default_rng(1).random(state.operator.domain.shape, np.float32))
         projected, filtered = state.sinogram(), state.sinogram()
@@ -78,28 +78,28 @@ class Channel:
 
 @dataclass(frozen=True)
 class StepRule:
-    """How long steps are, and what happens where the loss does not fall."""
+    """Length of steps, and what happens if the loss does not fall."""
 
-    step: float | None = None  # length of the first; None for one that changes the light by ``share`` of itself
+    step: float | None = None  # length of the first step; None for one that changes the light by ``share`` of itself
     share: float = 0.1
-    growth: float = 1.0  # of the step, after one that lowered the loss
+    growth: float = 1.0  # factor of the step after one that lowered the loss
     momentum: float | None = None  # share of the last step added to the next; None for Nesterov's k / (k + 3)
-    shrink: float = 0.5  # of the step where the loss rises within ``soon`` steps of a restart
-    soon: float = inf  # a later rise costs the momentum alone
-    calm: float = 1.0  # share of the growth that a rise leaves
-    back: float = inf  # times the least loss, from which on steps are taken back; 1 takes back all that raise the loss
+    shrink: float = 0.5  # factor of the step if the loss rises within ``soon`` steps of a restart
+    soon: float = inf  # a later rise only resets the momentum
+    calm: float = 1.0  # share of the growth that remains after a rise
+    back: float = inf  # steps are undone if the loss exceeds this multiple of the least loss; 1 undoes every rise
     possible: bool = False  # whether ``ahead`` is kept ≥ 0, where doses do not add up linearly
-    fixed: bool = False  # no regard for the loss: what happens at a place depends on what is near it alone
+    fixed: bool = False  # ignore the loss: the result at a position then depends only on its neighborhood
     history: int = 0  # pairs of a limited-memory quasi-Newton method; 0 for steps along the filtered gradient
-    history_bytes: int | None = None  # memory they may take; None for what the device has
+    history_bytes: int | None = None  # memory that they may use; None for the device's free memory
 
 
 def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) -> Steps:
-    """Lower an objective by light ≥ 0, from ``light`` in the memory of each channel on.
+    """Minimize an objective over light ≥ 0, starting from ``light`` in the memory of each channel.
 
-    It goes on for ever, or until the loss is 0 or no step lowers it; whoever asks for its records counts, cancels and
-    tells divergence. Numbers are kept in the memory of the first channel. A later call with the same memories goes on
-    bit for bit where this one stopped. The best light is kept as the criterion of the works says.
+    It runs without end, or until the loss is 0 or no step lowers it; the caller counts steps, cancels and detects
+    divergence. Numbers are stored in the memory of the first channel. A later call with the same memories continues bit
+    for bit where this one stopped. The best light is selected by the criterion of the objective.
     """
     if rule.history:
         yield from _searched(objective, channels[0].state, rule)
@@ -114,7 +114,7 @@ def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) 
         memory.setdefault("step", rule.step)
     while True:
         loss, window = objective.value(lead.number("carried"))
-        returned = memory.pop("returned", False)  # to the best light, whose loss is no progress yet
+        returned = memory.pop("returned", False)  # returned to the best light, whose loss is not progress yet
         rose = not (rule.fixed or returned or loss < lead.number("loss", inf))
         if not rule.fixed and _offered(channels, loss, window, rule.possible):
             memory["retreats"] = 0.0
@@ -130,7 +130,7 @@ def minimize(objective: Objective, channels: Sequence[Channel], rule: StepRule) 
 
 
 def _offered(channels: Sequence[Channel], loss: float, window: float, possible: bool) -> bool:
-    """Whether the light looked at is the best so far; a copy of it is kept then."""
+    """Whether the evaluated light is the best so far; if it is, a copy is stored."""
     iteration = channels[0].state.iteration + possible
     offers = [
         channel.state.best.offer(channel.ahead if possible else channel.light, loss, window, iteration)
@@ -140,7 +140,7 @@ def _offered(channels: Sequence[Channel], loss: float, window: float, possible: 
 
 
 def _lengthened(lead: OptimizerState, rule: StepRule, rose: bool, returned: bool) -> None:
-    """Lengthen the step, or shorten it and drop the momentum."""
+    """Lengthen the step, or shorten it and reset the momentum."""
     memory, growth = lead.memory, lead.number("growth", rule.growth)
     if rose:
         memory["step"] = lead.number("step") * (rule.shrink if lead.number("run") <= rule.soon else 1.0)
@@ -151,7 +151,7 @@ def _lengthened(lead: OptimizerState, rule: StepRule, rose: bool, returned: bool
 
 
 def _retreated(channels: Sequence[Channel], loss: float, window: float) -> tuple[float, float]:
-    """Go back to the best light, if there is one yet; returns its loss and window."""
+    """Return to the best light, if there is one; returns its loss and window."""
     lead = channels[0].state
     for channel in channels:
         if "best" in channel.state.memory:
@@ -164,7 +164,7 @@ def _retreated(channels: Sequence[Channel], loss: float, window: float) -> tuple
 
 
 def _moved(objective: Objective, channels: Sequence[Channel], rule: StepRule) -> None:
-    """One step of every channel; what is dark and should stay so is held."""
+    """One step of every channel; pixels that are dark and should stay dark are held."""
     lead, gradients = channels[0].state, objective.gradient()
     run = lead.number("run")
     momentum = run / (run + 3.0) if rule.momentum is None else rule.momentum * (run > 0 or rule.fixed)
@@ -180,13 +180,13 @@ def _moved(objective: Objective, channels: Sequence[Channel], rule: StepRule) ->
 
 
 def _ratio(light: DeviceArray, gradient: DeviceArray) -> float:
-    """Length of the light over that of the gradient."""
+    """Norm of the light divided by that of the gradient."""
     return (dot(light, light) / max(dot(gradient, gradient), 1e-60)) ** 0.5
 
 
 # ---- along quasi-Newton directions -------------------------------------------------------------------------------
 def _searched(objective: Objective, state: OptimizerState, rule: StepRule) -> Steps:
-    """Projected steps along limited-memory directions, each shorter until the loss falls."""
+    """Projected steps along limited-memory directions, each shortened until the loss falls."""
     memory = state.memory
     if "loss" not in memory:
         memory["loss"], memory["window"] = objective.value()
@@ -205,7 +205,7 @@ def _searched(objective: Objective, state: OptimizerState, rule: StepRule) -> St
 
 
 def _line(objective: Objective, state: OptimizerState, pairs: Pairs, direction: DeviceArray) -> bool:
-    """Move light along a direction, shorter until the loss falls; else leave light and gradient as they were."""
+    """Move light along a direction, shortened until the loss falls; else leave light and gradient unchanged."""
     light, gradient, before = state.buffer("light"), state.buffer("gradient"), state.number("loss")
     share = 1.0 if pairs.used else 0.05 * _ratio(light, direction)
     state.scale(1.0, light, pairs.step)

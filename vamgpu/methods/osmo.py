@@ -23,11 +23,11 @@ class OSMO(Method):
 
         m ← m − max(0, d − outside) in voids, update d, then m ← m + max(0, inside − d) in the part, update d
 
-    The light of the model is never negative: max(0, filter(A m)). One iteration takes two projector evaluations, and
-    the first iteration a third one for the dose of the target itself.
+    The light of the model is never negative: max(0, filter(A m)). One iteration takes two projector evaluations; the
+    first iteration takes a third one, for the dose of the target itself.
 
-    What differs here: the ramp filters every projection of the model, so corrections are sharpened like the target (the
-    authors' toolbox filters only the target); ``gain`` scales a correction (published: 1).
+    What differs here: the ramp filters every projection of the model, and corrections are therefore sharpened like the
+    target (the authors' toolbox filters only the target); ``gain`` scales a correction (published: 1).
 
     Args:
         outside: Threshold of voids, relative to the greatest dose.
@@ -35,7 +35,7 @@ class OSMO(Method):
         gain: Share of a difference that is corrected, > 0.
 
     Raises:
-        BadInput: The gain is not positive, or unless 0 ≤ outside < inside ≤ 1.
+        BadInput: The gain is not positive, or the thresholds are not 0 ≤ outside < inside ≤ 1.
     """
 
     outside: float = 0.6

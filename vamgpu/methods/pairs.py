@@ -1,4 +1,4 @@
-"""The history of a limited-memory quasi-Newton method, as long as the device's memory lets it be."""
+"""The history of a limited-memory quasi-Newton method, as long as the device's memory allows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vamgpu.operators.reductions import dot
 
 
 class Pairs:
-    """Differences of light and of gradient with 1 / their product, oldest first; the open one is what was before."""
+    """Differences of light and of gradient with 1 / their product, oldest first; the open pair has previous values."""
 
     state: OptimizerState
     most: int
@@ -27,7 +27,7 @@ class Pairs:
         self._spare: list[DeviceArray] = []
 
     def direct(self, out: DeviceArray) -> None:
-        """out = the quasi-Newton direction of descent, dark light held."""
+        """out = the quasi-Newton direction of descent; dark light is held."""
         state = self.state
         state.scale(1.0, state.buffer("gradient"), out)
         state.apply_penalty(state.buffer("light"), out)
@@ -44,7 +44,7 @@ class Pairs:
         state.scale(-1.0, out, out)
 
     def open(self) -> None:
-        """Make room for the next pair: new arrays, or those of the oldest pair."""
+        """Make space for the next pair: new arrays, or those of the oldest pair."""
         if not self._spare and len(self.kept) < self.most:
             self._allocate()
         if not self._spare:
@@ -66,7 +66,7 @@ class Pairs:
             warnings.warn(f"the history stops at {self.most} pairs: {error}", MemoryNotice, stacklevel=2)
 
     def close(self, light: DeviceArray, gradient: DeviceArray) -> None:
-        """Complete the pair with the light and gradient after the step; keep it if it curves upwards."""
+        """Complete the pair with the light and gradient after the step; keep it if its curvature is positive."""
         self.state.combine(1.0, light, -1.0, self.step, self.step)
         self.state.combine(1.0, gradient, -1.0, self.change, self.change)
         product = dot(self.step, self.change)
@@ -75,5 +75,5 @@ class Pairs:
             self._spare = []
 
     def forget(self) -> None:
-        """Drop the history, but keep the room of the pair in the making."""
+        """Drop the history, but keep the arrays of the current pair."""
         self.kept.clear()

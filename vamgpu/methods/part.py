@@ -1,4 +1,4 @@
-"""The part an optimizer is asked for: checked, and on the operator's device."""
+"""The part that an optimizer must print: checked, and on the operator's device."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, EmptyMesh, NoLight, OpticsWarning, ShapeMismatch, TargetTooLarge
 from vamgpu.geometry import Grid
 from vamgpu.kernels.update import fill_background, linear
-from vamgpu.methods.projector import Projector
 from vamgpu.operators.compose import Composed, capped, combine
 from vamgpu.operators.dwell import Dwell
-from vamgpu.operators.protocol import ATTRIBUTES
+from vamgpu.operators.protocol import ATTRIBUTES, Operator
 from vamgpu.operators.reductions import EVERYWHERE, dot, extent, total
 from vamgpu.operators.scaling import Scaled
 from vamgpu.operators.space import require
@@ -24,25 +23,25 @@ from vamgpu.targets.limits import Limits
 from vamgpu.web import WebGrid
 
 LOST = 1e-6
-"""Dose of the darkest voxel of a part over that of the brightest anywhere, by even light, below which there is no
-solving: float32 rounds what is summed up by some 1e-7 of it, so that this voxel's dose would be rounding."""
+"""Ratio of the dose of the darkest voxel of a part to that of the brightest voxel anywhere, in uniform light, below
+which there is no solution: float32 rounds sums by about 1e-7, and this voxel's dose would be a rounding error."""
 MET = 1e-3
-"""Share of the greatest projection of a part from which on a pixel meets it: rings and point spreads reach farther by
-less. On a boat whose pixels are 3/4 of a voxel, rings and rays then agree on all pixels but 0.3 %."""
+"""Share of the greatest projection of a part above which a pixel meets the part; fainter light of rings and point
+spreads extends farther. On a boat with pixels of 3/4 voxel, rings and rays then agree on all but 0.3 % of them."""
 SHARP = 1e5
-"""Slope of the step from 0 to 1, over its place."""
+"""Slope of the step from 0 to 1, divided by its position."""
 HALF = 0.5 * (1.0 - 1e-4)
-"""Fraction at which that step stands, so that voxels filled by half are beyond it."""
+"""Fraction at which that step is placed; voxels filled by half lie beyond it."""
 DIM = 1e-2
-"""The same share, below which a print is possible but unlikely to come out: light for the darkest voxel passes others
-that take a hundred times as much of it."""
+"""The same ratio below which a print is possible but unlikely to succeed: light for the darkest voxel passes others
+that get a hundred times as much."""
 
 
-def fractions_of(operator: Projector, target: Any) -> DeviceArray:
-    """The target's fractions [x, y, z] on the operator's device, after checking that light can reach it all.
+def fractions_of(operator: Operator, target: Any) -> DeviceArray:
+    """The target's fractions [x, y, z] on the operator's device, after checking that light reaches all of it.
 
     target: a `Target`, or fractions (NumPy or on the device).  Raises `BadInput` for another pitch and for values
-    beyond 0..1, `EmptyMesh` where nothing is to be printed or judged, `NoLight` where light does not get to it all,
+    beyond 0..1, `EmptyMesh` if no voxel prints or is judged, `NoLight` if light does not reach all of it,
     `ShapeMismatch`, `TargetTooLarge`, `DeviceError`.
     """
     _check_projector(operator)
@@ -56,14 +55,14 @@ def fractions_of(operator: Projector, target: Any) -> DeviceArray:
     _check_values(fractions)
     if isinstance(operator.grid, Grid):
         check_cylinder(fractions, operator.grid, stacklevel=5)
-    known = hasattr(target, "radius")  # then vessel and beam were asked above, and absorption alone is left
+    known = hasattr(target, "radius")  # vessel and beam were checked above; only absorption remains
     if not isinstance(operator.grid, WebGrid) and not (known and _vessel(operator) is None):
         _check_reach(operator, fractions)
     return fractions
 
 
 def radius_of(operator: Any, target: Any, fractions: DeviceArray) -> float:
-    """Radius about the axis [mm] of what is printed: a target's own, or that of the voxels filled by half."""
+    """Radius of the part about the axis [mm]: a target's own, or that of the voxels filled by half."""
     if hasattr(target, "radius") or not isinstance(operator.grid, Grid):
         return float(getattr(target, "radius", 0.0))
     near, far = 0.0, reach_of(operator.grid)
@@ -75,7 +74,7 @@ def radius_of(operator: Any, target: Any, fractions: DeviceArray) -> float:
 
 
 def one_limit(target: Any) -> Any:
-    """The target, or `BadInput` where its voxels have limits of their own, for methods that know but one."""
+    """The target; `BadInput` if its voxels have limits of their own, for methods that support only one limit."""
     if getattr(target, "limits", None) is not None:
         raise BadInput(f"the voxels of {target.name!r} have limits of their own; expected a part without bodies: "
                        "use optimize()")  # fmt: skip
@@ -83,7 +82,7 @@ def one_limit(target: Any) -> Any:
 
 
 def limited(operator: Any, limits: Limits) -> Any:
-    """A projector whose doses are those of ``operator`` over the limits of their voxels, so that 1 limits them all."""
+    """A projector whose doses are relative to the limits of their voxels; 1 is then the limit everywhere."""
     if limits.dose.shape != operator.domain.shape:
         raise ShapeMismatch(
             f"the target's limits have shape {limits.dose.shape}; expected {operator.domain.shape}, that of the grid"
@@ -92,20 +91,20 @@ def limited(operator: Any, limits: Limits) -> Any:
 
 
 def lit_pixels(operator: Any, fractions: DeviceArray) -> DeviceArray:
-    """1 for pixels that send rays through a part, and 0 for those whose light is idle."""
+    """1 for pixels whose rays meet a part, and 0 for idle pixels."""
     met = operator(_stepped(fractions, HALF * (extent(fractions)[1] or 1.0), reach_of(operator.grid)))
     return _stepped(met, max(MET * extent(met)[1], 1e-30))
 
 
 def _stepped(values: DeviceArray, at: float, reach: float = EVERYWHERE) -> DeviceArray:
-    """1 where values are above ``at`` within ``reach`` samples of the axis, else 0."""
+    """1 where values exceed ``at`` within ``reach`` samples of the axis, else 0."""
     out, steep = values.device.empty(values.shape), {"low": -SHARP, "high": SHARP / at - SHARP}
     values.device.launch(fill_background, target=values, **steep, reach=reach, model=out)
     return capped(combine(1.0, out, 0.0, out, out, floor=0.0), 1.0)
 
 
 def idle_light(operator: Any, light: DeviceArray, lit: DeviceArray) -> float:
-    """Share of light [angle, r, z] in pixels whose rays never meet a part, by `lit_pixels`; 0 of dark light."""
+    """Share of light [angle, r, z] in pixels whose rays never meet a part, by `lit_pixels`; 0 for dark light."""
     sent = Dwell(operator.motion, operator.device).weighted(light)
     whole = total(sent)
     return max(1.0 - dot(sent, lit) / whole, 0.0) if whole > 0.0 else 0.0
@@ -125,18 +124,18 @@ def _vessel(operator: Any) -> Any:
 
 
 def reach_of(grid: Grid | WebGrid) -> float:
-    """Radius [voxels] of the cylinder that every angle lights and that is judged; all of a web is."""
+    """Radius [voxels] of the judged cylinder, which light reaches at every angle; a web is judged everywhere."""
     return grid.inscribed_radius / grid.pitch * (1.0 + 1e-6) if isinstance(grid, Grid) else EVERYWHERE
 
 
-def on_device(operator: Projector, target: Any) -> DeviceArray:
+def on_device(operator: Operator, target: Any) -> DeviceArray:
     """The target's fractions [x, y, z] on the operator's device; arguments and errors as for `fractions_of`."""
     _check_projector(operator)
-    wanted = operator.grid.pitch
-    pitch = getattr(getattr(target, "grid", None), "pitch", wanted)
-    if not np.allclose(pitch, wanted, rtol=1e-9, atol=0.0):
+    operator_pitch = operator.grid.pitch
+    pitch = getattr(getattr(target, "grid", None), "pitch", operator_pitch)
+    if not np.allclose(pitch, operator_pitch, rtol=1e-9, atol=0.0):
         raise BadInput(
-            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(wanted)} mm; "
+            f"the target has voxels of {_edge(pitch)} mm, the operator of {_edge(operator_pitch)} mm; "
             "build the operator on target.grid"
         )
     fractions = target.on(operator.device) if hasattr(target, "on") else target
@@ -150,7 +149,7 @@ def on_device(operator: Projector, target: Any) -> DeviceArray:
 def uploaded(device: Device, values: Any, name: str) -> DeviceArray:
     """An array on a device, after checking that every value is a number that float32 can hold."""
     array = np.asarray(values)
-    least, most = (float(end(array)) if array.size else 0.0 for end in (np.min, np.max))  # NaN wherever one is
+    least, most = (float(end(array)) if array.size else 0.0 for end in (np.min, np.max))  # NaN if any value is
     if not max(abs(least), abs(most)) <= float(np.finfo(np.float32).max):
         raise BadInput(f"{name} reaches from {least:g} to {most:g}; expected finite numbers that float32 can hold")
     return device.upload(array)
@@ -191,8 +190,8 @@ def check_cylinder(fractions: DeviceArray, grid: Grid, stacklevel: int = 3) -> N
         )
 
 
-def _check_beam(operator: Projector, radius: float | None, height: float | None) -> None:
-    """Reject a part [mm] higher than the light; warn of a wider part, which some angles light only in part."""
+def _check_beam(operator: Operator, radius: float | None, height: float | None) -> None:
+    """Reject a part [mm] that is higher than the light; warn of a part wider than the light at some angles."""
     (columns, rows), pitch, vessel = operator.beam.pixels, operator.beam.pitch, _vessel(operator)
     if height is not None and height > rows * pitch * (1.0 + 1e-6):
         raise TargetTooLarge(
@@ -211,25 +210,25 @@ def _check_beam(operator: Projector, radius: float | None, height: float | None)
 
 
 def _check_reach(operator: Any, fractions: DeviceArray) -> None:
-    """Reject a part that light does not reach, and warn of one that it hardly reaches; one evaluation."""
+    """Reject a part that light does not reach, and warn of one that it hardly reaches; takes one evaluation."""
     device, vessel = operator.device, _vessel(operator)
     even, dose = device.empty(operator.range.shape), device.empty(operator.domain.shape)
-    operator(fractions, out=even)  # finite numbers, as new memory need not hold
+    operator(fractions, out=even)  # finite numbers, which new memory need not contain
     device.launch(linear, a=0.0, x=even, b=0.0, y=even, floor=1.0, out=even)
     operator.T(even, out=dose)
     least, greatest = extent(dose, fractions, 0.5, inf, reach_of(operator.grid))[0], extent(dose)[1]
-    if not isfinite(least):  # no voxel that is judged is filled by half
+    if not isfinite(least):  # no judged voxel is filled by half
         return
     share = least / greatest if greatest > 0.0 else 0.0
     if share >= DIM:
         return
     absorption, lit = float(getattr(vessel, "absorption", 0.0)), float(getattr(vessel, "lit_radius", inf))
-    told = (
+    reason = (
         f"even light leaves the darkest voxel of the part {share:.2g} of the greatest dose; expected {DIM:g} or more, "
         f"at least {LOST:g}: absorption is {absorption:g} /mm, the resin is lit out to {lit:.4g} mm from the axis, and "
         f"the light is that of {operator.beam}: use less absorber, a smaller part nearer to the axis, or a beam of "
         "more pixels"
     )
     if share < LOST:
-        raise NoLight(f"light does not reach the part: {told}")
-    warnings.warn(f"light hardly reaches the part: {told}", OpticsWarning, stacklevel=5)
+        raise NoLight(f"light does not reach the part: {reason}")
+    warnings.warn(f"light hardly reaches the part: {reason}", OpticsWarning, stacklevel=5)

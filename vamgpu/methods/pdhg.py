@@ -1,4 +1,4 @@
-"""The window's linear program, solved by PDHG: what bounds the strict window of any light.
+"""The window's linear program, solved by PDHG; its multipliers bound the strict window of any light.
 
     maximize a − b   over g ≥ 0, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside
 
@@ -7,8 +7,8 @@ Imaging Vis. 40 (2011) 120)
 
     x⁺ = proj(x − τ (Kᵀy − (0, 1, −1)))        y⁺ = max(0, y + σ (K(2x⁺ − x) − c))
 
-with steps τ, σ of each pixel and voxel, as long as proves safe. Rounds of k steps are reflected and anchored where they
-began (H. Lu, J. Yang, arXiv:2407.16144): z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
+with steps τ, σ for each pixel and voxel, as long as is provably safe. Rounds of k steps are reflected and anchored at
+their start (H. Lu, J. Yang, arXiv:2407.16144): z ← (k + 1)/(k + 2)·(2z⁺ − z) + z₀/(k + 2).
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot, folded, parts_for, total
 
 MEAN_ROW = 2.0
-"""Dose of light 1 everywhere, mean over the voxels that count, in the unit that steps are measured in."""
+"""Dose of light 1 everywhere, averaged over the voxels that count; the unit of the steps."""
 ACTIVE = 0.3
-"""Share of the part's voxels that are expected to hold the window."""
+"""Share of the part's voxels that are expected to limit the window."""
 LEVELS: tuple[str, ...] = ("least", "leak", "inside", "outside")
-"""a, b, and what the multipliers of either come to."""
+"""a, b, and the sums of the multipliers of each."""
 FIELDS = ("light", "lower", "upper", "held")
 """g, the multipliers of `dual_step`, and Aᵀg."""
 SIDES = (("least", "inside", 1.0), ("leak", "outside", -1.0))
-"""Each level with the multipliers that hold it, and whether it is to rise or to fall."""
+"""Each level with its multipliers, and whether it should rise or fall."""
 SOON, LATE, LONGEST = 0.1, 0.4, 250
-"""A round ends at this share of its first gap; at that share once the gap grows; after so many steps."""
+"""A round ends at the first share of its initial gap, at the second if the gap grows, or after this many steps."""
 LENGTHS = (0.8, 2.0)
-"""Steps are so many times as long as proves safe beforehand; longer ones swing."""
+"""Factor by which steps are longer than is provably safe; longer ones oscillate."""
 TOLD = 60
-"""Steps from which on the multipliers tell how wide a window can be."""
+"""Number of steps after which the multipliers bound the window usefully."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ class PDHG(Method):
         yield from _Run(state).steps()
 
     def certify(self, state: OptimizerState) -> Bound | None:
-        """The bound that the multipliers of a run tell, by `SWEEPS` and two evaluations; None after few steps."""
+        """The bound from the multipliers of a run, by `SWEEPS` and two evaluations; None after few steps."""
         return _Run(state).bound() if state.number("made") >= TOLD else None
 
 
 class _Run:
-    """One run: a point and its anchor in ``memory``, by the names of `FIELDS` and `LEVELS`; where a step leads."""
+    """One run: a point and its anchor in ``memory``, by the names of `FIELDS` and `LEVELS`; and the next point."""
 
     def __init__(self, state: OptimizerState) -> None:
         self.state, self.memory = state, state.memory
@@ -81,7 +81,7 @@ class _Run:
         self.pull, self.descent = state.volume(), state.sinogram()
 
     def steps(self) -> Steps:
-        """Lengths of steps and the dose to begin with, then one primal-dual step each."""
+        """Lengths of steps and the initial dose, then one primal-dual step each."""
         state, memory = self.state, self.memory
         if "rows" not in memory:
             self._begin()
@@ -108,7 +108,7 @@ class _Run:
         return window
 
     def bound(self) -> Bound:
-        """That of the multipliers where a step leads; the memory stays as it is."""
+        """The bound from the multipliers of the next point; the memory does not change."""
         state, memory, after = self.state, self.memory, self.after
         kept = {name: memory[name] for name in ("length", "made", "evaluations")}
         self._step()
@@ -125,14 +125,14 @@ class _Run:
 
     # ---- a round ---------------------------------------------------------------------------------------------
     def _begin(self) -> None:
-        """The light of before, scaled to a dose of 1 at most; lengths of steps."""
+        """The previous light, scaled to a dose of at most 1; lengths of steps."""
         state, memory, upload = self.state, self.memory, self.state.device.upload
         light = state.buffer("light")
         for name in ("rows", "columns", "held"):
             memory[name] = self._empty("light" if name == "columns" else name)
         rows, held, mask = memory["rows"], memory["held"], upload(state.evaluation_mask())
         even = self._free(upload(np.ones(light.shape, np.float32)))
-        state.operator.T(even, out=rows)  # what every method spends
+        state.operator.T(even, out=rows)  # the evaluation that every method spends
         if state.partial is not None:
             state.device.launch(multiply, x=rows, y=mask, out=rows)
         state.expose(light, held)
@@ -153,7 +153,7 @@ class _Run:
         self._anchor(memory, memory)
 
     def _measure(self) -> None:
-        """How many limits there are, and what a pixel adds to them all."""
+        """Number of limits, and the sum of what a pixel adds to all of them."""
         state, memory = self.state, self.memory
         limits = state.evaluation_mask() * (1.0 + (state.target.numpy() >= 0.5)).astype(np.float32)
         memory |= {
@@ -164,7 +164,7 @@ class _Run:
         state.scale(1.0 / memory["unit"], memory["columns"], memory["columns"])
 
     def _free(self, light: DeviceArray) -> DeviceArray:
-        """Light of which nothing is left at poses that are decided."""
+        """Light, set to 0 at angles that are already decided."""
         if self.state.partial is not None:
             self.state.device.launch(weigh_poses, light=light, times=self.state.partial.free, weighted=light)
         return light
@@ -186,7 +186,7 @@ class _Run:
         self.memory |= {"turn": 0.0, "first": 0.0, "last": inf}
 
     def _reflect(self, share: float) -> None:
-        """Go beyond where the step leads, held back by the anchor."""
+        """Go beyond the next point, pulled back by the anchor."""
         memory = self.memory
         for name in FIELDS:
             now, anchor = memory[name], memory[f"{name} anchor"]
@@ -196,7 +196,7 @@ class _Run:
             memory[name] = share * beyond + (1.0 - share) * memory[f"{name} anchor"]
 
     def _balance(self) -> None:
-        """Weigh light against multipliers by how far either went in the round."""
+        """Balance light and multipliers by the distance that each moved in the round."""
         way = {name: self._apart(name) for name in FIELDS[:3]}
         primal = way["light"] * self._mean_column()
         dual = (MEAN_ROW + 1.0) * way["lower"] + MEAN_ROW * way["upper"]
@@ -204,13 +204,13 @@ class _Run:
             self.memory["weight"] = (dual / primal) ** 0.15 * self.memory["weight"] ** 0.7
 
     def _apart(self, name: str) -> float:
-        """Square of the way from the anchor."""
+        """Square of the distance from the anchor."""
         way = combine(1.0, self.after[name], -1.0, self.memory[f"{name} anchor"], self.memory[name])
         return dot(way, way)
 
     # ---- a step ----------------------------------------------------------------------------------------------
     def _step(self) -> float:
-        """Find where a step leads from the point; returns how far that is, and sets the length of the next one."""
+        """Find the next point; return its distance, and set the length of the next step."""
         state, memory, launch, levels = self.state, self.memory, self.state.device.launch, self.levels
         length, weight, after = memory["length"], memory["weight"], self.after
         launch(dual_dose, lower=memory["lower"], upper=memory["upper"], target=state.target, pull=self.pull)
@@ -240,7 +240,7 @@ class _Run:
         return sqrt(gap)
 
     def _move_levels(self, length: float, weight: float) -> float:
-        """Step a and b, no further apart than a partial problem needs; returns how far that is."""
+        """Step a and b, no farther apart than a partial problem needs; return their distance."""
         memory, levels, partial = self.memory, self.levels, self.state.partial
         gap = 0.0
         for number, (level, side, sign) in enumerate(SIDES):
@@ -253,7 +253,7 @@ class _Run:
         return gap
 
     def _lengthen(self, safe: float) -> None:
-        """A longer step, as far as this one was safe: ``safe`` times as long would have been so."""
+        """A longer step, if this one was safe: ``safe`` times as long would have been, too."""
         made = self.memory["made"] = self.state.number("made") + 1.0
         most = min((1.0 - (made + 1.0) ** -0.3) * safe, 1.0 + (made + 1.0) ** -0.6)
         self.memory["length"] = min(max(LENGTHS[0], most * self.memory["length"]), LENGTHS[1])

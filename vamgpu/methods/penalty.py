@@ -22,8 +22,8 @@ class PenaltyMinimization(ByDescent):
     The derivative by dose is ρ₁ or −ρ₂ if a voxel is wrong, otherwise 0. It is projected, and negative light is set to
     0. There is no upper threshold in the part. The run ends when no voxel is wrong.
 
-    What differs here: subgradient steps whose length is found as in `BCLP` (share, growth, and steps that raise the
-    loss taken back and halved), starting from filtered back projection; no buffer zone around the part.
+    What differs here: subgradient steps whose length is found as in `BCLP` (share, growth; steps that raise the loss
+    are undone and halved), starting from filtered back projection; no buffer zone around the part.
 
     Args:
         outside: Threshold of the void in units of the part's dose.
@@ -34,7 +34,7 @@ class PenaltyMinimization(ByDescent):
         momentum: Share of the last step that is added to the next, in [0, 1).
 
     Raises:
-        BadInput: For values out of these ranges, or unless 0 ≤ outside < inside ≤ 1.
+        BadInput: A value is out of its range, or the thresholds are not 0 ≤ outside < inside ≤ 1.
     """
 
     outside: float = 0.75
@@ -53,6 +53,6 @@ class PenaltyMinimization(ByDescent):
     @property
     def loss(self) -> Loss:
         """The sum of penalties."""
-        far = 10.0  # a ceiling no dose reaches, low enough for float32
+        far = 10.0  # an upper limit that no dose reaches, low enough for float32
         center, slack = (0.5 * self.outside, 0.5 * (self.inside + far)), (0.5 * self.outside, 0.5 * (far - self.inside))
         return Band(center, slack, self.penalty, 1.0, binary=True)

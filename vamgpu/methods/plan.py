@@ -29,8 +29,8 @@ class Step:
     Attributes:
         iteration: Counted from 1.
         evaluations: Projector evaluations (one forward and one back projection) spent so far, warm start included.
-        loss: The method's own loss: of the current light if the loss selects the best light; otherwise of the evaluated
-            point, which accelerated methods place ahead of the current light.
+        loss: The method's own loss. It is that of the current light if the loss selects the best light; otherwise that
+            of the evaluated point, which accelerated methods place ahead of the current light.
         window: Strict process window of the current light, (least dose in the part − greatest outside) / greatest; −1
             for light without any dose.
     """
@@ -53,13 +53,13 @@ class Plan:
         method: The method that found them.
         history: One `Step` per iteration.
         window: Strict process window of these patterns, a share of the greatest dose.
-        evaluations: Projector evaluations that the method spent, without one before that checks whether light reaches
-            the part, and half of one after that selects the patterns.
+        evaluations: Projector evaluations that the method spent. Not counted are one at the start, which checks whether
+            light reaches the part, and half of one at the end, which selects the patterns.
         papers: Papers of the method.
         seconds: Wall time of the run [s].
         target_name: Name of the target.
         state: Memory for resuming; a resumed run continues from its last patterns, not from the best.
-        best_iteration: Number of iterations after which these patterns were reached; 0 is the first guess.
+        best_iteration: Number of iterations after which these patterns were reached; 0 means the initial patterns.
         bound: Upper bound on the window, if the method gives one; otherwise see `vamgpu.methods.bound`.
         target: The target given to `optimize`; None if unknown.
         tolerances: Tolerances of the run; ``window`` and ``bound`` are those of all their corners together.
@@ -134,7 +134,7 @@ class Plan:
 
         Args:
             path: The folder.
-            state: Also store the memory for resuming, several times the size of the patterns.
+            state: Also store the memory for resuming, which is several times the size of the patterns.
             overwrite: Replace an existing job folder.
 
         Returns:
@@ -144,14 +144,14 @@ class Plan:
             BadInput: A folder cannot describe the operator.
             StorageError: The path exists, or cannot be written.
         """
-        # a circle: folders make plans
+        # avoids a circular import: folders make plans
         from vamgpu.methods.plan_folder import save_plan
 
         return save_plan(self, path, state=state, overwrite=overwrite)
 
 
 def copied(value: Any) -> Any:
-    """A copy of a plan's memory, arrays included, so that the plan does not change."""
+    """A copy of a plan's memory, including its arrays; the plan then does not change."""
     if isinstance(value, DeviceArray):
         return combine(1.0, value, 0.0, value, value.device.empty(value.shape))
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Plans in job folders: light, operator, target, and all that a run needs to go on."""
+"""Plans in job folders: light, operator, target, and everything that a run needs to continue."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from vamgpu.methods.plan import Plan
 
 OPTICS: dict[str, Any] = {"fill": 1.0, "spread": 0.0, "footprint": "exact"}
-"""What beams were taken for by folders that do not say it."""
+"""Values assumed for beams in folders that do not state them."""
 LIMITS = "dose", "weight", "body"
 """Arrays of a target's limits."""
 
@@ -44,10 +44,10 @@ LIMITS = "dose", "weight", "body"
 @dataclass(frozen=True)
 class PlanRecord:
     """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
-    corners, and the operator and device that ran.
+    corners, and the operator and device that computed it.
 
-    pareto: windows of shorter exposures, where they were asked for.  notes: what was too coarse.  bound_on: voxels and
-    motion that the bound holds for.
+    pareto: windows of shorter exposures, if requested. notes: what was too coarse. bound_on: voxels and motion for
+    which the bound holds.
     """
 
     method: str
@@ -64,12 +64,12 @@ class PlanRecord:
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
-        """The record of a `Plan`, or of another with a window of its own."""
+        """The record of a `Plan`, or of another plan with its own window."""
         history = tuple(asdict(step) for step in plan.history)
         window = float(plan.window if window is None else window)
         bound = getattr(plan, "bound", None)
-        told = getattr(plan, "corners", None)
-        corners = () if told is None else tuple(asdict(corner) for corner in told.corners)
+        doses = getattr(plan, "corners", None)
+        corners = () if doses is None else tuple(asdict(corner) for corner in doses.corners)
         return cls(
             repr(plan.method), history, tuple(map(str, plan.papers)), float(plan.seconds), window,
             getattr(bound, "value", None), corners, str(getattr(plan, "ran", "")),
@@ -78,7 +78,7 @@ class PlanRecord:
 
     @classmethod
     def read(cls, data: Any) -> PlanRecord:
-        """From a manifest; raises `StorageError` for what is no record."""
+        """From a manifest; raises `StorageError` for a malformed record."""
         try:
             return cls(
                 str(data["method"]), tuple(data["history"]), tuple(data["papers"]), data["seconds"], data["window"],
@@ -106,17 +106,17 @@ def describe(A: LinearOperator, arrays: dict[str, np.ndarray] | None = None) -> 
 
 
 def entries_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Entry]:
-    """The arrays of a description, as a job folder takes them."""
+    """The arrays of a description, in the form that a job folder stores."""
     return {name: Entry(values, tuple("ijklm"[: values.ndim])) for name, values in arrays.items()}
 
 
 def projection_from(
     description: Any, device: Device, arrays: Callable[[str], np.ndarray] | None = None, *, solved: bool = False
 ) -> Any:
-    """The operator that `describe` described. Raises `StorageError` for a description that is not one.
+    """The operator that `describe` described. Raises `StorageError` for an invalid description.
 
-    arrays: those kept beside it, by name: `Folder.array` of its job folder, which proves them by their hashes.
-    solved: the one that light was found by, perhaps on rings; else the one that it is judged by.
+    arrays: those stored beside it, by name: `Folder.array` of its job folder, which verifies them by their hashes.
+    solved: the operator that found the light, perhaps on rings; else the one that judges it.
     """
     try:
         table = dict(description)
@@ -141,7 +141,7 @@ def projection_from(
 
 
 def _at_rest(table: Any) -> Any:
-    """A description whose motions without a lit share, which were written before there was one, have a share of 0."""
+    """A description in which motions without a lit share, from before it existed, have a share of 0."""
     if not isinstance(table, dict):
         return table
     found = {name: _at_rest(value) for name, value in table.items()}
@@ -150,7 +150,7 @@ def _at_rest(table: Any) -> Any:
 
 
 def _weigh(description: Any) -> None:
-    """Reject grids and beams of more voxels and pixels than memory holds, before operators make tables."""
+    """Reject grids and beams with more voxels and pixels than fit into memory, before operators make tables."""
     for key, value in description.items() if isinstance(description, Mapping) else ():
         if key in ("shape", "pixels") and isinstance(value, list) and all(isinstance(n, (int, float)) for n in value):
             afford(np.dtype(np.float64).itemsize * prod(map(abs, value)), f"a manifest's geometry of {key} {value}")
@@ -164,15 +164,15 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
     if set(OPTICS) <= set(beam):
         return dict(beam)
     warnings.warn(
-        "the folder says nothing of the beam's fill and point spread: it was solved for pixels lit all over and a "
-        "perfect lens, and is read so (fill 1, spread 0); solve it again for the light that a lens makes",
+        "the folder does not state the beam's fill and point spread: it was solved for pixels lit all over and a "
+        "perfect lens, and is read with these (fill 1, spread 0); solve it again for the light that a lens makes",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | dict(beam)
 
 
 def light_of(sinogram: DeviceArray) -> Streamed:
-    """A sinogram [angle, r, z] as a folder keeps it, [angle, row, column], row 0 the largest z, without rounding."""
+    """A sinogram [angle, r, z] in a folder's form: [angle, row, column], row 0 the largest z, not rounded."""
     angles, columns, rows = sinogram.shape
 
     def part(first: int, last: int) -> np.ndarray:
@@ -182,7 +182,7 @@ def light_of(sinogram: DeviceArray) -> Streamed:
 
 
 def sinogram_from(folder: Folder, device: Device) -> DeviceArray:
-    """The light that `light_of` made and a folder keeps, on a device. Raises `StorageError` for what is no light."""
+    """The light that `light_of` stored in a folder, on a device. Raises `StorageError` for invalid light."""
     stored = folder.record("frames")
     if len(stored.shape) != 3 or np.dtype(stored.dtype).kind != "f":
         raise StorageError(f"its frames are {stored.dtype} {stored.shape}, a projector's bytes; expected plain light, "
@@ -193,7 +193,7 @@ def sinogram_from(folder: Folder, device: Device) -> DeviceArray:
 
 
 def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
-    """What a folder keeps of a plan beside its light, so that it can be proven: inputs of its manifest, and arrays."""
+    """The part of a plan that a folder stores beside its light, for proving it: inputs of its manifest, and arrays."""
     kept: dict[str, np.ndarray] = {}
     inputs: dict[str, Any] = {"job": {}, "geometry": describe(plan.operator, kept), "print": None}
     entries = entries_of(kept)
@@ -214,13 +214,13 @@ def inputs_of(plan: Any) -> tuple[dict[str, Any], dict[str, Entry]]:
 
 
 INTERRUPTED = "interrupted"
-"""Among the inputs of a folder: the run was stopped before its end."""
+"""Key among the inputs of a folder: the run was stopped before its end."""
 FACTS = ("name", "radius", "volume", "height")
-"""What a manifest says of a target, beside its fractions."""
+"""Description of a target in a manifest, without its fractions."""
 
 
 def pixel_pitch(plan: Any) -> float | None:
-    """Distance of a plan's pixels [mm]; None if unknown."""
+    """Pitch of a plan's pixels [mm]; None if unknown."""
     return getattr(getattr(getattr(plan, "operator", None), "beam", None), "pitch", None)
 
 
@@ -234,7 +234,7 @@ def target_of(plan: Any) -> Target | None:
 
 
 def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Target | None:
-    """The target that a job folder keeps, and its mesh; None if it keeps none. Raises `StorageError`."""
+    """The target that a job folder stores, and its mesh; None if it stores none. Raises `StorageError`."""
     if "target" not in folder.manifest.arrays:
         return None
     try:
@@ -256,7 +256,7 @@ def target_from(folder: Folder, grid: Grid, device: Device | None = None) -> Tar
 
 
 def limits_entries(target: Target) -> dict[str, Entry]:
-    """Limits of single voxels for a job folder; nothing for a single part."""
+    """Limits of single voxels for a job folder; empty for a single part."""
     if target.limits is None:
         return {}
     fields = {name: getattr(target.limits, name) for name in LIMITS}
@@ -273,7 +273,7 @@ def limits_described(target: Target) -> dict[str, Any] | None:
 
 
 def limits_from(described: Any, array: Callable[[str], np.ndarray], shape: tuple[int, ...]) -> Limits | None:
-    """What `limits_described` described; array: those of the folder by name. Raises `StorageError`."""
+    """The limits that `limits_described` described; array: returns arrays by name. Raises `StorageError`."""
     if described is None:
         return None
     try:
@@ -339,7 +339,7 @@ def save_plan(
 
 
 def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entry]]:
-    """A method for the details of a manifest, and its arrays; None for one of one's own, which only Python can make."""
+    """A method for the details of a manifest, and its arrays; None for a user's own method."""
     arrays: dict[str, np.ndarray] = {}
     try:
         noun = {**write(method, arrays=arrays)}
@@ -383,7 +383,7 @@ def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
 
 
 def tolerances_from(folder: Folder) -> Tolerances | None:
-    """Those that a job folder's light was sought for; None without any. Raises `StorageError`."""
+    """The tolerances for which a job folder's light was optimized; None without any. Raises `StorageError`."""
     said = folder.manifest.inputs.get("tolerances")
     if said is None:
         return None
@@ -405,7 +405,7 @@ IMPORTED: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class RecordedMethod:
-    """A method that only its text is known of: it cannot go on."""
+    """A method of which only its text is known; it cannot be resumed."""
 
     text: str
     papers: ClassVar[tuple[str, ...]] = ()
@@ -415,12 +415,12 @@ class RecordedMethod:
 
     @property
     def name(self) -> str:
-        """Of the class that it was."""
+        """The criterion of the original class."""
         return self.text.partition("(")[0]
 
     def steps(self, state: Any) -> Steps:
-        """Reject to go on."""
-        raise BadInput(f"the plan is by {self.text}, of which its folder keeps only the name; give a method, and the "
+        """Refuse to resume."""
+        raise BadInput(f"the plan is by {self.text}, of which its folder stores only the name; give a method, and the "
                        "plan's light as its start")  # fmt: skip
 
 
@@ -429,12 +429,12 @@ def _method_from(noun: Any, record: PlanRecord, folder: Folder) -> Any:
         return RecordedMethod(record.method)
     try:
         return read("method", noun, units=False, arrays=lambda name: folder.array(f"method_{name}"))
-    except BadInput:  # of a package that is not here
+    except BadInput:  # of a package that is not installed
         return RecordedMethod(record.method)
 
 
 def _packed(value: Any, kept: dict[str, Entry], seen: dict[int, str]) -> Any:
-    """A run's memory in plain values; its arrays go to ``kept``, one that is there twice once."""
+    """A run's memory as plain values; its arrays go to ``kept``, and an array that occurs twice is stored once."""
     if isinstance(value, (DeviceArray, np.ndarray)):
         name = seen.get(id(value))
         if name is None:
@@ -451,7 +451,7 @@ def _packed(value: Any, kept: dict[str, Entry], seen: dict[int, str]) -> Any:
 
 
 def _unpacked(value: Any, folder: Folder, device: Device) -> Any:
-    """What `_packed` packed. Raises `KeyError`, `TypeError`, `ValueError`, `StorageError` for what is none of it."""
+    """The memory that `_packed` packed. Raises `KeyError`, `TypeError`, `ValueError`, `StorageError` if malformed."""
     if not isinstance(value, Mapping):
         return value
     if "array" in value:

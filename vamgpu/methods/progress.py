@@ -13,10 +13,10 @@ Progress = Callable[[Step], None]
 
 
 def watched() -> bool:
-    """Whether somebody looks: a person at a terminal, or at a notebook; False for output to a file or a pipe."""
+    """Whether a person can see the output: at a terminal or in a notebook; False for output to a file or a pipe."""
     shell = sys.modules.get("IPython")
     if shell is not None and type(shell.get_ipython()).__name__ == "ZMQInteractiveShell":
-        return find_spec("ipywidgets") is not None  # what draws bars there
+        return find_spec("ipywidgets") is not None  # the package that draws bars there
     return bool(getattr(sys.stdout, "isatty", bool)())
 
 

@@ -1,4 +1,4 @@
-"""How much of all directions each angle of a scan stands for."""
+"""Share of all directions that each angle of a scan represents."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Turntable
 
 GAP, NEAR = 4.0, 2
-"""A gap this many times wider than the widest of the nearest on either side separates two ranges."""
+"""A gap that is this many times wider than the widest neighboring gap on either side separates two ranges."""
 WHOLE = 0.95
-"""Share of all directions from which on a scan counts as complete: angles at random leave gaps."""
+"""Share of all directions above which a scan counts as complete, because random angles leave gaps."""
 
 
 def directions(motion: Turntable) -> np.ndarray:
-    """The part [rad] of all directions, 0 to π, that each angle stands for; shape (angles,).
+    """The range [rad] of directions, of 0 to π in all, that each angle represents; shape (angles,).
 
-    Angles share the range between neighbors (the trapezoidal rule on a circle); at the end of a range an angle has as
-    much outside as there is to its neighbor. Parallel light from opposite sides meets the same voxels, so a range that
-    is scanned from both sides is shared by both: even angles over a full or a half turn have π / angles each.
+    Angles divide the range between neighbors (the trapezoidal rule on a circle). At the end of a range, an angle
+    represents as much beyond it as towards its neighbor. Parallel light from opposite sides meets the same voxels; such
+    a range is therefore divided between both sides. Even angles over a full or a half turn have π / angles each.
     """
     if motion.theta is None:
         return np.full(motion.angles, 0.5 * FULL_TURN / motion.angles)
@@ -32,7 +32,7 @@ def directions(motion: Turntable) -> np.ndarray:
 
 
 def is_complete(motion: Turntable) -> bool:
-    """Whether a scan has light from all directions, as its angles see them."""
+    """Whether a scan has light from all directions, according to its angles."""
     return float(directions(motion).sum()) >= WHOLE * 0.5 * FULL_TURN
 
 
@@ -41,20 +41,20 @@ def check_complete(motion: object) -> None:
     if isinstance(motion, Turntable) and not is_complete(motion):
         seen = np.degrees(directions(motion).sum())
         raise BadInput(
-            f"filtered back projection got {motion} angles, which see {seen:.3g}° of all directions; expected 180°, "
-            "without which it inverts nothing: scan a half turn, or choose a method that iterates, such as the default"
+            f"filtered back projection got {motion} angles, which cover {seen:.3g}° of all directions; expected 180°, "
+            "without which it cannot invert: scan a half turn, or choose an iterative method, such as the default"
         )
 
 
 def balance(motion: Turntable) -> np.ndarray | None:
-    """Factors (angles,) of filtered light that make Aᵀ · filter · A even over directions; None if all are 1."""
+    """Factors (angles,) of filtered light that make Aᵀ · filter · A uniform over directions; None if all are 1."""
     if motion.is_even:
         return None
     return directions(motion) * motion.angles / (0.5 * FULL_TURN) / motion.times**2
 
 
 def _cells(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper end [rad] of what each angle has between its neighbors."""
+    """Lower and upper end [rad] of the range that each angle represents between its neighbors."""
     order = np.argsort(theta % FULL_TURN, kind="stable")
     sorted_theta = (theta % FULL_TURN)[order]
     after = np.diff(sorted_theta, append=sorted_theta[0] + FULL_TURN)
@@ -68,8 +68,8 @@ def _cells(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _covered(low: np.ndarray, high: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """How much the cells of a turn, repeated, cover up to an angle of 0 to 4π [rad]."""
-    # once more on the turns before and after, for cells that reach over the end of one
+    """How much of the range up to an angle of 0 to 4π [rad] the cells of a repeated turn cover."""
+    # repeated on the turns before and after, for cells that extend over the end of one
     turns = FULL_TURN * np.arange(-1, 3)[:, None]
     ends = np.concatenate([(low % FULL_TURN + turns).ravel(), (low % FULL_TURN + (high - low) + turns).ravel()])
     order = np.argsort(ends, kind="stable")

@@ -8,8 +8,8 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.kernels.filter import filter_rows
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.quadrature import balance
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.web_motion import WebMotion
 from vamgpu.web import WebGrid
@@ -19,7 +19,7 @@ from vamgpu.web import WebGrid
 class Taps:
     """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
 
-    balance: what filtered light of each angle is multiplied by; None if angles are even and lit as long.
+    balance: factor of the filtered light of each angle; None if angles are even and lit equally long.
     """
 
     table: DeviceArray
@@ -27,10 +27,10 @@ class Taps:
     balance: DeviceArray | None = None
 
 
-def ramp(operator: Projector) -> Taps:
+def ramp(operator: Operator) -> Taps:
     """The band-limited ramp, scaled so that Aᵀ·ramp·A is near the identity for straight rays that nothing absorbs.
 
-    Angles count by the directions that they stand for, and by the time that they are lit.
+    Angles are weighted by the directions that they represent, and by the time that they are lit.
     Source: G. Ramachandran & A. Lakshminarayanan, PNAS 68 (1971) 2236.
     """
     columns = operator.beam.pixels[0]
@@ -44,8 +44,8 @@ def _ramp_taps(columns: int) -> np.ndarray:
     return taps
 
 
-def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
-    """The ramp |ω| up to ``cap`` cycles a column, level beyond; its taps fade out over a ``span`` of the columns."""
+def capped_ramp(operator: Operator, cap: float, span: float = 1.0) -> Taps:
+    """The ramp |ω| up to ``cap`` cycles per column, level beyond; its taps fade out over a ``span`` of the columns."""
     columns = operator.beam.pixels[0]
     frequency = np.abs(np.fft.fftfreq(8 * columns))
     taps = np.real(np.fft.ifft(np.minimum(frequency, cap)))[:columns]
@@ -55,36 +55,36 @@ def capped_ramp(operator: Projector, cap: float, span: float = 1.0) -> Taps:
     return Taps(operator.device.table(taps * _scale(operator)), 1, _balance(operator))
 
 
-def identity(operator: Projector) -> Taps:
+def identity(operator: Operator) -> Taps:
     """No filter."""
     return Taps(operator.device.table(np.ones(1)), 1)
 
 
-def _scale(operator: Projector) -> float:
+def _scale(operator: Operator) -> float:
     grid, motion = operator.grid, operator.motion
     if isinstance(grid, WebGrid):
         return _web_scale(operator, grid)
     assert not isinstance(motion, WebMotion)
-    # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; π per half turn is what the inversion formula asks
+    # A voxel of Aᵀ gathers pitch² / beam pitch from each angle; the inversion formula needs π per half turn
     area = grid.pitch**2 / operator.beam.pitch
     return np.pi / motion.angles / area / operator.beam.pitch
 
 
-def _balance(operator: Projector) -> DeviceArray | None:
+def _balance(operator: Operator) -> DeviceArray | None:
     found = None if isinstance(operator.motion, WebMotion) else balance(operator.motion)
     return None if found is None else operator.device.table(found)
 
 
 def bar(grid: WebGrid) -> np.ndarray:
-    """A round bar across the middle of a web, half its thickness wide: 0 and 1 [l, rho, z]."""
-    along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same on any length
+    """A round bar across the middle of a web, with a diameter of half its thickness: 0 and 1 [l, rho, z]."""
+    along = (np.arange(grid.shape[0]) - grid.shape[0] // 2) * grid.edges[0]  # its voxels are the same for any length
     deep = grid.axes()[1] - 0.5 * grid.size[1]
     inside = np.hypot(along[:, None], deep[None, :]) <= 0.25 * grid.size[1] * (1.0 + 1e-6)
     return np.broadcast_to(inside.astype(np.float32)[:, :, None], grid.shape)  # which takes no memory
 
 
-def _web_scale(operator: Projector, grid: WebGrid) -> float:
-    # Less than half a turn of light that fades has no closed formula: measured, so that a bar comes back as high
+def _web_scale(operator: Operator, grid: WebGrid) -> float:
+    # For light that fades over less than half a turn there is no closed formula: the factor is measured with a bar
     device, columns = operator.device, operator.beam.pixels[0]
     target, projected, shown = device.upload(bar(grid)), *map(device.empty, (operator.range.shape,) * 2)
     operator(target, out=projected)

@@ -1,4 +1,4 @@
-"""The vial correction of paper recipes: light planned for straight rays, re-sorted to the rays a vessel bends."""
+"""The vial correction of the papers' recipes: light for straight rays, re-sorted to the rays that a vessel bends."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from vamgpu.methods.plan import Plan
 from vamgpu.operators.projection import Projection
 
 WEAKEST = 0.2
-"""Transmittance below which light is not compensated any further: at grazing incidence 1 / T grows without end."""
+"""Transmittance below which light is not compensated further: at grazing incidence 1 / T grows without limit."""
 
 
 def rebin(plan: Plan, operator: Projection) -> DeviceArray:
     """Light [angle, r, z] for ``operator``, which has a vessel, from a plan made for straight rays of the same motion.
 
-    Column u at angle θ shines along the straight ray at distance p(u) from the axis and angle θ + d(u); its power per
-    column shrinks by p′(u) and by the transmittance, both made up for. Absorption is not. Source: A. Orth et al., Opt.
-    Express 29 (2021) 11037.
+    Column u at angle θ shines along the straight ray at distance p(u) from the axis and angle θ + d(u). Its power per
+    column is reduced by p′(u) and by the transmittance; both are compensated. Absorption is not compensated. Source: A.
+    Orth et al., Opt. Express 29 (2021) 11037.
 
     Args:
         plan: A plan for straight rays.
@@ -30,8 +30,8 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
         Light [angle, r, z] for the operator.
 
     Raises:
-        BadInput: The plan has a vessel itself, other angles or other rows, or angles are not even over a full turn:
-            light moves on by the same number of steps at every angle.
+        BadInput: The plan itself has a vessel, other angles or other rows; or the angles are not even over a full turn,
+            which is needed to move light by the same number of steps at every angle.
     """
     source, vessel = plan.operator, operator.vessel
     if not isinstance(source, Projection) or source.vessel is not None or vessel is None:
@@ -43,8 +43,8 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
         )
     if not source.motion.is_even:
         raise BadInput(
-            f"rebin got {source.motion} angles; expected even ones over a full turn, each lit as long, among which a "
-            "ray that a vessel turns finds its angle: give the vessel to the operator that plans instead"
+            f"rebin got {source.motion} angles; expected even ones over a full turn, each lit equally long, because a "
+            "ray turned by a vessel must find its angle: otherwise optimize with the vessel in the operator"
         )
     if source.device is not operator.device:
         raise BadInput(f"the plan is on {source.device}, the operator on {operator.device}; use one device for both")

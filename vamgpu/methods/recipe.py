@@ -1,4 +1,4 @@
-"""The recipe of automatic exposure: filter, clip, and correct the target by the dose it gave."""
+"""The recipe of automatic exposure: filter, clip, and correct the target by its dose."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from vamgpu.methods.state import OptimizerState
 class Recipe(Method):
     """Filtered back projection of a target over a background, corrected multiplicatively after each pass.
 
-    One iteration is one pass and one projector evaluation. The paper's correction for the vial is left to `rebin`; a
-    vessel in the operator needs none.
+    One iteration is one pass and one projector evaluation. The paper's correction for the vial is separate (`rebin`);
+    an operator with a vessel does not need it.
 
     Args:
-        background: Expected dose around the part, relative to that of the part; it makes room for negative light.
+        background: Expected dose around the part, relative to that of the part; it avoids negative light.
         most: Largest correction of a voxel in one pass.
         diffusion: Diffusion of oxygen during the exposure. The target with its background is deconvolved before the
             first pass, and the dose after diffusion is corrected and judged (the plan's own window ignores diffusion).
-            Light cannot be negative and may not reach the deconvolved target, so the print is not always better:
+            Light cannot be negative and may not reach the deconvolved target; the print is therefore not always better:
             compare both.
 
     Raises:
@@ -74,7 +74,7 @@ class Recipe(Method):
             yield loss, window
 
     def _model(self, state: OptimizerState, spread: Spread | None) -> DeviceArray:
-        """The target over its background, deconvolved where it will diffuse."""
+        """The target plus its background, deconvolved if the dose diffuses."""
         model = state.volume()
         goal = state.target if spread is None else contrast(spread, state.target, self.background)
         levels = {"low": self.background, "high": 1.0, "reach": state.reach}

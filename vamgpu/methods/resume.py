@@ -1,4 +1,4 @@
-"""What a run takes over from an earlier plan."""
+"""The state that a run takes over from an earlier plan."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.methods.method import Method
 from vamgpu.methods.plan import Plan, copied
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.tolerances import Tolerances
+from vamgpu.operators.protocol import Operator
 
 
 def memory_of(
-    operator: Projector, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
+    operator: Operator, target: Any, method: Method, resume: Plan | None, tolerances: Tolerances | None
 ) -> dict[str, Any]:  # fmt: skip
-    """A copy of what a plan remembers; the plan stays as it is. Raises `BadInput` for a plan of another task."""
+    """A copy of a plan's memory; the plan does not change. Raises `BadInput` for a plan of another task."""
     if resume is None:
         return {}
     if resume.history and not resume.state:
-        raise BadInput("the plan to resume was kept without its state, which going on needs; give its light as start, "
-                       "or save it with state=True")  # fmt: skip
+        raise BadInput("the plan to resume was saved without its state, which resuming needs; give its light as "
+                       "start, or save it with state=True")  # fmt: skip
     if resume.operator.device is not operator.device or resume.sinogram.shape != operator.range.shape:
         raise BadInput(
             f"the plan to resume has light {resume.sinogram.shape} on {resume.operator.device}; expected "
@@ -33,15 +33,15 @@ def memory_of(
     if resume.method != method:
         raise BadInput(f"the plan to resume is by {resume.method!r}, not by {method!r}; resume with the same method")
     if other := _difference(resume, operator, target, tolerances):
-        raise BadInput(f"the plan to resume is of {other}; resume what it was made for, or give its light as start")
+        raise BadInput(f"the plan to resume is of {other}; resume that task, or give its light as start")
     return copied(resume.state)
 
 
-def _difference(plan: Plan, operator: Projector, target: Any, tolerances: Tolerances | None) -> str:
-    """What of a plan's task is not that of another, and what is, in words; empty if all is alike."""
+def _difference(plan: Plan, operator: Operator, target: Any, tolerances: Tolerances | None) -> str:
+    """Differences between the tasks of two plans, in words; empty if the tasks are equal."""
     for name in ("grid", "beam", "motion", "vessel"):
         before, now = (getattr(each, name, None) for each in (plan.operator, operator))
-        alike = repr(before) == repr(now) if name == "vessel" else before == now  # fields of a medium know no ==
+        alike = repr(before) == repr(now) if name == "vessel" else before == now  # media do not implement ==
         if not alike:
             return f"{before!r}, not of {now!r}"
     if plan.tolerances != tolerances:

@@ -30,7 +30,6 @@ from vamgpu.methods.method import Method
 from vamgpu.methods.part import fractions_of, limited, radius_of
 from vamgpu.methods.plan import Plan, Step, copied
 from vamgpu.methods.progress import Progress, reporting
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.resume import memory_of
 from vamgpu.methods.start import begin
 from vamgpu.methods.state import OptimizerState
@@ -39,6 +38,7 @@ from vamgpu.methods.tolerances import CornerDoses, Tolerances, check_lit, check_
 from vamgpu.methods.trajectory import LossTrajectory
 from vamgpu.operators.compose import capped, combine
 from vamgpu.operators.defocus import direct
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import extent
 from vamgpu.operators.ring_projection import RingProjection, covers
 from vamgpu.operators.scenarios import Scenarios
@@ -48,17 +48,17 @@ from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
 DIMMED = 20
-"""Times that pixels are dimmed at most to keep an exposure limit; each lowers the threshold a little, too."""
-NOT_JUDGED = ("memory did not do to judge the light on the target's voxels: its window is that on the voxels it was "
-              "found on, a pixel from the surface")  # fmt: skip
+"""Greatest number of times that pixels are dimmed to keep an exposure limit; each slightly lowers the threshold."""
+NOT_JUDGED = ("memory did not suffice to judge the light on the target's voxels: its window is that on the voxels of "
+              "the optimization, a pixel from the surface")  # fmt: skip
 """Note of a plan."""
-COARSE_CORNERS = ("memory did not do for all corners on voxels as fine as light: it was found on the target's voxels; "
-                  "expected fewer tolerances, or a device with more memory")  # fmt: skip
+COARSE_CORNERS = ("memory did not suffice for all corners on voxels as fine as needed: the light was found on the "
+                  "target's voxels; expected fewer tolerances, or a device with more memory")  # fmt: skip
 """Note of a plan."""
 
 
 def optimize(
-    operator: Projector,
+    operator: Operator,
     target: Any,
     method: str | Method | Loss = "default",
     iterations: int | None = None,
@@ -77,8 +77,8 @@ def optimize(
 ) -> Plan:
     """Find patterns [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. On rings, the best and the last
-    patterns are judged at the end by rays through voxels; `Plan.history` has the values on rings.
+    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. On rings, rays through voxels
+    judge the best and the last patterns at the end; `Plan.history` has the values on rings.
 
     Args:
         operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`
@@ -93,8 +93,8 @@ def optimize(
         cancel: A function called before each iteration that returns whether to stop.
         resume: A plan of the same operator and method to continue; it does not change.
         evaluations: Limit of the total projector evaluations, including those of ``resume``: stop before the iteration
-            that would exceed it. Compares methods at equal cost. The first iteration is always made; evaluations that
-            all methods spend before and after (see `Plan.evaluations`) do not count.
+            that would exceed it. It is for comparing methods at equal cost. The first iteration is always made;
+            evaluations that all methods spend before and after (see `Plan.evaluations`) do not count.
         start: Initial patterns, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should get;
             scaled if the part gets less than half or more than twice that. Not with ``resume``, and not for methods
             that start from the target.
@@ -127,7 +127,7 @@ def optimize(
     """
     if resume is not None and not isinstance(resume, Plan):
         raise BadInput(f"got a {type(resume).__name__} as resume; expected a Plan: that of an earlier run, or "
-                       "vam.load(path) of one that was saved")  # fmt: skip
+                       "vam.load(path) of a saved one")  # fmt: skip
     check_tolerances(tolerances)
     if cancel is not None and not callable(cancel):
         raise BadInput(f"cancel is {cancel!r}; expected a function that returns whether to stop, or None")
@@ -167,7 +167,7 @@ class _Problem:
     target: DeviceArray
     limits: Limits | None
     judge: OptimizerState | None  # on the caller's voxels, if the optimization uses different ones
-    finer: float = 1.0  # dose of the same light on these voxels over that on the caller's
+    finer: float = 1.0  # ratio of the dose of the same light on these voxels to that on the caller's
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -211,10 +211,10 @@ class _Problem:
         return cls(asked, stacked, limits, judge and OptimizerState(*judge, {}), finer, notes)
 
     def state(self, memory: dict[str, Any], method: Method) -> OptimizerState:
-        """The state of a run on it."""
+        """The state of a run of this problem."""
         limits, criterion = self.limits, method.criterion
         if limits is not None and (limits.weighted or limits.gray.any()):
-            criterion = "loss"  # a window ignores weights and the upper end of a gray dose
+            criterion = "loss"  # a window ignores weights and the upper limit of a gray dose
         state = OptimizerState(self.operator, self.target, memory, criterion, limits)
         if isinstance(method, SurfaceRamp) and extent(self.target)[1] > 0.5 + PIXEL_DEEP:  # some voxels are that deep
             state.margin = PIXEL_DEEP
@@ -222,7 +222,7 @@ class _Problem:
 
 
 def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | None) -> tuple[Any, DeviceArray]:
-    """Operator and target of all corners; of the nominal print without tolerances."""
+    """Operator and target of all corners, or of the nominal print without tolerances."""
     if tolerances is None:
         return operator, target
     scenarios = tolerances.scenarios(operator)
@@ -230,16 +230,16 @@ def _at_corners(operator: Any, target: DeviceArray, tolerances: Tolerances | Non
 
 
 def _check_limit(method: Method, exposure_limit: Any, limit: int) -> None:
-    """Reject an exposure limit for a method without one, and for a run that dims no light."""
+    """Reject an exposure limit for a method that does not support it, and for a run without iterations."""
     if limit == 0:
-        raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which dims no light; expected "
+        raise BadInput(f"got exposure_limit={exposure_limit!r} with iterations=0, which cannot dim light; expected "
                        "iterations ≥ 1, or no limit")  # fmt: skip
     if not isinstance(method, SurfaceRamp):
         raise BadInput(f'got exposure_limit with {method!r}; expected "default", which limits the brightness')
 
 
 def _limit_light(
-    state: OptimizerState, operator: Projector, limit: ExposureLimit, resume: Plan | None, finer: float
+    state: OptimizerState, operator: Operator, limit: ExposureLimit, resume: Plan | None, finer: float
 ) -> None:
     """Limit the brightness of a run's light to the exposure. Raises `BadInput`."""
     brightness = limit.brightness(operator)
@@ -268,7 +268,7 @@ def _tell_limit(plan: Plan, limit: ExposureLimit) -> None:
 class _Run:
     """One run in progress."""
 
-    operator: Projector
+    operator: Operator
     method: Method
     state: OptimizerState
     target: Any
@@ -277,7 +277,7 @@ class _Run:
     history: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
     tolerances: Tolerances | None = None
-    within: bool = True  # whether the light of a plan lasts no longer than it may
+    within: bool = True  # whether the exposure of a plan's light is within the limit
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -315,7 +315,7 @@ class _Run:
         return LossTrajectory([step.loss for step in self.history])
 
     def _plan_of_best(self) -> Plan | None:
-        """The plan of a run whose last light is of no use; None without any other."""
+        """The plan of a run whose last light is invalid; None if there is no other light."""
         self.state.best.unseen = None
         return self.plan() if "best" in self.state.memory else None
 
@@ -326,7 +326,7 @@ class _Run:
         )
 
     def plan(self) -> Plan:
-        """The best light so far, as its operator judges it."""
+        """The best light so far, judged by its operator."""
         state, before = self.state, self.resumed
         if before is not None and len(self.history) == len(before.history):
             return before
@@ -363,8 +363,8 @@ class _Run:
     def _by_voxels(self, judge: OptimizerState, light: DeviceArray, window: float) -> tuple[DeviceArray, float]:
         """Light in units of the dose on the target's voxels, and its window by rays there.
 
-        It lasts no longer than it may: the threshold is known now, and where it came out lower than thought, the
-        brightest pixels are dimmed. For want of memory the window stays that of the run.
+        It keeps the exposure limit: the threshold is known now, and if it is lower than assumed, the brightest pixels
+        are dimmed. If memory does not suffice, the window remains that of the run.
         """
         finer = self.problem.finer
         most = self.state.brightness * finer
@@ -386,7 +386,7 @@ class _Run:
         return light, window
 
     def _judged(self, rays: Any, light: DeviceArray, iteration: int) -> tuple[DeviceArray, float, int] | None:
-        """Light, window and iteration by rays, the wider of the best and the last; None for want of memory."""
+        """Light, window and iteration by rays, from the better of the best and the last light; None without memory."""
         state = self.state
         try:
             found = [(light, state.window(rays.T(light))[0], iteration)]
@@ -398,22 +398,22 @@ class _Run:
         return max(found, key=lambda each: each[1])
 
     def _corners(self, light: DeviceArray, scenarios: Any, target: DeviceArray) -> CornerDoses | None:
-        """What the light gives at every corner; warns where it does not print at all of them."""
+        """The doses of the light at every corner; warns if it does not print at all of them."""
         if self.tolerances is None or not isinstance(scenarios, Scenarios):
             return None
-        told = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
-        if told.window <= 0.0:
+        doses = doses_of(scenarios, self.tolerances, light, scenarios.taken(target, 0))
+        if doses.window <= 0.0:
             warnings.warn(
-                f"the light does not print at every corner of its tolerances: {told.statement()}; use smaller ones, "
+                f"the light does not print at every corner of its tolerances: {doses.statement()}; use smaller ones, "
                 "or more iterations",
                 ToleranceWarning,
                 stacklevel=4,
             )
-        return told
+        return doses
 
 
 def _posed_on_voxels(operator: Any, target: Any) -> Any:
-    """A projection on rings as one of the target's voxels, since no light tells cells near the axis apart."""
+    """A projection on rings as one on the target's voxels, because light cannot distinguish cells near the axis."""
     if not isinstance(operator, SpectralProjection):
         return operator
     grid = target.grid if isinstance(target, Target) else operator.grid.box
@@ -423,7 +423,7 @@ def _posed_on_voxels(operator: Any, target: Any) -> Any:
 
 
 def by_rays(operator: Any) -> Any:
-    """The operator by rays through voxels of one that computes on rings, or of scenarios of some; any other itself."""
+    """The operator by rays through voxels, for one that computes on rings; any other operator itself."""
     if isinstance(operator, Scenarios):
         rays = [by_rays(each) for each in operator.operators]
         alike = all(one is each for one, each in zip(rays, operator.operators, strict=True))
@@ -446,7 +446,7 @@ def _count(iterations: int) -> int:
     return 0 if iterations == 0 else counts("iterations", (iterations,), 1)[0]
 
 
-def _where(operator: Projector) -> str:
-    """The voxels and the motion of an operator, in words; empty if it has none of the usual kind."""
+def _where(operator: Operator) -> str:
+    """The voxels and the motion of an operator, in words; empty for unusual operators."""
     grid, motion = (getattr(operator, name, None) for name in ("grid", "motion"))
     return f"{grid}, {motion.moves}" if isinstance(grid, Grid) and isinstance(motion, Turntable) else ""

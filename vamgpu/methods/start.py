@@ -15,7 +15,7 @@ from vamgpu.operators.reductions import extent, total
 from vamgpu.operators.space import require
 
 SAME = 2.0
-"""Factor within which light counts as in units of the part's dose."""
+"""Factor within which light is assumed to be in units of the part's dose."""
 
 
 def own_light(operator: Any, light: Any, name: str) -> DeviceArray:
@@ -52,10 +52,10 @@ def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None
     state.expose(light, dose)
     level = state.part_mean(dose)
     if not level > 1e-30:
-        raise NoLight("the light to start from gives the part no dose; expected some: check its angles and its axes")
+        raise NoLight("the initial light gives the part no dose; expected some: check its angles and its axes")
     if not 1.0 / SAME <= level <= SAME:
         state.scale(1.0 / level, light, light)
     state.memory.update({"light": light, "started": 1.0})
     window, _ = state.window(dose)
-    if method.criterion == "window":  # so that the run never returns worse light than its start
+    if method.criterion == "window":  # the run then never returns worse light than its start
         state.offer(1.0 - window, window, 0)

@@ -1,4 +1,4 @@
-"""What an optimizer works on: operator, target, memory of the run, and the launches all methods share."""
+"""The state of an optimizer: operator, target, memory of the run, and the kernel launches that all methods share."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from vamgpu.losses.loss import Loss
 from vamgpu.methods.best_light import Best
 from vamgpu.methods.method import Criterion
 from vamgpu.methods.part import reach_of, uploaded
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.ramp import Taps
 from vamgpu.operators.compose import NO_FLOOR, combine
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import dot, extent, folded, parts_for, window
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.space import require
@@ -34,49 +34,49 @@ if TYPE_CHECKING:
     from vamgpu.methods.surface import Beside
 
 UNLIMITED = 3e38
-"""Stands for no limit in float32."""
+"""A value in float32 that stands for "no limit"."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartialProblem:
-    """What light of one segment of a longer print is sought under."""
+    """Conditions under which the light of one segment of a longer print is optimized."""
 
-    rest: DeviceArray  # dose that other light brings [x, y, z]
-    target: DeviceArray  # the target where voxels count, −1 elsewhere [x, y, z]
-    free: DeviceArray  # 1 for poses whose light is sought, else 0, a table (poses,)
-    levels: tuple[float, float] | None = None  # a and b that are wide enough apart; None for as wide as can be
+    rest: DeviceArray  # dose from other light [x, y, z]
+    target: DeviceArray  # the target at voxels that count, −1 elsewhere [x, y, z]
+    free: DeviceArray  # 1 for angles whose light is optimized, else 0, a table (poses,)
+    levels: tuple[float, float] | None = None  # a and b that are far enough apart; None for as far as possible
 
 
 class OptimizerState:
-    """One run: everything a method may use. ``memory`` outlives the run and is enough to resume it."""
+    """One run: everything a method may use. ``memory`` outlives the run and suffices to resume it."""
 
-    operator: Projector
+    operator: Operator
     target: DeviceArray
     memory: dict[str, Any]
 
     def __init__(
-        self, operator: Projector, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
+        self, operator: Operator, target: DeviceArray, memory: dict[str, Any], criterion: Criterion = "window",
         limits: Limits | None = None,
     ) -> None:  # fmt: skip
         self.operator, self.target, self.memory = operator, target, memory
         self.best: Best = Best(memory, criterion)
-        self.iteration = 0  # iterations done so far, of this run and those it resumes
+        self.iteration = 0  # iterations so far, including those of resumed runs
         self.most_evaluations = inf
         self.partial: PartialProblem | None = None
-        self.brightness = inf  # greatest light of a pixel over the dose midway between part and void
-        self.margin: float = 0.0  # of a target that ramps, what does not count on either side of one half
-        self.most: float = float(memory.get("most", inf))  # light of a pixel, where a method bounds it
-        self.lit: DeviceArray | None = None  # 1 for pixels that may be lit, else 0, where a method keeps some dark
+        self.brightness = inf  # greatest light of a pixel divided by the dose midway between part and void
+        self.margin: float = 0.0  # of a ramped target: half width, about one half, of fractions that do not count
+        self.most: float = float(memory.get("most", inf))  # greatest light of a pixel, if the method limits it
+        self.lit: DeviceArray | None = None  # 1 for pixels that may be lit, else 0, if the method keeps some dark
         self.device: Device = operator.device
         self.reach: float = reach_of(operator.grid)
         self.evaluations: float = float(memory.get("evaluations", 0.0))
-        self.limits = limits  # which the operator's doses are scaled by already
+        self.limits = limits  # by which the operator's doses are already scaled
         weighted = limits is not None and limits.weighted
         self.weight: DeviceArray | None = self.field(limits.weight) if limits is not None and weighted else None
 
     @cached_property
     def _squares(self) -> tuple[DeviceArray, DeviceArray] | None:
-        """Squares of the limits, by one of which the operator divides, and room for what they multiply."""
+        """Squares of the limits, one of which is the operator's divisor, and an array for their products."""
         if self.limits is None:
             return None
         return self.device.upload((self.limits.dose**2).astype(np.float32)), self.volume()
@@ -90,7 +90,7 @@ class OptimizerState:
         return self.device.empty(self.operator.range.shape)
 
     def has_room(self, volumes: int, sinograms: int) -> bool:
-        """Whether the device has the memory for so many more."""
+        """Whether the device has memory for this number of further fields."""
         try:
             fields = [self.volume() for _ in range(volumes)] + [self.sinogram() for _ in range(sinograms)]
         except OutOfMemory:
@@ -127,13 +127,13 @@ class OptimizerState:
         """A number of the run's memory."""
         return float(self.memory.get(name, default))
 
-    # ---- projecting, counted ---------------------------------------------------------------------------------
+    # ---- counted projections ---------------------------------------------------------------------------------
     def project(self, volume: DeviceArray, out: DeviceArray, beside: Beside | None = None) -> None:
-        """out = A volume, and what cells beside it send; half an evaluation."""
+        """out = A volume, plus the projection of cells beside it; half an evaluation."""
         self._count(lambda: self.operator(volume, out=out) if beside is None else beside.project(volume, out))
 
     def project_scaled(self, model: DeviceArray, out: DeviceArray) -> None:
-        """`project` a model, each voxel times its own limit; half an evaluation."""
+        """`project` a model, each voxel multiplied by its own limit; half an evaluation."""
         if self._squares is not None:
             squares, scaled = self._squares
             self.device.launch(multiply, x=squares, y=model, out=scaled)
@@ -141,13 +141,13 @@ class OptimizerState:
         self.project(model, out)
 
     def expose(self, light: DeviceArray, out: DeviceArray, beside: Beside | None = None) -> None:
-        """out = Aᵀ light, the dose; half an evaluation. With that of other light in a partial problem."""
+        """out = Aᵀ light, the dose; half an evaluation. In a partial problem, the dose of other light is added."""
         self._count(lambda: self.operator.T(light, out=out) if beside is None else beside.expose(light, out))
         if self.partial is not None:
             self.combine(1.0, out, 1.0, self.partial.rest, out)
 
     def _count(self, half: Callable[[], Any]) -> None:
-        """Do half an evaluation; of several scenarios it is what their operator really made."""
+        """Count half an evaluation; for several scenarios, the number that their operator really made."""
         several = self.operator if isinstance(self.operator, Scenarios) else None
         before = several.projections if several else 0.0
         half()
@@ -155,19 +155,19 @@ class OptimizerState:
         self.memory["evaluations"] = self.evaluations
 
     def affords(self, evaluations: float) -> bool:
-        """Whether so many more projector evaluations stay within what the run may spend."""
+        """Whether this number of further projector evaluations stays within the run's limit."""
         return self.evaluations + evaluations * getattr(self.operator, "cost", 1.0) <= self.most_evaluations
 
     def offer(self, loss: float, window: float, made: int) -> bool:
-        """Keep ``light`` in memory if it is the best so far."""
+        """Store ``light`` in memory if it is the best so far."""
         return self.best.offer(self.buffer("light"), loss, window, self.iteration + made)
 
     # ---- numbers ---------------------------------------------------------------------------------------------
     def window(self, dose: DeviceArray) -> tuple[float, float]:
         """Strict process window of a dose, and the greatest dose.
 
-        Where the part leaves no void nothing can leak, and the window is the least dose over the greatest. A dose that
-        is dark everywhere, or not finite, prints nothing: its window is −1, the least there is. That of a partial
+        If the part leaves no void, nothing can leak, and the window is the least dose over the greatest. A dose that is
+        dark everywhere, or not finite, prints nothing: its window is −1, the lowest value. The window of a partial
         problem is no wider than its levels.
         """
         least, leak, greatest = self.extremes(dose)
@@ -176,7 +176,7 @@ class OptimizerState:
         return (least - max(leak, 0.0)) / greatest, greatest
 
     def extremes(self, dose: DeviceArray) -> tuple[float, float, float]:
-        """Least dose inside the part, greatest dose outside, and the greatest, of voxels that count."""
+        """Least dose inside the part, greatest dose outside, and the greatest anywhere, over voxels that count."""
         partial = self.partial
         if partial is None:
             return window(dose, self.target, self.reach, self.margin)
@@ -191,11 +191,11 @@ class OptimizerState:
         return dot(self.target, self.target)
 
     def part_mean(self, dose: DeviceArray) -> float:
-        """Dose over target in the part, each voxel counted by its target."""
+        """Ratio of dose to target in the part, where each voxel is weighted by its target."""
         return max(dot(dose, self.target) / max(self._target_square, 1e-30), 1e-30)
 
     def loss(self, dose: DeviceArray, loss: Loss) -> float:
-        """The loss of a dose, which becomes its gradient."""
+        """The loss of a dose; the dose is overwritten by the gradient."""
         loss = loss if self.weight is None else loss.weighted(self.weight)
         return loss.value_and_gradient(dose, self.target, dose, self.reach)
 
@@ -215,7 +215,7 @@ class OptimizerState:
         self.device.launch(fill_background, target=self.target, low=background, high=1.0, reach=self.reach, model=out)
 
     def filter(self, sinogram: DeviceArray, taps: Taps, out: DeviceArray, floor: float = NO_FLOOR) -> None:
-        """out = max(floor, sinogram filtered along r), times the balance of its angle."""
+        """out = max(floor, sinogram filtered along r), multiplied by the balance of its angle."""
         self.device.launch(
             filter_rows, sinogram=sinogram, taps=taps.table, stride=taps.stride, floor=floor, filtered=out
         )
@@ -228,7 +228,7 @@ class OptimizerState:
     def apply_penalty(
         self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
     ) -> float:
-        """Add a penalty weight·Σ light^power to a gradient, then hold dark and brightest light if asked.
+        """Add a penalty weight·Σ light^power to a gradient, then hold dark and brightest light if required.
 
         Returns the penalty.
         """

@@ -1,8 +1,8 @@
 """The default: thresholds that ramp across the surface of the part, on voxels finer than a pixel, optimized by L-BFGS.
 
-Two thresholds need a jump of the dose at the surface, which pixels of a width s cannot make: patterns that try it lose
-window below the voxel. So thresholds ramp from one pixel outside the surface to one inside. Voxels are three quarters
-of a pixel wide, so that the optimization includes the dose between pixels.
+Two thresholds need a jump of the dose at the surface, which pixels of a width s cannot make: patterns that attempt it
+reduce the window on finer voxels. The thresholds therefore ramp from one pixel outside the surface to one inside.
+Voxels are three quarters of a pixel wide; the optimization then includes the dose between pixels.
 """
 
 from __future__ import annotations
@@ -43,26 +43,26 @@ from vamgpu.optics.sampling import resin_pixel
 from vamgpu.targets.target import Target
 
 FINE = 0.75
-"""Width of a voxel over that of a pixel in the resin. Half as wide again gains 0.01 of the window half a pixel from the
-surface; voxels as wide as pixels lose 0.08 of it."""
+"""Ratio of the width of a voxel to that of a pixel in the resin. Voxels of half this width gain 0.01 of the window half
+a pixel from the surface; voxels as wide as pixels lose 0.08 of it."""
 PIXEL_DEEP = 0.5 - 1e-6
-"""Margin of a target that ramps, at which voxels count from one width off the surface."""
+"""Margin of a ramped target: voxels count from one ramp width off the surface."""
 VOLUMES, SINOGRAMS, CELLS = 10, 20, 6
-"""Memory that it takes, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
+"""Memory that it needs, with five pairs and on rings: fields of voxels, of light, and of cells beside the part."""
 ABOVE = 2.0
-"""Pixels above and below the part up to which there are voxels."""
+"""Largest number of pixels above and below the part for which there are voxels."""
 
 
 @dataclass(frozen=True)
 class SurfaceRamp(ByPairs):
-    """Projected L-BFGS steps on thresholds that ramp across the surface of the part.
+    """Projected L-BFGS steps with thresholds that ramp across the surface of the part.
 
         minimize Σ e²/2 over voxels + Σ max(0, D − dark)²/2 over cells of all other resin,   0 ≤ g ≤ brightest · mean g₀
 
     with e as in `vamgpu.losses.Ramp`, D = Aᵀg and g₀ the initial patterns, from filtered back projection. Cells of all
     other resin are beside the judged cylinder out to the wall of the vessel, and above and below it. `optimize` uses
-    voxels three quarters of a pixel wide if the target's are wider. With tolerances the first sum is over the voxels of
-    every corner, and the second counts the cells of the nominal print once per corner.
+    voxels three quarters of a pixel wide if the target's are wider. With tolerances, the first sum is over the voxels
+    of every corner, and the second counts the cells of the nominal print once per corner.
 
     Args:
         outside: Greatest dose one ``width`` outside the surface, in units of the part's dose.
@@ -70,9 +70,9 @@ class SurfaceRamp(ByPairs):
         most: Greatest dose in the part, in units of the part's dose.
         dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
         width: Width of the ramp on either side of the surface [pixels in the resin].
-        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; shortens the exposure.
-        history: Pairs of sinograms that are kept.
-        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` says if fewer pairs
+        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; lower: shorter exposure.
+        history: Largest number of stored pairs of sinograms.
+        history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` reports if fewer pairs
             fit.
 
     Raises:
@@ -124,13 +124,13 @@ class SurfaceRamp(ByPairs):
         state.lit = lit = lit_pixels(state.operator, state.target)
         if "light" not in memory:
             filtered_light(state, state.volume())
-        if "most" not in memory:  # light that was given may be too bright, or idle
+        if "most" not in memory:  # given light may be too bright, or idle
             light = state.buffer("light")
             state.device.launch(multiply, x=light, y=lit, out=light)
             mean = total(light) / prod(state.operator.range.shape)
             if not mean > 0.0:
-                raise NoLight("the light to start from is dark in all pixels whose rays meet the part; expected some "
-                              "light there: check its angles and its axes, or leave start out")  # fmt: skip
+                raise NoLight("the initial light is dark in all pixels whose rays meet the part; expected some light "
+                              "there: check its angles and its axes, or leave start out")  # fmt: skip
             memory["most"] = state.most = min(self.brightest * mean, MARGIN * state.brightness * self.threshold)
             capped(light, state.most)
         rule = self.rule
@@ -139,10 +139,10 @@ class SurfaceRamp(ByPairs):
 
 
 def as_fine_as_light(operator: Any, keep: bool = False) -> Projection | RingProjection | None:
-    """The projector of the optimization: voxels of three quarters of a pixel, some above and below the part.
+    """The projector of the optimization: voxels of three quarters of a pixel, also some above and below the part.
 
-    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. With ``keep`` the
-    next call returns the same object, once, because its tables take seconds.
+    None for operators other than a `Projection` or a `RingProjection`, which keep their own voxels. With ``keep``, the
+    next call returns the same object once, because its tables take seconds to make.
     """
     if (grid := fine_grid(operator)) is None:
         return None
@@ -159,7 +159,7 @@ _KEPT: WeakKeyDictionary[Any, Projection | RingProjection] = WeakKeyDictionary()
 
 
 def _on_rings(operator: Any, fine: Projection) -> Projection | RingProjection:
-    """The projector on rings, if its operator is, or if that is faster and fits into memory."""
+    """The projector on rings, if its operator is on rings, or if rings are faster and fit into memory."""
     if unsupported_reason(fine) or not (isinstance(operator, RingProjection) or prefers_rings(fine)):
         return fine
     try:
@@ -177,7 +177,7 @@ def finer_voxels(method: Any, operator: Any, target: Any) -> Grid | None:
 
 
 def fine_grid(operator: Any) -> Grid | None:
-    """The voxels of `as_fine_as_light`, which hold the judged cylinder of a projector."""
+    """The voxels of `as_fine_as_light`, which contain the judged cylinder of a projector."""
     A = direct(operator)
     if not isinstance(A, Projection) or A.footprint != "exact":
         return None
@@ -186,11 +186,11 @@ def fine_grid(operator: Any) -> Grid | None:
     across = 2.0 * A.grid.inscribed_radius / pitch + 1.0
     along = A.grid.shape[2] * A.grid.pitch / pitch + 2.0 * ceil(ABOVE * pixel[1] / pitch)
     nx, nz = (4 * ceil(n / 4.0 - 1e-6) for n in (across, along))
-    return Grid((nx, nx, A.grid.shape[2] if A.beam.flat else nz), pitch)  # a single row lights no more slices
+    return Grid((nx, nx, A.grid.shape[2] if A.beam.flat else nz), pitch)  # a single row of pixels needs no more slices
 
 
 def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
-    """clip(½ + d / 2s, 0, 1) of voxels' depths d below a part's surface, s = width [pixels in the resin], [x, y, z]."""
+    """clip(½ + d / 2s, 0, 1) for voxels' depths d in a part, s = width [pixels in the resin], [x, y, z]."""
     grid, beam = fine.grid, fine.beam
     width *= min(resin_pixel(beam, getattr(fine, "vessel", None)))
     if isinstance(target, Target) and target.solid is not None:
@@ -200,7 +200,7 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
     whole = width / own.pitch + (own is coarse)
     reach = min(whole, LARGEST_REACH - 3.0)
     pad = ceil(reach) + 2
-    padded = surrounded(fraction, pad, beam.flat)  # a print that is the same at every height has no end
+    padded = surrounded(fraction, pad, beam.flat)  # a print that is the same at every height has no ends
     depth = signed_depth(padded, reach) if whole <= reach else _deep(padded, reach)
     if own is coarse and grid != coarse:
         depth = interpolated(
@@ -213,7 +213,7 @@ def across(target: Any, coarse: Grid, fine: Any, width: float) -> DeviceArray:
 
 
 def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
-    """Depths [voxels] as of `signed_depth` within its reach; beyond it of voxels' middles, right to half a voxel."""
+    """Depths [voxels] as by `signed_depth` within its reach; beyond it, those of voxel centers, ± half a voxel."""
     from scipy.ndimage import distance_transform_edt
 
     near, inside = signed_depth(fraction, reach), fraction >= HALF
@@ -223,7 +223,7 @@ def _deep(fraction: np.ndarray, reach: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Resin beyond the judged cylinder, which must stay dark: its cells, their weights by ring, the greatest dose."""
+    """Resin beyond the judged cylinder, which must stay dark: cells, weights by ring, and greatest dose."""
 
     resin: AllResin
     cells: tuple[DeviceArray, ...]
@@ -232,7 +232,7 @@ class Beside:
 
     @classmethod
     def of(cls, operator: Any, dark: float) -> Beside | None:
-        """The resin of a projector, or of the nominal one of scenarios, whose number it counts; None if unknown."""
+        """The resin of a projector, or of the scenarios' nominal projector, counted once per scenario; or None."""
         several = isinstance(operator, Scenarios)
         nominal, count = (operator.operators[0], len(operator)) if several else (operator, 1)
         if not isinstance(nominal, Projection | RingProjection):
@@ -262,5 +262,5 @@ class Beside:
         return value
 
     def project(self, gradient: DeviceArray, out: DeviceArray) -> None:
-        """Derivatives by light, of those by the dose of voxels and of cells."""
+        """Derivatives by light, from those by the dose of voxels and of cells."""
         self.resin.project(gradient, self.cells, out)

@@ -1,4 +1,4 @@
-"""How far a machine and a resin may be off, and what a light prints wherever they are."""
+"""Tolerances of a machine and a resin, and what light prints at all their corners."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from vamgpu.schema.quantities import Deviation, Quantity, Thickness
 Judged = Literal["worst", "mean + spread"]
 Widths = tuple[Thickness, Thickness]
 QUARTERS = 4
-"""Directions in which a vial may stand off its axis."""
+"""Directions in which a vial may be off its axis."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Corner:
     Args:
         axis: Displacement of the axis of rotation, towards +r [mm].
         spread: Standard deviation of the point spread [mm]; None for the beam's own.
-        absorption: Share by which the resin absorbs more.
+        absorption: Relative increase of the resin's absorption.
         index: Increase of the resin's refractive index.
         wobble: Displacement of the vial from its axis, along x and y [mm].
-        dose: Share by which every dose is greater.
+        dose: Relative increase of every dose.
     """
 
     axis: float = 0.0
@@ -72,12 +72,12 @@ class Corner:
 
 @dataclass(frozen=True)
 class CornerDose:
-    """What one light gives at a corner, in units of the light.
+    """Doses of one light at a corner, in units of the light.
 
     Attributes:
         name: Name of the corner.
-        least: Dose inside the part.
-        leak: Greatest dose outside it.
+        least: Least dose inside the part.
+        leak: Greatest dose outside the part.
         greatest: Dose anywhere.
     """
 
@@ -94,7 +94,7 @@ class CornerDose:
 
 @dataclass(frozen=True)
 class CornerDoses:
-    """What one light gives at every corner, the nominal one first.
+    """Doses of one light at every corner, the nominal one first.
 
     Attributes:
         corners: All of them.
@@ -104,7 +104,7 @@ class CornerDoses:
 
     @property
     def nominal(self) -> float:
-        """Strict process window where nothing is off."""
+        """Strict process window of the nominal print."""
         return self.corners[0].window
 
     @property
@@ -124,7 +124,7 @@ class CornerDoses:
         return (self.darkest.least - max(self.leakiest.leak, 0.0)) / greatest if greatest > 0.0 else -1.0
 
     def statement(self) -> str:
-        """The window in words, and the two corners that hold it.
+        """The window in words, and the two corners that limit it.
 
         Returns:
             One sentence.
@@ -139,14 +139,14 @@ class CornerDoses:
 class Tolerances:
     """How far a machine and its resin may deviate: the method finds patterns that print everywhere in this range.
 
-    One threshold holds for all scenarios: the corners, which combine both ends of every tolerance, the middles of the
-    faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
+    One threshold must hold for all scenarios: the corners, which combine both ends of every tolerance, the middles of
+    the faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
     box. Each scenario has its own operator with its beam, vessel or axis. Linear interpolation moves images only for a
     wobble, and for an axis unless the operator is a `Projection` of a round vessel or air.
 
     Args:
-        axis: Place of the axis of rotation across the light, ± [mm].
-        spread: Least and greatest standard deviation of the point spread [mm]; None for only the beam's.
+        axis: Position error of the axis of rotation across the light, ± [mm].
+        spread: Least and greatest standard deviation of the point spread [mm]; None for only the beam's own.
         absorption: Absorption of the resin, ± a share of it: 0.05 in Python, "5 %" in a file.
         dose: Dose of the whole exposure, ± a share of it.
         index: Refractive index of the resin, ±.
@@ -187,17 +187,17 @@ class Tolerances:
         cls, pitch: float, *, mtf: str | Path | None = None, runout: Runout | str | Path | None = None,
         fill: float = 1.0, reach: float = inf, followed: bool = True, sure: float = 2.0, **more: Any,
     ) -> Tolerances:  # fmt: skip
-        """What `vam calibrate` measured of a machine, as tolerances.
+        """Tolerances from the results of `vam calibrate`.
 
         Args:
             pitch: Edge of the projector's pixel at the axis [mm].
             mtf: Result of ``vam calibrate mtf``: the least and the greatest point spread along the light.
-            runout: Result of ``vam calibrate runout``: the axis is off by its standard error and by what the bearing
-                adds, and the vial by its eccentricity.
+            runout: Result of ``vam calibrate runout``: the tolerance of the axis is its standard error plus the
+                bearing's error; that of the vial is its eccentricity.
             fill: Share of a pixel's area that is lit.
-            reach: Of the part before and behind the axis [mm]: spreads measured farther away do not count.
+            reach: Extent of the part before and behind the axis [mm]; spreads measured farther away are ignored.
             followed: Whether frames follow the measured runout, as in `vam print`; then only its error remains.
-            sure: Standard errors that a tolerance spans [1].
+            sure: Number of standard errors that a tolerance spans [1].
             more: Further tolerances, by name.
 
         Returns:
@@ -219,15 +219,15 @@ class Tolerances:
 
     @property
     def count(self) -> int:
-        """How many tolerances there are."""
+        """Number of tolerances."""
         given = (self.axis, self.spread is not None, self.absorption, self.dose, self.index, self.wobble)
         return sum(map(bool, given))
 
     def corners(self) -> tuple[Corner, ...]:
         """The nominal print, every combination of ends, and the middles of the faces between them.
 
-        A middle has one tolerance of the optics at an end, the others halfway, and is left out where no other is given.
-        Doses grow in proportion, so theirs is always at an end.
+        A middle has one tolerance of the optics at an end and the others halfway; without other tolerances, there are
+        no middles. Doses scale linearly; their tolerance is therefore always at an end.
 
         Returns:
             Corners, the nominal one first.
@@ -264,7 +264,7 @@ class Tolerances:
             The operators, in the order of `corners`.
 
         Raises:
-            ToleranceError: A tolerance contradicts the operator, or there is nothing that it could be of.
+            ToleranceError: A tolerance contradicts the operator, or does not apply to it.
         """
         corners = self.corners()
         optics = list(dict.fromkeys(corner.optics for corner in corners))
@@ -278,11 +278,11 @@ class Tolerances:
         return Scenarios(operators, mix)
 
     def doses(self, operator: Any, light: Any, target: Any) -> CornerDoses:
-        """What a light gives at every corner, by the operators themselves.
+        """Doses of light at every corner, by the operators themselves.
 
         Args:
             operator: The nominal projector.
-            light: Light of its pixels [angle, r, z] ≥ 0, or a plan.
+            light: Patterns [angle, r, z] ≥ 0, or a plan.
             target: A `Target`, or fractions [x, y, z].
 
         Returns:
@@ -300,31 +300,31 @@ class Tolerances:
 
 
 def doses_of(scenarios: Scenarios, tolerances: Tolerances, light: DeviceArray, target: DeviceArray) -> CornerDoses:
-    """The doses of a light at the corners of tolerances, by the target of one scenario."""
+    """The doses of light at the corners of tolerances, for the target of one scenario."""
     corners = tolerances.corners()
     optics = list(dict.fromkeys(corner.optics for corner in corners))
     dose, reach, found = target.device.empty(target.shape), reach_of(scenarios.each), {}
     for corner, operator in zip(optics, scenarios.operators, strict=True):
         operator.T(light, out=dose)
         found[corner] = window(dose, target, reach)
-    told = []
+    at_corners = []
     for corner in corners:
         least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(told))
+        at_corners.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(at_corners))
 
 
 def check_tolerances(tolerances: Any) -> None:
-    """Raise `BadInput` for what are no tolerances; None are none."""
+    """Raise `BadInput` unless the argument is Tolerances or None."""
     if tolerances is not None and not isinstance(tolerances, Tolerances):
         raise BadInput(f"tolerances are {tolerances!r}; expected Tolerances(axis=…, spread=…, …), or None")
 
 
 def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray) -> None:
-    """Raise `ToleranceError` where even light leaves a voxel of the part dark at a corner."""
+    """Raise `ToleranceError` if uniform light leaves a voxel of the part dark at a corner."""
     light = target.device.upload(np.ones(scenarios.range.shape, np.float32))
-    told = doses_of(scenarios, tolerances, light, target)
-    for corner, found in zip(tolerances.corners(), told.corners, strict=True):
+    at_corners = doses_of(scenarios, tolerances, light, target)
+    for corner, found in zip(tolerances.corners(), at_corners.corners, strict=True):
         if not found.least >= LOST * found.greatest:
             blamed = next((name for name in BLAMED if getattr(corner, name) not in (0.0, None, (0.0, 0.0))), "axis")
             raise ToleranceError(
@@ -336,12 +336,12 @@ def check_lit(scenarios: Scenarios, tolerances: Tolerances, target: DeviceArray)
 
 
 BLAMED = ("wobble", "axis", "index", "absorption")
-"""Tolerances that can leave a part dark, the likeliest first."""
+"""Tolerances that can leave a part dark, the most likely first."""
 
 
 # ---- operators at corners --------------------------------------------------------------------------------------------
 def at(operator: Any, corner: Corner) -> Any:
-    """The operator as it is at a corner, but for the dose. Raises `ToleranceError`."""
+    """The operator at a corner, except for the dose. Raises `ToleranceError`."""
     if corner.optics == Corner():
         return operator
     changed = _rebuilt(operator, replace(corner, wobble=(0.0, 0.0), dose=0.0))
@@ -352,7 +352,7 @@ def at(operator: Any, corner: Corner) -> Any:
     try:
         return Wobbled(changed, Wobble(y * np.cos(poses) - x * np.sin(poses)))
     except BadInput as error:
-        raise ToleranceError("wobble", f"cannot be taken up: {error}") from error
+        raise ToleranceError("wobble", f"does not fit the print: {error}") from error
 
 
 def _rebuilt(operator: Any, corner: Corner) -> Any:
@@ -374,8 +374,8 @@ def _rebuilt(operator: Any, corner: Corner) -> Any:
     for name in ("spread", "absorption", "index"):
         if getattr(corner, name):
             raise ToleranceError(
-                name, f"has nothing to change in {operator!r}; expected a Projection, or one composed, wobbled or "
-                "tiled: leave it out"
+                name, f"does not apply to {operator!r}; expected a Projection, or one composed, wobbled or tiled: "
+                "leave it out"
             )  # fmt: skip
     return _moved(operator, corner.axis)
 
@@ -397,7 +397,7 @@ def _projected(A: Projection, corner: Corner) -> Any:
             given = isinstance(vessel, Misaligned) and type(vessel) is Misaligned
             vessel = replace(vessel, offset=vessel.offset + moved) if given else Misaligned(vessel, offset=moved)  # type: ignore[union-attr]
             moved = 0.0
-        except BadInput:  # no round vessel: the image moves as a whole
+        except BadInput:  # not a round vessel: the image moves as a whole
             pass
     built = A
     if (beam, vessel) != (A.beam, A.vessel):
@@ -411,7 +411,7 @@ def _moved(operator: Any, axis: float) -> Any:
     try:
         return Wobbled(operator, Wobble(axis))
     except BadInput as error:
-        raise ToleranceError("axis", f"cannot be taken up: {error}") from error
+        raise ToleranceError("axis", f"does not fit the print: {error}") from error
 
 
 def _resin(vessel: Any, corner: Corner) -> Any:
@@ -434,4 +434,4 @@ def _resin(vessel: Any, corner: Corner) -> Any:
     try:
         return replace(vessel, **given)
     except (BadInput, TypeError) as error:
-        raise ToleranceError("index" if corner.index else "absorption", f"cannot be taken up: {error}") from error
+        raise ToleranceError("index" if corner.index else "absorption", f"does not fit the print: {error}") from error

@@ -1,4 +1,4 @@
-"""What a shorter exposure costs: the widest windows of light that may last less and less."""
+"""Window against exposure time: the widest windows for a series of shorter exposure limits."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 
 SHARES = (0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)
-"""Of the time that the plan takes which the others are measured by."""
+"""Limits of the other exposures, as shares of the time of the plan."""
 
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """One light by what it gives and takes, before packing.
+    """Window and time of one light, before packing.
 
     Attributes:
-        seconds: The exposure lasts, until the dose midway between part and void is the critical one.
-        window: Process window a pixel and more from the surface, a share of the greatest dose.
-        outside: Mean dose outside the part over the mean in it.
+        seconds: Exposure time, until the dose midway between part and void is the critical dose.
+        window: Process window a pixel or more from the surface, a share of the greatest dose.
+        outside: Mean dose outside the part divided by the mean in it.
     """
 
     seconds: float
@@ -41,17 +41,17 @@ def pareto(
     plan: Plan, *, irradiance: float | str, critical_dose: float | str, absorption: float | str | None = None,
     evaluations: float | None = None, progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[ParetoPoint, ...]:  # fmt: skip
-    """Windows against times: that of a plan, and the widest ones of light that may last 75 % as long, and less.
+    """Windows against times: that of a plan, and the widest ones for limits of 75 % of its time, and less.
 
-    Each begins with the light before it. It ends where no light prints any more.
+    Each run starts from the patterns of the previous one. The series ends when no patterns print any more.
 
     Args:
-        plan: By the default, without tolerances; its operator and target are those of all.
+        plan: A plan by the default method, without tolerances; all runs use its operator and target.
         irradiance: Irradiance of a full-on pixel in air [mW/mm²], or text with its unit.
-        critical_dose: From which resin is solid [mJ/mm³], or text with its unit.
+        critical_dose: Dose from which resin is solid [mJ/mm³], or text with its unit.
         absorption: Absorption of the resin [1/mm], if the operator absorbs no light.
-        evaluations: Projector evaluations of each light; by default those that the plan took, 100 at least.
-        progress: Is told the share of the lights that are done.
+        evaluations: Projector evaluations of each run; by default those of the plan, but at least 100.
+        progress: Receives the share of the runs that are done.
 
     Returns:
         The points, the longest time first.
@@ -83,7 +83,7 @@ def pareto(
                     plan.operator, plan.target, evaluations=evaluations or max(plan.evaluations, 100.0),
                     start=light, progress=False, exposure_limit=share * points[0].seconds, **lamp,
                 )  # fmt: skip
-        except BadInput:  # full-on pixels everywhere take longer
+        except BadInput:  # a shorter time than full-on pixels everywhere need
             break
         point = _point(light, limit)
         if not point.window > 0.0:
@@ -94,7 +94,7 @@ def pareto(
 
 
 def _point(plan: Plan, limit: ExposureLimit) -> ParetoPoint:
-    """What a plan's light gives and takes."""
+    """Window and time of a plan's light."""
     operator: Any = plan.operator
     near = np.broadcast_to(operator.grid.cylinder()[:, :, None], operator.grid.shape)
     target = plan.target.numpy() if hasattr(plan.target, "numpy") else np.asarray(plan.target)
@@ -111,5 +111,5 @@ def _point(plan: Plan, limit: ExposureLimit) -> ParetoPoint:
 
 
 def _ends(part: np.ndarray, void: np.ndarray) -> tuple[float, float]:
-    """The least dose of a part, and the greatest outside it or 0."""
+    """The least dose of a part, and the greatest outside it (0 if there is none)."""
     return float(part.min()), max(0.0, float(void.max(initial=0.0)))

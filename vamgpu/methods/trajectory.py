@@ -1,4 +1,4 @@
-"""How the losses of a run went: whether they fell, and where they began to rise."""
+"""Course of the losses of a run: whether they fell, and where they began to rise."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from dataclasses import dataclass
 from math import isfinite
 
 BLOWN = 1e3
-"""Times the first loss: from there nothing good is to be expected."""
+"""Multiple of the first loss above which a run is given up."""
 LOST = 0.5
-"""Share of the descent which, lost again, counts as divergence rather than as a swing."""
+"""Share of the descent whose loss counts as divergence, not as an oscillation."""
 SWING = 0.05
-"""Rise over the least loss that is never spoken of."""
+"""Relative rise over the least loss that is never reported."""
 
 
 @dataclass(frozen=True)
 class LossTrajectory:
-    """Losses of one meaning, one an iteration."""
+    """Losses of one kind, one per iteration."""
 
     losses: Sequence[float]
     start: int = 0
 
     @property
     def lost(self) -> bool:
-        """Whether the last loss is no finite number."""
+        """Whether the last loss is not a finite number."""
         return not isfinite(self.losses[-1])
 
     @property
     def blown(self) -> bool:
-        """Whether the last loss is out of all proportion to the first."""
+        """Whether the last loss exceeds the first by far."""
         return self.losses[-1] > BLOWN * self.losses[0] > 0.0
 
     @property
     def risen(self) -> bool:
-        """Whether more than half of the descent is lost again; rises within 5 % of the least loss do not count."""
+        """Whether more than half of the descent was lost again; rises within 5 % of the least loss do not count."""
         first, last, least = self.losses[0], self.losses[-1], self.losses[self._least]
         return last - least > LOST * (first - least) + SWING * least
 
     @property
     def began(self) -> int:
-        """The iteration, counted from 1, after which no loss was as small as at it."""
+        """The iteration, counted from 1, with the least loss."""
         return self.start + self._least + 1
 
     @property
@@ -47,8 +47,8 @@ class LossTrajectory:
         finite = [loss if isfinite(loss) else float("inf") for loss in self.losses]
         return finite.index(min(finite))
 
-    def message(self, light: str = "the plan holds the best light of before") -> str:
-        """What happened, from which iteration on, what became of the light, and what to do."""
+    def message(self, light: str = "the plan holds the best light before that") -> str:
+        """What happened, from which iteration on, which light is returned, and what to do."""
         least, last, end = self.losses[self._least], self.losses[-1], self.start + len(self.losses)
         return (
             f"the loss rose from {least:.4g} at iteration {self.began} to {last:.4g} at iteration {end}: the method "

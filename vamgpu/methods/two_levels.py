@@ -1,4 +1,4 @@
-"""Light of two levels with a wide window, by ADMM whose light is driven to its ends.
+"""Light of two levels with a wide window, by ADMM with a push towards the two levels.
 
     maximize a − b   over g, a, b   subject to   a ≤ (Aᵀg)ᵢ ≤ 1 in the part,   (Aᵀg)ᵢ ≤ b outside,   0 ≤ g ≤ white
 
@@ -8,8 +8,8 @@ With copies z of the dose and w of the light, and scaled duals u and v (J. Eckst
     z = clip(Aᵀg + u),  w = clip(g + v + push·(g + v − white/2)),
     g ← argmin |Aᵀg − z + u|² + |g − w + v|²,  u ← u + Aᵀg − z,  v ← v + g − w,
 
-each with over-relaxation. The push is a concave penalty; R. Takapoui, N. Moehle, S. Boyd, A. Bemporad, Int. J. Control
-93 (2020) 2, take the nearer level itself in every step. The argmin is the inverse of the blur of exposing and
+each with over-relaxation. The push is a concave penalty; in place of it, R. Takapoui, N. Moehle, S. Boyd, A. Bemporad,
+Int. J. Control 93 (2020) 2, use the nearer level itself in every step. The argmin inverts the blur of exposing and
 projecting (`GramInverse`).
 """
 
@@ -25,34 +25,34 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import OutOfMemory
 from vamgpu.kernels.admm import clip_dose, clip_light, find_levels
-from vamgpu.methods.projector import Projector
 from vamgpu.methods.state import OptimizerState
 from vamgpu.operators.compose import combine
 from vamgpu.operators.gram import RIM, GramInverse
+from vamgpu.operators.protocol import Operator
 from vamgpu.operators.reductions import extent, folded, parts_for
 from vamgpu.operators.scenarios import Scenarios
 
 PUSH = (0.005, 0.3)
-"""Of the first step and of the last, over the distance from the middle."""
+"""Push of the first step and of the last, relative to the distance from the middle."""
 STEPS, OFTEN = 120, 5
-"""Steps in all, and from one light that is worth a look to the next."""
+"""Number of steps, and of steps between two results that are evaluated."""
 BACKGROUND = 0.6
-"""Greatest dose outside that levels are looked for from, over that of the part."""
+"""Greatest dose outside, relative to that of the part, at which the search for limits starts."""
 LACK = 0.04
-"""Dose that all voxels of the part may lack together where limits are looked for, over their number; of scenarios,
-whose voxels stand for each other, over its root."""
+"""Total dose, divided by the number of voxels, that voxels of the part may lack where limits are searched; for
+scenarios, divided by the root of that number, because their voxels stand for each other."""
 RELAX = 1.6
-"""How far a step goes, over where limits are met; below 2."""
+"""Over-relaxation of a step towards the limits; below 2."""
 CLOSE, PASSES = 1e-3, 12
-"""Share of that lack which levels may be off by, and times that they are looked for at most."""
+"""Tolerance of the limits as a share of that lack, and greatest number of trials."""
 
 
 class TwoLevels:
-    """Seeks light of two levels that leaves a wide window, from light of any."""
+    """Finds two-level light with a wide window, starting from any light."""
 
     possible: bool
 
-    def __init__(self, operator: Projector, target: DeviceArray, light: DeviceArray) -> None:
+    def __init__(self, operator: Operator, target: DeviceArray, light: DeviceArray) -> None:
         self._light, self._state = light, OptimizerState(operator, target, {})
         self._inverse: GramInverse | None = None
         if not GramInverse.unsupported_reason(operator):
@@ -61,7 +61,7 @@ class TwoLevels:
         self.possible = self._inverse is not None
 
     def seek(self, white: DeviceArray) -> Iterator[DeviceArray]:
-        """Drive light to its ends."""
+        """Drive light to its two levels."""
         if self._inverse is None:
             return
         state, run = self._state, ADMM(self._state, self._inverse, self._light)
@@ -104,7 +104,7 @@ class ADMM:
         self.lack = LACK * float(np.count_nonzero(state.evaluation_mask() * state.target.numpy() >= 0.5)) / sqrt(count)
 
     def step(self, white: DeviceArray, push: float) -> None:
-        """Hold dose and light to their limits, then find the light that misses both the least."""
+        """Clip dose and light to their limits, then find the light closest to both."""
         state, launch = self.state, self.state.device.launch
         self._find_levels()
         launch(clip_dose, **self._point(), relax=RELAX, pull=self.pull)
@@ -118,14 +118,14 @@ class ADMM:
         state.expose(self.light, self.dose)
 
     def _point(self) -> dict[str, Any]:
-        """Where limits are looked for, and at which levels."""
+        """Whether to search for limits, and the limits."""
         return {
             "held": self.dose, "scaled_dual": self.dose_dual, "target": self.state.target, "least": self.least,
             "leak": self.leak, "reach": self.state.reach, "rim": RIM,
         }  # fmt: skip
 
     def _find_levels(self) -> None:
-        """a and b at which the part lacks, and voids leak, as much as they may: Newton's steps from the last ones."""
+        """a and b at which the part lacks, and voids leak, as much as allowed, by Newton's steps from the last ones."""
         target = self.state.target
         for _ in range(PASSES):
             parts = {name: parts_for(find_levels, self.dose) for name in ("below", "shorts", "above", "over")}

@@ -1,4 +1,4 @@
-"""Where a measured surface lies: the rigid motion that lays it on its target."""
+"""Alignment of a measured surface: the rigid motion that moves it onto its target."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from vamgpu.geometry import counts
 from vamgpu.metrics.nearest_points import Array, Nearest, as_points
 
 _ROUGH = 12
-"""Steps that bring points to their nearest points before steps slide them along the surface."""
+"""Number of steps that move points to their nearest points, before steps that also slide them along the surface."""
 _SETTLED = 1e-7
-"""A step that moves no point by more than this part of the points' extent is the last."""
+"""The last step moves no point by more than this share of the points' extent."""
 _PATIENCE, _BETTER = 5, 1e-4
-"""So is one after which several bettered the RMS distance by no more than this share."""
+"""Or, after several steps, the best RMS distance improved by no more than this share."""
 _DAMPING = 1e-2
-"""Motions that change the distances less than this share of what others do, such as turns of a ball, are held back."""
+"""Motions that change the distances less than this share of others, such as rotations of a ball, are suppressed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """p → rotation · p + shift [mm].  rms: of the distances left [mm].  steps: taken until it settled."""
+    """p → rotation · p + shift [mm]. rms: of the remaining distances [mm]. steps: number until it converged."""
 
     rotation: Array
     shift: Array
@@ -44,12 +44,12 @@ def align(
     points: npt.ArrayLike, target: Nearest, *, start: Alignment | None = None, steps: int = 200, samples: int = 2000,
     keep: float = 1.0,
 ) -> Alignment:  # fmt: skip
-    """Lay points (n, 3) [mm] on a surface by iterated closest points."""
-    # Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. First steps match points with their nearest ones;
-    # the others, by the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992) 145), let
-    # them slide. It finds the nearest of several fits: up to 10° and a tenth of the part away is a good start. start:
-    # where to begin. samples: points used, drawn with a fixed seed. keep: share of the points, those with the smallest
-    # distances, that each step looks at: below 1 for damaged prints.
+    """Align points (n, 3) [mm] with a surface by iterated closest points."""
+    # Source: P. J. Besl and N. D. McKay, IEEE TPAMI 14 (1992) 239. The first steps match points with their nearest
+    # points; the others use the distances to the nearest faces (Y. Chen and G. Medioni, Image Vis. Comput. 10 (1992)
+    # 145), which lets them slide. It finds the nearest of several fits; a start within 10° and a tenth of the part is
+    # good. start: initial motion. samples: points used, drawn with a fixed seed. keep: share of the points, those with
+    # the smallest distances, that each step uses: below 1 for damaged prints.
     cloud = as_points(points)
     if len(cloud) < 3:
         raise BadInput(f"got {len(cloud)} points to align; expected at least 3, better thousands")
@@ -82,7 +82,7 @@ def align(
 
 
 def _matched(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
-    """The motion that brings points closest to their feet (W. Kabsch, Acta Cryst. A 32 (1976) 922)."""
+    """The motion that brings points closest to the surface points nearest to them (W. Kabsch, 1976)."""
     del normals
     middle, goal = points.mean(axis=0), feet.mean(axis=0)
     u, _, vt = np.linalg.svd((points - middle).T @ (feet - goal))
@@ -92,7 +92,7 @@ def _matched(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
 
 
 def _slid(points: Array, feet: Array, normals: Array) -> tuple[Array, Array]:
-    """The small motion that brings points closest to the planes through their feet."""
+    """The small motion that brings points closest to the tangent planes at their nearest points."""
     middle = points.mean(axis=0)
     size = float(np.sqrt(np.mean((points - middle) ** 2))) or 1.0
     rows = np.concatenate([np.cross(points - middle, normals) / size, normals], axis=1)
@@ -114,6 +114,6 @@ def _rotation(vector: Array) -> Array:
 
 
 def _orthogonal(matrix: Array) -> Array:
-    """The nearest rotation, against rounding that piles up."""
+    """The nearest rotation, to remove accumulated rounding errors."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ vt

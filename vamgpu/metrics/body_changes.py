@@ -1,4 +1,4 @@
-"""Which bodies, holes and cavities of a part its print has lost, joined or gained."""
+"""Bodies, holes and cavities of a part that its print has lost, joined or gained."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy.typing as npt
 from vamgpu.metrics.topology import Labels, Topology
 
 _LOST = 0.5
-"""A body or a cavity of which less than this share is left is lost."""
+"""A body or a cavity is lost if less than this share of it remains."""
 _SPECK, _TINY = 8, 1e-4
-"""Voxels, and share of the largest body, below which a body is what sampling breaks off a sharp edge of either."""
+"""Number of voxels, and share of the largest body, below which a body is a fragment that sampling breaks off."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class BodyChanges:
     bodies_merged: int  # bodies joined to another one: two balls printed as one are one merged
     bodies_broken: int  # printed in more than one piece
     bodies_extra: int  # bodies of the print that share no voxel with the part
-    extra_volume: float  # of all of those [mm³]
+    extra_volume: float  # total volume of those [mm³]
     holes: int  # through holes of the part
-    # holes_closed, holes_opened: through holes missing from, or added to, what is printed of each body. They are
-    # counted, not matched: where a body loses one and gains another, neither shows
+    # holes_closed, holes_opened: through holes missing from, or added to, the print of each body. They are counted, not
+    # matched: if a body loses one and gains another, neither shows
     holes_closed: int
     holes_opened: int
     cavities: int  # closed voids of the part
@@ -38,7 +38,7 @@ class BodyChanges:
 
     @property
     def none(self) -> bool:
-        """Whether the print is made of what the part is made of."""
+        """Whether bodies, holes and cavities of the print match those of the part."""
         kinds = ("lost", "merged", "broken", "extra")
         changed = [getattr(self, f"bodies_{kind}") for kind in kinds]
         return not any((*changed, self.holes_closed, self.holes_opened, self.cavities_filled, self.cavities_extra))
@@ -87,16 +87,16 @@ def _shared(a: Labels, b: Labels) -> _Table:
 
 
 def _main(table: _Table, number: int) -> npt.NDArray[np.int64]:
-    """The second label that shares most voxels with each first one, (number,); 0 where there is none."""
+    """The second label that shares most voxels with each first one, (number,); 0 if there is none."""
     one, other, shared = table
-    order = np.argsort(shared, kind="stable")  # the greatest is written last
+    order = np.argsort(shared, kind="stable")  # the largest is written last
     main = np.zeros(number + 1, np.int64)
     main[one[order]] = other[order]
     return main[1:]
 
 
 def _holes(part: Topology, printed: Topology, table: _Table, lost: npt.NDArray[np.bool_]) -> tuple[int, int]:
-    """Holes closed and opened, by groups of bodies whose prints hang together."""
+    """Holes closed and opened, by groups of bodies whose prints are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

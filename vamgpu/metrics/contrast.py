@@ -1,4 +1,4 @@
-"""Contrast: the share of a dose, or of the resin's response, that is in the part."""
+"""Contrast: the share of a dose, or of the resin's response, that lies in the part."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vamgpu.metrics.histogram import extremes
 from vamgpu.metrics.parts import EVERYWHERE, IN, OUT, Parts
 
 SMALLEST = 1e-30
-"""The set is where the target is above 0; fractions of a voxel start far above this."""
+"""Lower limit of targets that count as part; fractions of a voxel are far above this."""
 
 
 def contrast(
@@ -22,9 +22,9 @@ def contrast(
     response: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> float:
     """ξ = ∫ over Q of M(f) / ∫ over V of M(f), with Q where the target is above 0: 1 is best (eq. S12)."""
-    # dose f, target: arrays of one shape, of cells of one volume (a web [l, rho, z] or a vial's [x, y, z], corners
-    # counted), or fields of one device. response: M, of NumPy arrays; M(f) = f by default, and on devices, where a
-    # field may hold M(f) already. Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing,
+    # dose f, target: arrays of one shape, whose cells have equal volumes (a web [l, rho, z] or a vial's [x, y, z] with
+    # corners), or fields of one device. response: M, of NumPy arrays; M(f) = f by default, and on devices, where a
+    # field may already hold M(f). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing,
     # section S10.
     if isinstance(dose, DeviceArray) and isinstance(target, DeviceArray) and response is None:
         total = extremes(Parts(dose, target, SMALLEST, EVERYWHERE)).total[0]

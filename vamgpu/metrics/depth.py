@@ -1,9 +1,9 @@
-"""Signed depth of voxels' centers below the surface of a part, only from the fractions of the voxels.
+"""Signed depth of voxels' centers below the surface of a part, computed only from the fractions of the voxels.
 
-A voxel that is partly filled says where the surface cuts it: at the plane, square to the local gradient, that fills as
-much of a cube (as volume-of-fluid codes do: D. L. Youngs, Numerical Methods for Fluid Dynamics (1982) 273). Every
-other voxel finds the nearest of these small planes by an exact Euclidean feature transform that looks no farther than
-asked, one axis after the other.
+The fraction of a partly filled voxel tells where the surface cuts it: at the plane, perpendicular to the local
+gradient, that fills this share of a cube (as in volume-of-fluid codes: D. L. Youngs, Numerical Methods for Fluid
+Dynamics (1982) 273). Every other voxel finds the nearest of these small planes by an exact Euclidean feature transform,
+one axis after another, up to a given distance.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ Floats = npt.NDArray[np.float64]
 HALF = 0.5
 """Fraction from which a voxel is in the part."""
 LARGEST_REACH = 14
-"""Voxels that a search may span: the steps along an axis are packed in five bits."""
+"""Number of voxels that a search may span: the steps along an axis are packed in five bits."""
 _FULL = 1e-4
 """Fractions closer than this to 0 or 1 count as empty or full."""
 _PATCH = 0.6
-"""Radius [voxels] of the piece of plane that stands for the surface in one voxel."""
+"""Radius [voxels] of the piece of plane that represents the surface in one voxel."""
 _THIN = 1e-4
-"""Least component of a normal that the fraction of a cube is computed with."""
+"""Lower limit of the components of a normal in the formula for the fraction of a cube."""
 _STEPS = 7
-"""Newton's steps to a plane's place in its voxel."""
+"""Number of Newton's steps for a plane's position in its voxel."""
 _PLANES = 32
-"""Planes along x that a thread works on."""
+"""Number of planes along x that a thread processes."""
 _BITS = 5
 _NONE = np.uint32(1 << 30)
-"""Above every packed number, with room for what the passes add."""
+"""A number above every packed number, with space for the additions of the passes."""
 
 
 def surrounded(fraction: Array, by: int, flat: bool = False) -> Array:
-    """Fractions with so many voxels around; above and below a flat part as it ends there, else of nothing."""
+    """Fractions with a border of this many voxels: copies of the ends above and below a flat part, else empty."""
     beside = np.pad(fraction, ((by, by), (by, by), (0, 0)))
     return np.pad(beside, ((0, 0), (0, 0), (by, by)), mode="edge" if flat else "constant")
 
 
 def padded_depth(fraction: Array, reach: float, flat: bool) -> tuple[Array, int]:
-    """Depths [voxels] that are right up to ``reach``, with as many voxels around a part as they take; and how many."""
+    """Depths [voxels] that are right up to ``reach``, with the border of voxels that this needs; and its width."""
     pad = ceil(reach) + 2
     return signed_depth(surrounded(fraction, pad, flat), reach + 0.5), pad
 
@@ -80,7 +80,7 @@ def signed_depth(fraction: npt.ArrayLike, reach: float) -> Array:
 
 
 def _box(values: Array, span: int) -> tuple[slice, slice, slice] | None:
-    """The part's bounding box, ``span`` voxels wider; None if the part is not."""
+    """The part's bounding box, ``span`` voxels wider; None without a part."""
     filled = values > _FULL
     if not filled.any():
         return None
@@ -120,7 +120,7 @@ def _near(padded: Array, span: int, reach: float) -> Array:
 
 # ---- the surface in each voxel --------------------------------------------------------------------------------------
 def _cut(padded: Array) -> npt.NDArray[np.bool_]:
-    """Voxels the surface passes through, and both sides of a face between full and empty."""
+    """Voxels that contain the surface, including both sides of a face between full and empty."""
     core = padded[1:-1, 1:-1, 1:-1]
     cut = (core > _FULL) & (core < 1.0 - _FULL)
     for axis in range(3):
@@ -143,7 +143,7 @@ def _planes(padded: Array, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[Array,
             if d:
                 gradient[:, axis] += np.float32(d * weight) * value
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
-    flat = length[:, 0] < 1e-6  # a sheet inside one row of voxels: any direction is as good
+    flat = length[:, 0] < 1e-6  # a sheet within one row of voxels: any direction is equally good
     gradient[flat], length[flat] = (0.0, 0.0, 1.0), 1.0
     normal = gradient / length
     filled = padded[at[0] + 1, at[1] + 1, at[2] + 1]
@@ -154,7 +154,7 @@ def _place(normal: Floats, filled: Floats) -> Floats:
     """Depths of the centers of unit cubes behind the planes that leave ``filled`` of them; (n,)."""
     sides = np.maximum(normal, _THIN)
     half = 0.5 * sides.sum(axis=1)
-    # Up to half a cube the filled share is a convex function of the cut: Newton's steps from there stop short of none.
+    # Up to half a cube, the filled share is a convex function of the cut: Newton's steps from there converge.
     less, cut = np.minimum(filled, 1.0 - filled), half.copy()
     for _ in range(_STEPS):
         share, area = _corner(sides, cut)
@@ -178,9 +178,9 @@ def _corner(sides: Floats, cut: Floats) -> tuple[Floats, Floats]:
 
 # ---- the nearest seed -----------------------------------------------------------------------------------------------
 def _nearest(shape: tuple[int, ...], seeds: npt.NDArray[np.intp], span: int) -> npt.NDArray[np.uint32]:
-    """Squared distances of voxels to the nearest seed and the steps from it, packed; from `_NONE` on no seed."""
-    # Exact for seeds at most ``span`` voxels away along every axis: the smallest of the packed numbers is that of the
-    # smallest distance, whatever steps stand in its lower bits.
+    """Squared distances of voxels to the nearest seed and the steps from it, packed; from `_NONE` on without seed."""
+    # Exact for seeds at most ``span`` voxels away along every axis: the smallest packed number has the smallest
+    # distance, whatever steps its lower bits hold.
     keys = np.full(shape, _NONE, np.uint32)
     keys.ravel()[seeds] = sum(span << (_BITS * axis) for axis in range(3))
     for axis in range(3):

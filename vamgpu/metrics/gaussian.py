@@ -1,4 +1,4 @@
-"""A Gaussian fitted to a histogram, as deviations of prints are summed up."""
+"""A Gaussian fitted to a histogram, which summarizes deviations of prints."""
 
 from __future__ import annotations
 

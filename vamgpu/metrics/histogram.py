@@ -1,4 +1,4 @@
-"""Counts, extremes and exact order statistics of the two classes, for the whole or for each slice."""
+"""Counts, extremes and exact order statistics of the two classes, for the whole volume or for each slice."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from vamgpu.kernels.histogram import fold_counts, fold_survey, survey, tally
 from vamgpu.metrics.parts import Parts
 
 BINS = 512
-"""Bins of a search: both classes of the whole volume then cross the bus in 4 kB."""
+"""Number of bins of a search: both classes of the whole volume then need a transfer of 4 kB."""
 
 PASSES = 4
-"""Each pass divides the range by 510; four leave less than float32 resolves."""
+"""Each pass divides the range by 510; after four passes the range is below the resolution of float32."""
 
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """Least, greatest and sum of each class, arrays [slice, class]; +∞, −∞ and 0 where a class is empty."""
+    """Least, greatest and sum of each class, arrays [slice, class]; +∞, −∞ and 0 for empty classes."""
 
     least: np.ndarray
     greatest: np.ndarray
@@ -31,7 +31,7 @@ class Histogram:
     """Voxels of each class per bin of dose."""
 
     edges: np.ndarray  # (bins + 1,) in units of the dose
-    counts: np.ndarray  # int64 [slice, class, bin], class 0 out of and class 1 in the part
+    counts: np.ndarray  # int64 [slice, class, bin], class 0 outside and class 1 inside the part
 
 
 def extremes(parts: Parts, *, per_slice: bool = False) -> Extremes:
@@ -93,5 +93,5 @@ def tallied(parts: Parts, low: np.ndarray, high: np.ndarray, bins: int, *, per_s
 
 
 def _strips(parts: Parts) -> int:
-    """Strips of rows that the kernels share a slice into."""
+    """Number of strips of rows into which the kernels divide a slice."""
     return parts.dose.device.items(tally, (parts.dose.shape[0], 1, 1))

@@ -12,11 +12,11 @@ from vamgpu.backend.cores import ahead
 Array = npt.NDArray[np.floating]
 
 PLANES = 32
-"""Planes along x that a thread works on."""
+"""Number of planes along x that a thread processes."""
 
 
 def interpolated(values: Array, places: Sequence[npt.ArrayLike]) -> Array:
-    """Values [x, y, z] at places [samples from the first] along each axis; beyond the ends, those at the ends."""
+    """Values [x, y, z] at positions [samples from the first] along each axis; constant beyond the ends."""
     x, y, z = (np.clip(np.asarray(at, np.float64), 0.0, n - 1) for at, n in zip(places, values.shape, strict=True))
     out = np.empty((x.size, y.size, z.size), np.result_type(values, np.float32))
 

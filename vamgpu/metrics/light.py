@@ -36,9 +36,8 @@ def outside_over_inside(
     dose: DeviceArray, target: DeviceArray, *, level: float = 0.5, reach: float | None = None
 ) -> float:
     """Mean dose of the judged voxels outside the part over the mean of those in it."""
-    # 0 where all light goes to the part, 1 where the void gets as much per volume. A method that lights everything is
-    # bright and yet no better for it.
-    # dose [x, y, z]; target [x, y, z]; reach [voxels]
+    # 0 if all light goes to the part, 1 if the void gets as much per volume. A method that lights everything equally is
+    # bright, but not better. dose [x, y, z]; target [x, y, z]; reach [voxels]
     parts = Parts(dose, target, level, reach)
     total = extremes(parts).total[0]
     count = above(parts, 0.0)[0].sum(axis=1)

@@ -1,4 +1,4 @@
-"""The best dose that a limited range of angles leaves in a plane of film, to compare index ratios by."""
+"""The best dose that a limited range of angles can give in a plane of film, for comparing index ratios."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from vamgpu.operators.projection import Projection
 Array = npt.NDArray[np.float64]
 
 IN_BAND, OUT_BAND = 0.01, 0.05
-"""Dose may miss 1 in the part, and exceed 0 outside, by so much without loss: the roll-to-roll paper's bands."""
+"""Deviations from 1 in the part, and above 0 outside, that cause no loss: the bands of the roll-to-roll paper."""
 STEEPNESS, MIDDLE = 10.0, 0.5
 
 
 def random_plane(n: int, seed: int = 1, filled: float = 0.45) -> Array:
-    """A disk (n, n) of random structure of many sizes and all directions, 0 or 1: filtered noise above a quantile."""
+    """A disk (n, n) of random structure with many sizes and all directions, 0 or 1: filtered noise above a quantile."""
     # filled: share of 1 in it.
     size = counts("n", (n,), 1)[0]
     if not 0.0 < filled < 1.0 or size < 16:
@@ -38,9 +38,9 @@ def limited_dose(
     device: str | Device | None = None,
 ) -> Array:  # fmt: skip
     """Dose [l, rho] of light ≥ 0 from within arcsin m of the film's normal ρ, fit to a target [l, rho] of 0 and 1."""
-    # Straight rays without absorption, so that only the range of angles differs. Squares of what leaves the bands about
-    # 1 and 0 are brought down by accelerated projected gradients from the clipped projections. pitch: voxel edge [mm].
-    # ratio: m = n_medium/n_resin. angles: how many over a full turn.
+    # Straight rays without absorption; only the range of angles differs. Accelerated projected gradients reduce the
+    # squares of deviations beyond the bands about 1 and 0, starting from the clipped projections. pitch: voxel edge
+    # [mm]. ratio: m = n_medium/n_resin. angles: how many over a full turn.
     part = np.asarray(target, np.float64)
     if part.ndim != 2 or part.shape[0] != part.shape[1] or not np.isin(part, (0.0, 1.0)).all() or not part.any():
         raise BadInput(f"the target has shape {part.shape}; expected a square [l, rho] of 0 and 1, not all 0")
@@ -66,7 +66,7 @@ def responded(dose: npt.ArrayLike) -> Array:
 
 
 class _LimitedAngles:
-    """Projection of a plane [l, rho] within a range of angles about ρ, which lies along the grid's x."""
+    """Projection of a plane [l, rho] within a range of angles about ρ, which is along the grid's x."""
 
     def __init__(self, n: int, pitch: float, limit: float, angles: int, device: str | Device | None) -> None:
         self._n = n
@@ -84,7 +84,7 @@ class _LimitedAngles:
         return self._operator.T(self._operator.device.upload(sent)).numpy()[..., 0].T.astype(np.float64)
 
     def norm(self) -> float:
-        """The greatest eigenvalue of back ∘ forward, from below by power iteration, with a little to spare."""
+        """The greatest eigenvalue of back ∘ forward, from power iteration (a lower bound), with a small margin."""
         plane, value = np.ones((self._n, self._n)), 1.0
         for _ in range(8):
             plane = self.back(self.forward(plane))

@@ -1,4 +1,4 @@
-"""One number of a report, ready to be read."""
+"""One number of a report as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Line(NamedTuple):
 
 
 def length(millimeters: float, sign: str = "") -> str:
-    """A length in µm, from a millimeter on in mm, with three digits; "none" for NaN. ``sign`` as formats have it."""
+    """A length in µm, or in mm from one millimeter on, with three digits; "none" for NaN. ``sign`` as in formats."""
     if isnan(millimeters):
         return "none"
     return f"{millimeters:{sign}.3g} mm" if abs(millimeters) >= 0.9995 else f"{1e3 * millimeters:{sign}.3g} µm"

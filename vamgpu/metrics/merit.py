@@ -1,4 +1,4 @@
-"""Figure of merit of a print of the calibration disk, from the parts that hold together.
+"""Figure of merit of a print of the calibration disk, from its connected parts.
 
 Source: A. Orth et al., Automatic exposure volumetric additive manufacturing, Fig. 2 and eq. 2.
 """
@@ -50,7 +50,7 @@ def merit(
     pixel: float = 0.067,
     half_disk_radius: float = 1.0,
 ) -> Merit:
-    """Judge a print of `exposure_disk` by connected components of solid voxels; the disk's is the one at the axis.
+    """Judge a print of `exposure_disk` by connected components of solid voxels; the disk is the component at the axis.
 
     A half disk counts as connected if at least half of it is solid and part of the component of the disk.
 

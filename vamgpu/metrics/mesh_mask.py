@@ -1,4 +1,4 @@
-"""Which points of a grid lie inside a mesh."""
+"""Points of a grid that lie inside a mesh."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from vamgpu.backend.cores import ahead
 from vamgpu.targets.solid import Solid
 
 _NUDGE = np.array([3.1e-7, 1.7e-7])
-"""Spacings by which columns are moved, so that none meets an edge or a corner of a triangle."""
+"""Shift of the columns, in spacings; no column then meets an edge or a corner of a triangle."""
 _BATCH = 1 << 18
-"""Pairs of a triangle and a column looked at at once."""
+"""Number of pairs of a triangle and a column processed at a time."""
 
 
 def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[int, int, int]) -> npt.NDArray[np.bool_]:
@@ -30,7 +30,7 @@ def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[in
         lambda some: _crossed(corners, some, low, wide, number, shape[2]), np.split(order, np.unique(ends))
     ):
         np.add.at(turns, (x, y, above), sign)
-    # A triangle that faces up closes the solid: what lies below it is inside.
+    # A triangle that faces up closes the solid: points below it are inside.
     winding = np.cumsum(turns[:, :, :0:-1], axis=2, dtype=np.int16)[:, :, ::-1]
     return winding > 0
 
@@ -38,7 +38,7 @@ def mesh_mask(solid: Solid, origin: npt.ArrayLike, pitch: float, shape: tuple[in
 def _crossed(
     corners: np.ndarray, some: np.ndarray, low: np.ndarray, wide: np.ndarray, number: np.ndarray, top: int
 ) -> tuple[np.ndarray, ...]:
-    """Where columns x, y cross some triangles: the first point above, and +1 for those that face up, else −1."""
+    """Crossings of columns x, y and triangles: the first grid point above, and +1 for upward faces, else −1."""
     face = np.repeat(some, number[some])
     step = np.arange(len(face)) - np.repeat(number[some].cumsum() - number[some], number[some])
     x, y = low[face, 0] + step // wide[face, 1], low[face, 1] + step % wide[face, 1]
@@ -53,7 +53,7 @@ def _crossed(
 
 def _turn(p: np.ndarray, q: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Twice the area of the triangle of two corners and a column, seen from above; > 0 counter-clockwise."""
-    # Computed from the same end whichever way the edge is run through, so that neighbors never disagree.
+    # Computed from the same end in both directions of the edge; neighboring triangles then agree.
     swap = (p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1]))
     one, other = np.where(swap[:, None], q, p), np.where(swap[:, None], p, q)
     area = (one[:, 0] - x) * (other[:, 1] - y) - (one[:, 1] - y) * (other[:, 0] - x)

@@ -1,4 +1,4 @@
-"""Bodies of a mesh that overlap, joined, so that no surface is left inside the part."""
+"""Join overlapping bodies of a mesh; no surface then remains inside the part."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vamgpu.targets.solid import Solid
 
 def joined(solid: Solid) -> Solid:
     """The outer surface of a mesh, and the surfaces of its cavities."""
-    # Programs export assemblies as bodies that overlap. What lies inside another body is not a surface of the part.
+    # Programs export assemblies as bodies that overlap. A surface inside another body is not a surface of the part.
     # solid [mm]
     from manifold3d import Error
 
@@ -39,7 +39,7 @@ def joined(solid: Solid) -> Solid:
 
 
 def _overlap(boxes: np.ndarray) -> bool:
-    """Whether any two boxes (n, low and high, 3) do."""
+    """Whether any two boxes (n, low and high, 3) overlap."""
     for i, (low, high) in enumerate(boxes[:-1]):
         others = boxes[i + 1 :]
         if ((others[:, 0] <= high) & (others[:, 1] >= low)).all(axis=1).any():

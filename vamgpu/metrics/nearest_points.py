@@ -1,4 +1,4 @@
-"""The nearest point of a triangle surface, exactly, and on which side of the surface a point lies."""
+"""The nearest point of a triangle surface, exactly, and the side of the surface on which a point lies."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class NearestPoints:
 
 
 class Nearest:
-    """Search over a closed surface; build once, ask often."""
+    """Search over a closed surface; build it once and query it often."""
 
     # Sides follow angle-weighted normals at corners and edges, which are right for every closed surface (J. A.
     # Bærentzen and H. Aanæs, Signed distance computation using the angle weighted pseudonormal, IEEE TVCG 11 (2005)
@@ -44,8 +44,8 @@ class Nearest:
 
     def __call__(self, points: npt.ArrayLike, *, exact: bool = True, most: int | None = None) -> NearestPoints:
         """Nearest points of the surface for points (n, 3) [mm]. Raises `BadInput`."""
-        # exact: False looks at a few triangles of each point's neighborhood only, which is faster and almost right.
-        # most: pieces of triangles looked at for one point, at most; see `TriangleSearch`.
+        # exact: False searches only a few triangles in each point's neighborhood, which is faster and almost right.
+        # most: greatest number of pieces of triangles searched for one point; see `TriangleSearch`.
         asked = as_points(points)
         best, weight, face = self.search(asked, exact=exact, most=most)
         point = np.einsum("nk,nki->ni", weight, self._corners[face])
@@ -53,7 +53,7 @@ class Nearest:
         return NearestPoints(point, self.normals[face], np.where(side < 0, -best, best))
 
     def _pseudo(self, face: Indices, weight: Array) -> Array:
-        """Normal of the face, edge or corner that a nearest point lies on."""
+        """Normal of the face, edge or corner that contains a nearest point."""
         zeros = weight == 0.0
         count = zeros.sum(axis=1)
         normal = self.normals[face].copy()

@@ -1,4 +1,4 @@
-"""A field and the two classes its samples fall into."""
+"""A field and the two classes of its samples."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.errors import BadInput, ShapeMismatch
 
 OUT, IN = 0, 1
-"""Classes: out of the part, in the part."""
+"""Classes: outside the part, in the part."""
 
 EVERYWHERE = 1e18
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A dose judged by a target: a voxel is in the part where the target's fraction reaches ``level``, else out of it.
+    """A dose judged by a target: a voxel is in the part if the target's fraction is at least ``level``, else outside.
 
     Args:
         dose, target: Fields [x, y, z] on one device.
         level: Fraction from which a voxel counts as in.
-        reach: Voxels farther [voxels] from the axis are not counted; None stands for the inscribed cylinder, the
-            default everywhere.
+        reach: Voxels farther [voxels] from the axis are not counted; None, the default everywhere, means the inscribed
+            cylinder.
 
     Raises:
         ShapeMismatch: Shapes do not fit.

@@ -1,7 +1,7 @@
 """Point spread of a limited range of angles: dose, width, and the frequencies that reach the film.
 
-Light meets a film on a roller from a medium of index m times the resin's; refraction leaves only directions within
-arcsin m of the film's normal (eq. S11). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive
+Light meets a film on a roller from a medium whose index is m times the resin's; refraction leaves only directions
+within arcsin m of the film's normal (eq. S11). Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive
 manufacturing, section S10.
 """
 
@@ -18,7 +18,7 @@ from vamgpu.geometry import centers, counts, positive
 Array = npt.NDArray[np.float64]
 
 ANGLES = 1801
-"""Directions of a cumulative point spread, by default."""
+"""Default number of directions of a cumulative point spread."""
 
 
 def steepest(ratio: float) -> float:
@@ -35,8 +35,8 @@ def coverage(ratio: float) -> float:
 
 def point_dose(along: Array, depth: Array, fwhm: float, ratio: float, angles: int = ANGLES) -> Array:
     """Cumulative dose at (l, ρ) [mm] from a point, 1 at the point: one Gaussian beam through it per direction."""
-    # fwhm: of the beam [mm]. ratio: m. Directions are spread evenly over the range in the film, ±arcsin m; beams are
-    # taken as wide everywhere, which holds within the depth of focus. Arguments broadcast.
+    # fwhm: of the beam [mm]. ratio: m. Directions are spread evenly over the range in the film, ±arcsin m. Beams are
+    # assumed to have constant width, which holds within the depth of focus. Arguments broadcast.
     width, limit = positive("fwhm [mm]", fwhm), steepest(ratio)
     number = counts("angles", (angles,), 1)[0]
     along, depth = np.broadcast_arrays(np.asarray(along, np.float64), np.asarray(depth, np.float64))
@@ -53,7 +53,7 @@ def spread(fwhm: float, ratio: float, angles: int = ANGLES) -> tuple[float, floa
 
 
 def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -> float:
-    """Twice the distance at which the dose in one direction is half: bisection, it falls all the way."""
+    """Twice the distance at which the dose in one direction is half, by bisection (the dose falls monotonically)."""
     low, high = 0.0, positive("fwhm [mm]", fwhm)
     while point_dose(np.array(high * along), np.array(high * depth), fwhm, ratio, angles) > 0.5:
         low, high = high, 2.0 * high
@@ -67,9 +67,9 @@ def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -
 
 
 def wedge(shape: tuple[int, int], pitch: tuple[float, float] | float, ratio: float) -> npt.NDArray[np.bool_]:
-    """Which spatial frequencies of a plane [l, rho] some direction of light carries, in the order of ``numpy.fft``."""
-    # A direction carries those at right angles to it (the central slice theorem), so that frequencies closer than 90° −
-    # arcsin m to the ρ axis are missing, all but zero. pitch: [mm] along l and rho.
+    """Spatial frequencies of a plane [l, rho] that some direction of light carries, in the order of ``numpy.fft``."""
+    # A direction carries the frequencies perpendicular to it (central slice theorem); frequencies closer than 90° −
+    # arcsin m to the ρ axis are therefore missing, except zero. pitch: [mm] along l and rho.
     n_l, n_rho = counts("shape", shape, 2)
     edges = (pitch, pitch) if isinstance(pitch, (int, float)) else tuple(pitch)
     k_l, k_rho = (np.fft.fftfreq(n, positive("pitch [mm]", d)) for n, d in zip((n_l, n_rho), edges, strict=True))

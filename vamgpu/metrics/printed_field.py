@@ -12,19 +12,19 @@ from vamgpu.geometry import positive
 from vamgpu.metrics.triangle_search import Array
 
 _SLAB = 32
-"""Planes along x whose surface is found at once."""
+"""Number of planes along x whose surface is found at a time."""
 _AROUND = 2
 """Voxels kept around the part and its print."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrintedField:
-    """The part of a dose that matters for a print."""
+    """The part of a dose that is relevant for a print."""
 
     values: npt.NDArray[np.float32]  # dose, float32 [x, y, z]
     origin: Array  # center of voxel [0, 0, 0] [mm], (3,)
     pitch: float  # voxel edge [mm]
-    threshold: float  # printed from this dose on
+    threshold: float  # resin prints from this dose on
 
     @property
     def mask(self) -> npt.NDArray[np.bool_]:
@@ -39,7 +39,7 @@ class PrintedField:
         return map_coordinates(self.values, at, order=1, mode="constant", cval=0.0) >= self.threshold
 
     def triangles(self) -> Array:
-        """The surface of the print, (m, 3, 3) [mm], by marching cubes in slabs; m = 0 where nothing prints."""
+        """The surface of the print, (m, 3, 3) [mm], by marching cubes in slabs; m = 0 if nothing prints."""
         from skimage.measure import marching_cubes
 
         found = [np.zeros((0, 3, 3))]
@@ -55,8 +55,8 @@ def printed_field(
     dose: npt.ArrayLike, origin: npt.ArrayLike, pitch: float, threshold: float, bounds: npt.ArrayLike
 ) -> PrintedField:
     """Cut a dose to the box around a part and its print."""
-    # The grid's outer faces close a print that reaches them, half a voxel beyond the last centers.
-    # dose [x, y, z]; origin [0, 0, 0] [mm] (3,); pitch [mm]; bounds [mm] (2, 3)
+    # If a print reaches the grid's outer faces, it is closed there, half a voxel beyond the last centers. dose [x, y,
+    # z]; origin [0, 0, 0] [mm] (3,); pitch [mm]; bounds [mm] (2, 3)
     values, start = np.asarray(dose), np.asarray(origin, np.float64)
     if values.ndim != 3 or not values.size:
         raise BadInput(f"the dose has shape {values.shape}; expected [x, y, z] with at least one voxel")
@@ -64,7 +64,7 @@ def printed_field(
         raise BadInput(f"origin is {origin}; expected the center (x, y, z) [mm] of the dose's first voxel")
     edge, level = positive("pitch [mm]", pitch), positive("threshold", threshold)
     if not np.isfinite(values.max() - values.min()):
-        raise BadInput("the dose holds NaN or infinity; expected finite numbers: look for a division by zero in it")
+        raise BadInput("the dose holds NaN or infinity; expected finite numbers: check it for a division by zero")
     box = (np.asarray(bounds, np.float64) - start) / edge
     low, high = np.floor(box[0]).astype(np.int64), np.ceil(box[1]).astype(np.int64)
     mask = values >= level
@@ -77,7 +77,7 @@ def printed_field(
 
 
 def _cut(values: np.ndarray, low: np.ndarray, high: np.ndarray, level: float) -> npt.NDArray[np.float32]:
-    """Voxels low..high of a dose; the layer beyond its end mirrors the last one about the level, the rest is 0."""
+    """Voxels low..high of a dose; the layer beyond its end mirrors the last one about the level, all others are 0."""
     cut = np.zeros(high - low, np.float32)
     start, stop = np.maximum(low, 0), np.minimum(high, values.shape)
     if (start >= stop).any():

@@ -1,4 +1,4 @@
-"""Every number a print is judged by, over the whole volume."""
+"""All scores of a print, over the whole volume."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vamgpu.metrics.parts import IN, OUT, Parts
 from vamgpu.metrics.window import Windows, windows
 
 PASSES = 8
-"""Passes at most; each divides what is left of the range by up to 510."""
+"""Greatest number of passes; each divides the remaining range by up to 510."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class Scores:
         threshold: Dose from which a voxel counts as printed, chosen for the best ``iou``.
         iou: Ratio of the intersection of part and print to their union.
         error_rate: VER, judged voxels on the wrong side of that threshold over all.
-        overlap_rate: Voxels out of the part with at least the least dose in it, over all (C. Rackson et al., Addit.
+        overlap_rate: Voxels outside the part with at least the least dose in it, over all (C. Rackson et al., Addit.
             Manuf. 48 (2021) 102367).
         dose_range: IPDR, greatest − least dose in the part over ``peak``. least_in, greatest_in,.
-        least_in, greatest_in, greatest_out, peak: Least and greatest dose in the part, greatest out of it, and greatest
+        least_in, greatest_in, greatest_out, peak: Least and greatest dose in the part, greatest outside, and greatest
             of all.
         total_in: Σ dose over the part.
         in_voxels, out_voxels: Numbers of judged voxels.
-        missing: In the part but not printed.
-        excess: Printed but out of the part.
+        missing: Number of voxels in the part that are not printed.
+        excess: Number of printed voxels outside the part.
     """
 
     windows: Windows
@@ -109,7 +109,7 @@ def score(
 
 
 def _voxels(parts: Parts) -> tuple[int, int]:
-    """Judged voxels out of and in the part; `BadInput` where none is in it."""
+    """Judged voxels outside and in the part; `BadInput` if none is in it."""
     found = above(parts, 0.0)[0].sum(axis=1)
     if not found[IN]:
         raise BadInput(
@@ -120,9 +120,9 @@ def _voxels(parts: Parts) -> tuple[int, int]:
 
 
 def best_threshold(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> float:
-    """The dose from which a voxel should count as printed for the greatest intersection over union with the part."""
-    # Midway between part and rest where they are apart. Elsewhere the doses both have are searched: each pass looks
-    # closer at the bins inside which the intersection over union could still rise. A float32 number.
+    """The threshold with the greatest intersection over union of print and part, a float32 number."""
+    # If the doses of part and void do not overlap, it is midway between them. Otherwise the overlapping range of doses
+    # is searched: each pass refines the bins inside which the intersection over union could still rise.
     least, greatest = float(ends.least[0, IN]), float(ends.greatest[0, OUT])
     if least > greatest:
         return _between(max(greatest, 0.0), least)

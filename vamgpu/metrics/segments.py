@@ -17,12 +17,12 @@ from vamgpu.geometry import counts, positive
 class SegmentWindows:
     """Process windows of every segment, arrays (segments,), all over ONE ``peak``."""
 
-    # start, stop: first voxel along l and the one after the last. least_in, greatest_out: in units of the dose. NaN
-    # where a segment holds nothing of the part. in_voxels, out_voxels: how many were judged.
+    # start, stop: first voxel along l and the one after the last. least_in, greatest_out: in units of the dose. NaN if
+    # a segment contains nothing of the part. in_voxels, out_voxels: how many were judged.
 
     start: np.ndarray
     stop: np.ndarray
-    strict: np.ndarray  # least dose in the part − greatest out of it
+    strict: np.ndarray  # least dose in the part − greatest outside
     trimmed: np.ndarray  # 1 % quantile in − 99 % quantile out
     least_in: np.ndarray
     greatest_out: np.ndarray
@@ -32,7 +32,7 @@ class SegmentWindows:
 
     @property
     def window(self) -> float:
-        """The strict window of the whole web: one threshold for all segments. NaN where none holds any of the part."""
+        """The strict window of the whole web, with one threshold for all segments; NaN without any part."""
         least = self.least_in[self.in_voxels > 0]
         return float((least.min() - self.greatest_out.max()) / (self.peak or 1.0)) if least.size else float("nan")
 
@@ -42,8 +42,8 @@ def segment_windows(
     peak: float | None = None,
 ) -> SegmentWindows:  # fmt: skip
     """Judge a dose [l, rho, z] by a target's fractions [l, rho, z], ``segment`` voxels along l at a time."""
-    # The whole section counts. level: fraction from which a voxel is in the part. peak: what windows are shares of; the
-    # greatest dose by default. Give that of the web where tiles of a stream are judged one by one.
+    # The whole section counts. level: fraction from which a voxel is in the part. peak: divisor of windows; by default
+    # the greatest dose. Give the peak of the web if tiles of a stream are judged separately.
     values, part = (np.asarray(a.numpy() if isinstance(a, DeviceArray) else a) for a in (dose, target))
     if values.shape != part.shape or values.ndim != 3 or not values.size:
         raise ShapeMismatch(f"the dose has shape {values.shape}, the target {part.shape}; expected one [l, rho, z]")
@@ -62,7 +62,7 @@ def segment_windows(
 
 
 def _judged(dose: np.ndarray, part: np.ndarray) -> tuple[float, ...]:
-    """Least and 1 % dose in the part, greatest and 99 % dose out of it, and how many voxels of both."""
+    """Least and 1 % dose in the part, greatest and 99 % dose outside, and the numbers of voxels of both."""
     inside, outside = ahead(lambda where: dose[where], (part, ~part))
     (least, one_in), (greatest, one_out) = together(lambda: _low(inside), lambda: _high(outside))
     return float(least), float(one_in), max(float(greatest), 0.0), float(one_out), inside.size, outside.size

@@ -1,4 +1,4 @@
-"""The same numbers slice by slice, on the scale and at the threshold of the whole volume."""
+"""The same numbers for each slice, with the scale and the threshold of the whole volume."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from vamgpu.metrics.window import ranks
 
 @dataclass(frozen=True, eq=False)
 class SliceScores:
-    """Scores of every slice, all over one peak and at one threshold: those of the volume. NaN where a slice holds
-    nothing of the part.
+    """Scores of every slice, all with the peak and the threshold of the volume. NaN if a slice contains nothing of the
+    part.
 
     Args:
-        window: Least dose in the part − greatest out of it, over the peak, (nz,).
-        trimmed: The same of the 1 % and 99 % quantiles, (nz,).
+        window: Least dose in the part − greatest outside, over the peak, (nz,).
+        trimmed: The same with the 1 % and 99 % quantiles, (nz,).
         dose_range: IPDR, (nz,).
-        iou: Intersection over union, (nz,); 1 where neither part nor print has a voxel.
+        iou: Intersection over union, (nz,); 1 if neither part nor print has a voxel.
         error_rate: VER, (nz,).
         in_voxels, out_voxels, missing, excess: Numbers of voxels, (nz,).
     """
@@ -41,7 +41,7 @@ class SliceScores:
 def score_slices(
     dose: DeviceArray, target: DeviceArray, whole: Scores, *, level: float = 0.5, reach: float | None = None
 ) -> SliceScores:
-    """Judge every slice of a dose by the threshold and the peak of the whole.
+    """Judge every slice of a dose with the threshold and the peak of the volume.
 
     Args:
         dose: Dose [x, y, z] on a device.

@@ -1,4 +1,4 @@
-"""Distances of the surface of a print from its target, > 0 where it is too thick.
+"""Distances of the surface of a print from its target, > 0 where the print is too thick.
 
 Sources: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table 1; A. Orth et al.,
 Automatic exposure volumetric additive manufacturing, Fig. 4.
@@ -22,7 +22,7 @@ from vamgpu.metrics.triangle_search import double_areas, drawn_on
 from vamgpu.targets.solid import Solid
 
 POINTS = 20_000
-"""Points drawn on a print's surface, by default."""
+"""Default number of points drawn on a print's surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class SurfaceDistance:
 
     points: Array  # (n, 3) [mm], where the alignment put them
     distance: Array  # (n,) [mm]
-    alignment: Alignment | None  # None if none was wanted
+    alignment: Alignment | None  # None without alignment
 
     @property
     def mean(self) -> float:
@@ -54,9 +54,8 @@ def surface_distance(
 ) -> SurfaceDistance:  # fmt: skip
     """Distances of a print from its target."""
     # printed: a mesh, e.g. `iso_solid` of a simulated print or `load_mesh` of a CT scan, on which ``samples`` points
-    # are drawn evenly with a fixed seed; or points (n, 3) [mm], taken as they are. target: a closed surface; `Nearest`
-    # of it where several prints are compared. aligned: whether to lay the print on the target first; start, keep: see
-    # `align`.
+    # are drawn evenly with a fixed seed; or points (n, 3) [mm]. target: a closed surface; its `Nearest` if several
+    # prints are compared. aligned: whether to align the print with the target first; start, keep: see `align`.
     surface = target if isinstance(target, Nearest) else Nearest(target)
     cloud = drawn(printed, samples) if isinstance(printed, Solid) else as_points(printed)
     motion = align(cloud, surface, start=start, keep=keep) if aligned else start
@@ -65,8 +64,8 @@ def surface_distance(
 
 
 def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: int = POINTS) -> npt.NDArray[np.float64]:
-    """RMS distance [mm] between each pair of prints, (n, n), symmetric: how well a machine repeats itself."""
-    # Both directions count alike. The inter-print RMS is the mean over pairs.
+    """RMS distance [mm] between each pair of prints, (n, n), symmetric: the repeatability of a machine."""
+    # Both directions count equally. The inter-print RMS is the mean over pairs.
     if len(prints) < 2:
         raise BadInput(f"got {len(prints)} prints; expected at least two to compare")
     surfaces = [Nearest(solid) for solid in prints]
@@ -79,7 +78,7 @@ def print_to_print(prints: Sequence[Solid], *, aligned: bool = True, samples: in
 
 
 def drawn(solid: Solid, samples: int = POINTS) -> Array:
-    """Points (samples, 3) [mm] on a surface, as many on every mm², with a fixed seed."""
+    """Points (samples, 3) [mm] on a surface, uniformly distributed by area, with a fixed seed."""
     number = counts("samples", (samples,), 1)[0]
     corners = solid.vertices[solid.faces]
     if not double_areas(corners).sum() > 0:
@@ -91,7 +90,7 @@ def iso_solid(
     field: DeviceArray | npt.ArrayLike, pitch: tuple[float, float, float] | float, level: float = 0.5,
     name: str = "print",
 ) -> Solid:  # fmt: skip
-    """Where a field [x, y, z] or [l, rho, z] crosses a level, closed at the edges of its grid."""
+    """The surface where a field [x, y, z] or [l, rho, z] crosses a level, closed at the edges of its grid."""
     # pitch: voxel edges [mm]. Coordinates [mm] count from the middle of the grid.
     from skimage.measure import marching_cubes
 

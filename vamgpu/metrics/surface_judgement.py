@@ -27,25 +27,25 @@ from vamgpu.targets.repair import bodies
 from vamgpu.targets.solid import Solid
 
 SAMPLES = 10_000
-"""Points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
+"""Number of points drawn on each of the two surfaces for the mean, RMS and 95 %, and on the part for its walls."""
 _DENSE = 300_000
-"""Most points on each surface in the search for the greatest distances."""
+"""Greatest number of points on each surface in the search for the greatest distances."""
 _PER_VOXEL_FACE = 1.0
 _CANDIDATES = 500
 _PIECES = 128
-"""Most pieces of triangles that a point is compared with: enough except for points equally far from a whole part."""
+"""Greatest number of pieces of triangles compared with a point; more matter only if equally far from a whole part."""
 _WIDEST = 4.0
-"""In voxels of the part; anything thicker does not count as a wall."""
+"""Thickness, in voxels of the part, above which nothing counts as a wall."""
 
 
 @dataclass(frozen=True)
 class WallChanges:
-    """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none of a kind."""
+    """Walls of a part that were printed and that were lost, by thickness [mm]; NaN if there are none."""
 
     # A wall is thinner than four of the part's voxels. It is lost if the dose in its middle stays below the threshold.
-    # A sharp edge also counts as a wall, which tapers to zero thickness.
+    # A sharp edge, which tapers to zero thickness, also counts as a wall.
 
-    share_lost: float  # of the area of all walls, 0..1
+    share_lost: float  # share of the area of all walls, 0..1
     thinnest_lost: float
     thickest_lost: float  # of those that are lost
     thinnest_printed: float  # of those that are printed
@@ -61,8 +61,8 @@ class SurfaceJudgement:
     distances: Array = field(repr=False)  # of n points of the print's surface, then of n of the part's, (2 n,) [mm]
     greatest_excess: float  # greatest distance by which the print is too thick [mm], ≥ 0
     greatest_lack: float  # greatest distance by which it is too thin or missing [mm], ≥ 0
-    walls: WallChanges  # which walls of the part were lost
-    changes: BodyChanges  # which bodies, holes and cavities were lost, joined or gained
+    walls: WallChanges  # walls of the part that were lost
+    changes: BodyChanges  # bodies, holes and cavities that were lost, joined or gained
     unjudged: Unjudged  # features too thin for the part's voxels
 
     @property
@@ -77,7 +77,7 @@ class SurfaceJudgement:
 
     @property
     def p95(self) -> float:
-        """The distance [mm] that 95 % of the points stay below."""
+        """The distance [mm] that 95 % of the points do not exceed."""
         return float(np.quantile(np.abs(self.distances), 0.95)) if self.distances.size else nan
 
     @property
@@ -120,10 +120,9 @@ def judge_surface(
     solid: Solid | None = None, *, thin: Unjudged | None = None, samples: int = SAMPLES,
 ) -> SurfaceJudgement:  # fmt: skip
     """Compare the surface at which a dose reaches the threshold with a part."""
-    # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities
-    # are those of voxels of the dose's grid: anything thinner is not compared. `unjudged` reports what is thinner than
-    # the part's voxels.
-    # dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
+    # Distances are measured between the triangles of both surfaces, not between samples. Bodies, holes and cavities are
+    # compared on voxels of the dose's grid; thinner ones are not compared. `unjudged` reports features thinner than the
+    # part's voxels. dose [x, y, z]; origin [mm] (3,); pitch [mm]; fraction [x, y, z]
     number = counts("samples", (samples,), 1)[0]
     if thin is None:
         solid = None if solid is None else joined(solid)
@@ -151,25 +150,32 @@ def judge_surface(
     if printed is None:
         return SurfaceJudgement(np.zeros(0), nan, nan, lost_walls, changes, thin)
 
+    distances, most = _distances(near, points, printed, inside, around)
+    return SurfaceJudgement(
+        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
+    )  # fmt: skip
+
+
+def _distances(
+    near: Nearest, points: Array, printed: TriangleSearch, inside: npt.NDArray[np.bool_], around: PrintedField
+) -> tuple[Array, Array]:
+    """Signed distances at points of the print and of the part; and these with those that may be greatest."""
+
     def of_part(at: Array) -> Array:
         return np.where(around.printed(at), 1.0, -1.0) * printed(at, most=_PIECES)[0]
 
     def of_print(at: Array) -> Array:
         return near(at, most=_PIECES).distance
 
-    cloud = drawn_on(printed.corners, number, printed.areas)[0]
+    cloud = drawn_on(printed.corners, len(points), printed.areas)[0]
     dense_part, dense_print = _dense(near.search, around.pitch), _dense(printed, around.pitch)
     ways = (
         (of_print, near.search, cloud, dense_print, ~_masked(inside, around, dense_print)),
         (of_part, printed, points, dense_part, around.printed(dense_part)),
     )
     distances = np.concatenate([measured(cloud) for measured, _, cloud, _, _ in ways])
-    most = np.concatenate(
-        [distances, *(measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways)]
-    )
-    return SurfaceJudgement(
-        distances, max(float(most.max()), 0.0), max(-float(most.min()), 0.0), lost_walls, changes, thin
-    )  # fmt: skip
+    farthest = [measured(_far(search, dense, thick)) for measured, search, _, dense, thick in ways]
+    return distances, np.concatenate([distances, *farthest])
 
 
 def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
@@ -184,7 +190,7 @@ def _own_bodies(part: Solid, found: Topology, around: PrintedField) -> Topology:
     genus = np.array([1 - len(one.vertices) // 2 + len(one.faces) // 4 for one in meshes])  # of closed surfaces
     boxes = [np.stack([one.vertices.min(axis=0), one.vertices.max(axis=0)]) for one in meshes]
     group, most = -np.arange(1, found.bodies + 1), np.zeros(found.bodies, np.int64)
-    for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # what lies in a cavity comes after its shell
+    for k in np.argsort([-np.ptp(box, axis=0).prod() for box in boxes]):  # a cavity comes after its shell
         low, high = np.rint((boxes[k] - around.origin) / around.pitch).astype(np.int64) + [[0], [1]]
         mask = mesh_mask(meshes[k], around.origin + low * around.pitch, around.pitch, tuple((high - low).tolist()))
         there = found.body[tuple(map(slice, low, high))][mask]
@@ -222,7 +228,7 @@ def _masked(inside: npt.NDArray[np.bool_], around: PrintedField, points: Array) 
 
 
 def _far(search: TriangleSearch, points: Array, thick: npt.NDArray[np.bool_]) -> Array:
-    """The points that may be farthest from a surface, for points where the print is too thick and for the others."""
+    """Candidates for the points farthest from a surface, for points where the print is too thick and for the others."""
     low, high = search.bounds(points)
     chosen = []
     for side in (np.flatnonzero(thick), np.flatnonzero(~thick)):

@@ -1,4 +1,4 @@
-"""Parts of a target that are too thin for its voxels, so that no score counts them."""
+"""Features of a target that are too thin for its voxels; no score counts them."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from vamgpu.targets.solid import Solid
 IN_THE_PART = 0.5
 """Least filled share at which a voxel counts as in the part, as in `Parts`."""
 _PER_VOXEL_FACE, _LEAST, _MOST = 2.0, 5_000, 400_000
-"""Points looked at on the surface: for each voxel face, at least, at most."""
+"""Least and greatest number of sample points on the surface, per voxel face."""
 _WIDEST = 2.0
-"""Voxels; walls as thick as this are shown, whatever their place."""
+"""Wall thickness, in voxels, from which the voxels show a wall at any position."""
 _SMALLEST = 0.5
 """Least volume of a region, in voxels; a smaller one would not fill half of a voxel."""
 
 
 @dataclass(frozen=True)
 class ThinRegion:
-    """A connected part of the target that its voxels do not show."""
+    """A connected feature of the target that its voxels do not show."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]  # corners of the box around it [mm]
@@ -43,7 +43,7 @@ class ThinRegion:
 
 @dataclass(frozen=True)
 class Unjudged:
-    """All that is too thin to be judged on a grid, the largest region first; false if there is none."""
+    """All features that are too thin to be judged on a grid, the largest region first; false if there are none."""
 
     regions: tuple[ThinRegion, ...]
     pitch: float  # of the grid [mm]
@@ -81,11 +81,10 @@ class Unjudged:
 
 def unjudged(fraction: npt.ArrayLike, grid: Grid, solid: Solid | None = None) -> Unjudged:
     """Find features that the voxels of a target do not show."""
-    # With a mesh: walls with no voxel of the part around their middle, because walls thinner than about a voxel do not
-    # fill half of any. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels with no
-    # neighbor in the part, which thin walls leave in the fractions. Neither finds a thin wall less than a voxel from a
-    # thick one.
-    # fraction [x, y, z]
+    # With a mesh: walls without a voxel of the part around their middle, because walls thinner than about a voxel do
+    # not fill half of any. Walls of a voxel or more are always judged. Without a mesh: partly filled voxels without a
+    # neighbor in the part, because thin walls leave such fractions. Neither method finds a thin wall less than a voxel
+    # from a thick one. fraction [x, y, z]
     part = np.asarray(fraction)
     if part.shape != grid.shape:
         raise ShapeMismatch(f"the fractions have shape {part.shape}, the grid {grid.shape}; expected the same")
@@ -101,7 +100,7 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
     a, b, c = np.moveaxis(corners[face], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    # Half a voxel below the surface of a thick part, every voxel is at least half filled: only the others are searched.
+    # Half a voxel below the surface of a thick part, every voxel is at least half filled: only others are searched.
     doubtful = ~_shown(part, grid, points - 0.5 * grid.pitch * normals, around=False)
     if not doubtful.any():
         return []
@@ -111,7 +110,7 @@ def _in_mesh(part: np.ndarray, grid: Grid, solid: Solid) -> list[ThinRegion]:
 
 
 def _regions(center: Array, thickness: Array, part: np.ndarray, grid: Grid) -> list[ThinRegion]:
-    """Points whose voxels touch, or have one voxel between them, belong together, with what fills voxels there."""
+    """Regions of points whose voxels touch or have one voxel between them, with the filled volume there."""
     from scipy.ndimage import binary_dilation, label
 
     index = np.floor(center / grid.pitch + 0.5 * np.asarray(grid.shape)).astype(np.int64)
@@ -159,8 +158,8 @@ def _in_voxels(part: np.ndarray, grid: Grid) -> list[ThinRegion]:
 
 def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDArray[np.bool_]:
     """Whether the voxel that each point lies in counts as in the part; ``around``: or any of its 26 neighbors."""
-    # The middle of an oblique wall, thick enough, may lie in the corner of a voxel that the wall misses; and the rim of
-    # every wall ends between voxels.
+    # The middle of an oblique wall that is thick enough may lie in a corner of a voxel that the wall misses; and the
+    # rim of every wall ends between voxels.
     at = points / grid.pitch + 0.5 * np.asarray(grid.shape)
     shown = np.zeros(len(points), bool)
     for step in product((-1, 0, 1), repeat=3) if around else [(0, 0, 0)]:
@@ -171,7 +170,7 @@ def _shown(part: np.ndarray, grid: Grid, points: Array, around: bool) -> npt.NDA
 
 
 def _cropped(part: np.ndarray) -> tuple[np.ndarray, list[int]]:
-    """The voxels around all that are filled at all, and the index of the first."""
+    """The box of voxels around all partly filled ones, and the index of its first voxel."""
     cut = []
     for axis in range(3):
         along = np.flatnonzero(part.any(axis=tuple(k for k in range(3) if k != axis)))

@@ -1,7 +1,7 @@
 """The process window as a function of the tolerance of a print.
 
 W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose. W(0) judges
-every point of the resin; W at a tolerance ignores points nearer to the surface.
+every point of the resin; at a tolerance, W ignores points closer to the surface.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from vamgpu.metrics.interpolation import interpolated
 
 Array = npt.NDArray[np.floating]
 Depth = Callable[[Array, Array, Array], Callable[[], Array]]
-"""Given three axes [mm], returns what finds the signed depth [mm] in the part, > 0 inside, [x, y, z], on the host."""
+"""Function of three axes [mm]; returns the signed depth [mm] of points in the part, > 0 inside, [x, y, z]."""
 
 WIDEST = 2.0
-"""Tolerances are drawn from 0 to this many voxels."""
+"""Largest tolerance of the curve, in voxels."""
 BINS = 128
-"""Steps of the curve; an even number puts half a voxel on a step."""
+"""Number of steps of the curve; an even number puts half a voxel on a step."""
 VOXELS, SLICES = 1 << 24, (16, 64)
-"""Voxels that a thread judges at once, and fewest and most slices: depths also need slices on either side of them."""
+"""Voxels that a thread judges at a time, and least and greatest number of slices; depths also need slices around."""
 BESIDE, MEMORY = 24, 1 << 32
 """Bytes that computing the depth takes per voxel, and limit of all threads."""
 _ROUNDING = 1e-4
-"""Voxels by which a depth may miss a step and still count for it."""
+"""Tolerance, in voxels, for the comparison of a depth with a step."""
 
 
 class Slab(Protocol):
-    """A dose between two heights: dose [x, y, z], on a device or not, and where its voxels are along the axes [mm]."""
+    """A dose between two heights: dose [x, y, z], on a device or in NumPy, and its voxels' positions [mm]."""
 
     @property
     def dose(self) -> Array | DeviceArray: ...
@@ -52,10 +52,10 @@ class Slab(Protocol):
 
 
 class Part(Protocol):
-    """A part that gives its fractions on other voxels; a `Target` is one."""
+    """A part that can give its fractions on other voxels; a `Target` is one."""
 
     def resampled(self, grid: Grid, shift: tuple[float, float, float] = ...) -> Any:
-        """Filled share of every voxel of ``grid`` [x, y, z], with its middle moved by ``shift``."""
+        """Filled share of every voxel of ``grid`` [x, y, z], whose middle is moved by ``shift``."""
         ...
 
 
@@ -63,7 +63,7 @@ class Part(Protocol):
 class ToleranceWindow:
     """The process window against the tolerance."""
 
-    distance: Array  # the tolerances [mm], from 0 to two voxels or farther, even steps
+    distance: Array  # the tolerances [mm], from 0 to two voxels or farther, in even steps
     least_in: Array  # least dose at least that deep in the part; infinite if no voxel is that deep
     greatest_out: Array  # greatest dose at least that far outside; 0 if no voxel is that far
     judged: Array  # share of the part's volume that is at least that deep, 0..1
@@ -76,17 +76,17 @@ class ToleranceWindow:
         return (least - self.greatest_out) / (self.peak or 1.0)
 
     def at(self, distance: float) -> float:
-        """W at a tolerance [mm], at the next smaller step of the curve. Raises `BadInput` beyond the last."""
+        """W at a tolerance [mm], rounded down to a step of the curve. Raises `BadInput` beyond the last step."""
         return float(self.window[self._step(distance)])
 
     def limits(self, distance: float) -> tuple[float, float]:
-        """Least dose in the part and greatest outside at a tolerance [mm]. Raises `BadInput` beyond the last."""
+        """Least dose in the part and greatest outside at a tolerance [mm]. Raises `BadInput` beyond the last step."""
         # If no voxel is that deep, the least dose is that of the deepest voxels.
         step, deepest = self._step(distance), int(np.flatnonzero(self.judged)[-1])
         return float(self.least_in[min(step, deepest)]), float(self.greatest_out[step])
 
     def judged_at(self, distance: float) -> float:
-        """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond the last."""
+        """Share of the part's volume that W at a tolerance [mm] judges. Raises `BadInput` beyond the last step."""
         return float(self.judged[self._step(distance)])
 
     def _step(self, distance: float) -> int:
@@ -105,7 +105,7 @@ def tolerance_window(
     bins: int = BINS,
     reach: float | None = None,
 ) -> ToleranceWindow:
-    """Judge a dose slab by slab; memory is that of a slab for each thread, and of a few of its slices."""
+    """Judge a dose slab by slab; memory holds a slab for each thread, and a few of its slices."""
     # voxel [mm]; radius [mm]; reach [mm]
     reach = WIDEST * positive("voxel [mm]", voxel) if reach is None else positive("reach [mm]", reach)
     tally = _Tally(voxel, reach, counts("bins", (bins,), 1)[0])
@@ -127,7 +127,7 @@ _Piece = tuple[Array, npt.NDArray[np.bool_] | None, Callable[[], Array]]
 
 
 def _pieces(slabs: Iterable[Slab], depth: Depth, radius: float | None) -> Iterator[_Piece]:
-    """Doses of a few slices of slabs at a time, the columns [x, y] that count, and what finds their depths."""
+    """Doses of a few slices of slabs at a time, the columns [x, y] that count, and the function for their depths."""
     for slab in slabs:
         dose = slab.dose.numpy() if isinstance(slab.dose, DeviceArray) else np.asarray(slab.dose)
         if dose.shape != (len(slab.x), len(slab.y), len(slab.z)):
@@ -171,7 +171,7 @@ class _Tally:
                 self.count[-1] += np.count_nonzero(beyond)
 
     def take(self, other: _Tally) -> None:
-        """Add the counts of another one."""
+        """Add the counts of another histogram."""
         self.least, self.greatest = np.minimum(self.least, other.least), np.maximum(self.greatest, other.greatest)
         self.count, self.peak = self.count + other.count, max(self.peak, other.peak)
 
@@ -188,7 +188,7 @@ class _Tally:
         )
 
 
-# ---- where the surface is -------------------------------------------------------------------------------------------
+# ---- depths ----------------------------------------------------------------------------------------------------
 def depth_of_target(target: Part, pitch: float, voxel: float, reach: float | None = None) -> Depth:
     """Depths from the part's own surface, sampled on voxels of ``pitch`` [mm]."""
     # pitch [mm]; voxel [mm]; reach [mm]
@@ -210,8 +210,8 @@ def _middle(axis: Array) -> float:
 
 def depth_of_fractions(fraction: npt.ArrayLike, grid: Grid, flat: bool = False, reach: float | None = None) -> Depth:
     """Depths from the fractions of the part's own voxels, interpolated linearly between their centers."""
-    # Midway between two surfaces the depth is up to half a voxel less than the true one.
-    # fraction [x, y, z]; reach [mm]
+    # Midway between two surfaces, the depth is up to half a voxel less than the true one. fraction [x, y, z]; reach
+    # [mm]
     reach = (WIDEST if reach is None else reach / grid.pitch) + 1.0
     margin = ceil(reach) + 1
     around = surrounded(np.asarray(fraction, np.float32), margin, flat)

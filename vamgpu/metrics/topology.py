@@ -14,9 +14,9 @@ Labels = npt.NDArray[np.int32]
 Mask = npt.NDArray[np.bool_]
 
 _SLAB = 32
-"""Planes along x looked at at once."""
+"""Number of planes along x processed at a time."""
 _ONWARD = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)
-"""Steps from a corner to the others of its cube."""
+"""Steps from a corner to the other corners of its cube."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ class Topology:
         return len(self.cavity_size)
 
     def together(self, group: npt.NDArray[np.int64], genus: npt.NDArray[np.int64]) -> Topology:
-        """The same, where all bodies of a group count as one; group: the number of each body's, (bodies,)."""
-        # genus: holes of each group that is numbered from 0 on; they count where it has several bodies
+        """The same, with all bodies of a group as one; group: the group number of each body, (bodies,)."""
+        # genus: holes of each group, numbered from 0; they are used for groups of several bodies
         own, number, many = np.unique(group, return_inverse=True, return_counts=True)
         body = np.concatenate([[0], number + 1]).astype(np.int32)[self.body]
         size, holes = (np.bincount(number, each).astype(np.int64) for each in (self.size, self.holes))
@@ -64,7 +64,7 @@ def topology(mask: Mask) -> Topology:
 
 
 def _labeled(mask: Mask, neighbors: Literal[6, 26]) -> tuple[Labels, npt.NDArray[np.int64]]:
-    """Numbers of the pieces of a volume from 1 on, 0 beside them, and their sizes."""
+    """Numbers of the components of a volume, from 1 on, 0 outside them, and their sizes."""
     import cc3d
 
     found: Any = cc3d.connected_components(mask, connectivity=neighbors, return_N=True, out_dtype=np.uint32)
@@ -75,7 +75,7 @@ def _labeled(mask: Mask, neighbors: Literal[6, 26]) -> tuple[Labels, npt.NDArray
 
 
 def _cavities(mask: Mask) -> tuple[Labels, npt.NDArray[np.int64]]:
-    """Numbers of void voxels that no path of voxels leads out from, and how many each has."""
+    """Numbers of void voxels from which no path leads out, and the size of each cavity."""
     void, size = _labeled(np.pad(~mask, 1, constant_values=True), 26)
     closed = np.arange(size.size + 1) > 0
     closed[void[0, 0, 0]] = False  # the void around everything
@@ -86,7 +86,7 @@ def _cavities(mask: Mask) -> tuple[Labels, npt.NDArray[np.int64]]:
 
 
 def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:
-    """The body around each cavity: it lies before the cavity's first voxel along x."""
+    """The body around each cavity: the voxel before the cavity's first voxel along x belongs to it."""
     flat = cavity.ravel()
     at = np.flatnonzero(flat)
     _, first = np.unique(flat[at], return_index=True)
@@ -96,7 +96,7 @@ def _owners(body: Labels, cavity: Labels) -> npt.NDArray[np.int64]:
 
 def _euler(mask: Mask, body: Labels, count: int) -> npt.NDArray[np.int64]:
     """Euler characteristic of each body."""
-    # Every corner has the edges, faces and cube that go on from it along the axes; within a body they add up to none.
+    # Every corner owns the edges, faces and cube that extend from it along the axes; inside a body they cancel.
 
     def slab(first: int) -> Any:
         cells = np.pad(mask[first : first + _SLAB + 1], ((0, 0), (0, 1), (0, 1)))

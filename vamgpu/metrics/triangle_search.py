@@ -13,30 +13,28 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _FIRST, _GROWTH = 8, 4
-"""Pieces looked at for a point, and how many times as many where a nearer one cannot be ruled out yet."""
+"""Number of pieces searched for a point, and its factor of growth while a nearer piece cannot be ruled out."""
 _SURE = 2
-"""The nearest pieces, whose distance is computed at once; it rules out most others."""
+"""Number of nearest pieces whose distance is computed first; it rules out most others."""
 _ROUGH = 0.01
-"""Share of a distance that a quick search may be wrong by: at a ball's center all pieces are about equally near, and
-an exact one would visit each."""
+"""Relative error of a distance in a quick search: at a ball's center all pieces are about equally near, and an exact
+search would visit all of them."""
 _LEAF = 32
 _PARTS = 16
-"""Into which a segment is cut, at most."""
+"""Greatest number of parts into which a segment is cut."""
 _BATCH = 1 << 18
-"""Pairs of a point and a piece held in memory at once."""
+"""Number of pairs of a point and a piece in memory at a time."""
 _PIECES = 100_000
-"""Long triangles are cut until pieces are about as small as this many equal ones would be."""
+"""Long triangles are cut until pieces are about as small as this number of equal ones."""
 
 
 class TriangleSearch:
-    """Search over triangles that need not close; build once, ask often."""
+    """Search over triangles that need not form a closed surface; build it once and query it often."""
 
-    # corners: (m, 3, 3) [mm]; triangles without area are left out.
-    # longest: triangles with shorter edges [mm] need not be cut; small parts would be cut into dust otherwise.
-    # kept: which of the triangles have an area, boolean (m,).
-    # corners: of those, (k, 3, 3) [mm].
-    # areas: twice that of all up to each [mm²], (k,).
-    # reach: a piece of a triangle reaches no farther from its middle [mm].
+    # corners: (m, 3, 3) [mm]; triangles without area are left out. longest: triangles with shorter edges [mm] need not
+    # be cut, which protects small parts. kept: which of the triangles have an area, boolean (m,). corners: of those,
+    # (k, 3, 3) [mm]. areas: cumulative sum of twice their areas [mm²], (k,). reach: largest distance of a piece's
+    # points from its middle [mm].
 
     def __init__(self, corners: Array, longest: float = 0.0) -> None:
         from scipy.spatial import KDTree
@@ -74,16 +72,16 @@ class TriangleSearch:
         return best, weight, face
 
     def bounds(self, points: Array) -> tuple[Array, Array]:
-        """Between which lengths the distances [mm] of points (n, 3) lie; several times faster than the distances."""
+        """Bounds of the distances [mm] of points (n, 3); several times faster than the distances."""
         far, piece = self._tree.query(points, workers=threads())
-        # The nearest middle is at least `far` away, so no piece comes nearer than that less its reach.
+        # The nearest middle is at least `far` away; no piece is closer than that minus its reach.
         del piece
         return np.maximum(far - self.reach, 0.0), far
 
     def near_segments(self, starts: Array, ends: Array) -> tuple[Indices, Indices]:
         """Triangles that may meet straight segments between points (n, 3) [mm]: pairs of a segment and a triangle."""
-        # A pair may come several times: balls about short parts of a segment hold fewer triangles than one about it
-        # all.
+        # A pair may occur several times: balls around short parts of a segment contain fewer triangles than one around
+        # all of it.
         length = _length(ends - starts)
         parts = int(np.clip(length.max(initial=0.0) / (4.0 * self.reach), 1, _PARTS))
         share = (np.arange(parts) + 0.5) / parts
@@ -95,7 +93,7 @@ class TriangleSearch:
         piece = np.concatenate([np.asarray(some, np.int64) for some in found])
         if not piece.size:
             return segment, piece
-        # What lies beside the segment by more than its reach cannot meet it: most of the ball.
+        # Pieces farther from the segment than their reach, most of the ball, cannot meet it.
         way = (ends - starts)[segment]
         offset = self._middles[piece] - starts[segment]
         share = np.clip(np.einsum("ij,ij->i", offset, way) / np.einsum("ij,ij->i", way, way), 0.0, 1.0)
@@ -132,11 +130,11 @@ def double_areas(corners: Array) -> Array:
 
 
 def drawn_on(corners: Array, samples: int, areas: Array | None = None) -> tuple[Array, Indices]:
-    """Points on triangles, as many on every mm², with a fixed seed; areas: as of `TriangleSearch`."""
+    """Points on triangles, uniformly distributed by area, with a fixed seed; areas: as in `TriangleSearch`."""
     # corners (m, 3, 3) [mm]; returns (samples, 3) [mm] (samples,)
     ends = double_areas(corners).cumsum() if areas is None else areas
     random = np.random.default_rng(0)
-    # One point in each equal share of the area: no patch is left out.
+    # One point in each equal share of the area: no region is left out.
     at = (np.arange(samples) + random.random(samples)) * (ends[-1] / samples)
     face = np.searchsorted(ends, at).clip(max=len(corners) - 1)
     root, other = np.sqrt(random.random((samples, 1))), random.random((samples, 1))
@@ -146,7 +144,7 @@ def drawn_on(corners: Array, samples: int, areas: Array | None = None) -> tuple[
 
 def barycentric(points: Array, corners: Array) -> Array:
     """Weights (n, 3) of the corners (n, 3, 3) of each triangle that make its point nearest to each point (n, 3)."""
-    # On an edge one weight, at a corner two are exactly 0.
+    # On an edge one weight is exactly 0, at a corner two.
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     area = np.einsum("ni,ni->n", normal, normal)
@@ -167,11 +165,11 @@ def barycentric(points: Array, corners: Array) -> Array:
 
 
 def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
-    """Triangles cut at the middle of their longest edge until all are short, and the triangle each came from."""
+    """Triangles cut at the middle of their longest edge until all are short, and the original of each piece."""
     done, parents = [], []
     left, parent = corners, np.arange(len(corners))
     while len(left):
-        edges = _edges(left)
+        edges = np.stack([_length(left[:, k] - left[:, (k + 1) % 3]) for k in range(3)], axis=1)  # from each corner
         short = edges.max(axis=1) <= limit
         if short.all() and not done:
             return left, parent
@@ -184,11 +182,6 @@ def _pieces(corners: Array, limit: float) -> tuple[Array, Indices]:
         left = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
         parent = np.concatenate([parent, parent])
     return np.concatenate(done), np.concatenate(parents)
-
-
-def _edges(corners: Array) -> Array:
-    """Lengths (m, 3) of the edges that start at each corner."""
-    return np.stack([_length(corners[:, k] - corners[:, (k + 1) % 3]) for k in range(3)], axis=1)
 
 
 def _length(vectors: Array) -> Array:

@@ -10,18 +10,18 @@ import numpy.typing as npt
 from vamgpu.metrics.triangle_search import Array, TriangleSearch
 
 FACING = 0.5
-"""Cosine between a wall's thickness and the normal of its far side: that side is turned by 60° at most."""
+"""Smallest cosine between a wall's direction of thickness and the normal of its far side: 60° at most."""
 _RAYS = 1000
-"""Rays looked at at once."""
+"""Number of rays processed at a time."""
 _RIM = 1e-9
-"""Share of a triangle by which a ray may miss it, so that none slips through between two of them."""
+"""Share of a triangle by which a ray may miss it; no ray then slips through between two triangles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Walls:
     """The wall below each of some points of a part's surface."""
 
-    # (n,) whether the part ends below the point, within the thickness that was looked for, at a side that faces it
+    # (n,) whether the part ends below the point, within the searched thickness, at a side that faces it
     is_wall: npt.NDArray[np.bool_]
     thickness: Array  # (n,) [mm] along the normal; infinite where there is no wall
     center: Array  # (n, 3) [mm] halfway through the wall; the point itself where there is none
@@ -29,9 +29,9 @@ class Walls:
 
 def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float) -> Walls:
     """Thickness of a part along the inward normals of its surface."""
-    # It is the shape diameter of L. Shapira, A. Shamir and D. Cohen-Or, Vis. Comput. 24 (2008) 249, by one ray. A ball
-    # in place of it would call a square pin a corner, for it touches neighboring sides first.
-    # points (n, 3) [mm]; normals (n, 3); widest [mm]
+    # It is the shape diameter (L. Shapira, A. Shamir and D. Cohen-Or, Vis. Comput. 24 (2008) 249), measured by one ray.
+    # A ball instead of a ray would see a square pin as a corner, because it touches neighboring sides first. points (n,
+    # 3) [mm]; normals (n, 3); widest [mm]
     thickness, facing = np.full(len(points), np.inf), np.zeros(len(points))
     for first in range(0, len(points), _RAYS):
         some = slice(first, first + _RAYS)
@@ -48,7 +48,7 @@ def walls(surface: TriangleSearch, points: Array, normals: Array, widest: float)
 
 
 def _exits(start: Array, along: Array, corners: Array) -> tuple[Array, Array]:
-    """Length at which each ray leaves through its triangle, else infinite, and the cosine to its normal."""
+    """Length at which each ray leaves through its triangle, else infinite, and its cosine to the normal."""
     # By T. Möller and B. Trumbore, J. Graphics Tools 2 (1997) 21.
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, other)

@@ -12,10 +12,10 @@ from vamgpu.metrics.parts import IN, OUT, Parts
 
 @dataclass(frozen=True)
 class Windows:
-    """Process windows over the greatest dose; positive where some threshold prints every judged voxel right.
+    """Process windows over the greatest dose; if positive, some threshold prints every judged voxel correctly.
 
-    strict: least dose in the part − greatest dose out of it.  trimmed: 1 % quantile in − 99 % quantile out.
-    fine: 0.1 % in − 99.9 % out.  one_sided: least in − 99 % out.
+    strict: least dose in the part − greatest dose outside. trimmed: 1 % quantile in − 99 % quantile out. fine: 0.1 % in
+    − 99.9 % out. one_sided: least in − 99 % out.
     """
 
     strict: float
@@ -40,7 +40,7 @@ def windows(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> Windows:
 
 def quantiles(parts: Parts, voxels: tuple[int, int], share: float) -> tuple[float, float]:
     """The ``share`` quantile in the part and the 1 − ``share`` quantile out of it, in units of the dose."""
-    # Both are doses of voxels, and of the two that a quantile lies between the worse one (NumPy's methods "lower" and
+    # Both are doses of voxels; of the two doses around a quantile, the worse one counts (NumPy's methods "lower" and
     # "higher").
     value = order_statistic(parts, ranks(np.array([voxels]), share))
     outside = value[0, OUT] if voxels[OUT] else 0.0
@@ -48,6 +48,6 @@ def quantiles(parts: Parts, voxels: tuple[int, int], share: float) -> tuple[floa
 
 
 def ranks(voxels: np.ndarray, share: float) -> np.ndarray:
-    """Ranks [slice, class] of the doses that `quantiles` are, from 0; voxels: counted [slice, class]."""
+    """Ranks [slice, class], from 0, of the doses of `quantiles`; voxels: counted [slice, class]."""
     low, high = np.ceil((1.0 - share) * (voxels[:, OUT] - 1) - 1e-9), np.floor(share * (voxels[:, IN] - 1) + 1e-9)
     return np.maximum(np.stack([low, high], axis=1), 0.0)  # OUT is 0, IN is 1

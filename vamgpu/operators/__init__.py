@@ -1,1 +1,1 @@
-"""Linear operators between spaces on devices; they know geometry and ray tables, no physics."""
+"""Linear operators between spaces on devices; they contain geometry and ray tables, but no physics."""

@@ -1,4 +1,4 @@
-"""Bands: a sparse light of one pose as short runs of neighboring columns, in the order each direction gathers them."""
+"""Bands: the sparse light of one angle as short runs of neighboring columns, in the order of each direction."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from vamgpu.kernels.unfold import shift_window
 from vamgpu.web import Propagation
 
 CHUNK = 4
-"""Weights of a band are filled up to a multiple of this, which a GPU reads at once."""
+"""Weights of a band are padded to a multiple of this number, which a GPU reads at once."""
 
 
 @dataclass(frozen=True)
 class Bands:
-    """Runs of weights by row of the target, as `shift_window` takes them."""
+    """Runs of weights by row of the target, in the form of `shift_window`."""
 
     # rows: (rows + 1,) first band of each.  bands: (bands, 4) source minor, first major, first chunk, count. weights:
     # (chunks, 4).  step, phases: sample m·phases + c of the target begins at m·step of the source.

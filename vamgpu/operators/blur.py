@@ -16,12 +16,12 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import Space
 
 FINE = 32
-"""Samples a pixel of a profile whose width is measured."""
+"""Samples per pixel of a profile whose width is measured."""
 
 
 @final
 class Blur(LinearOperator):
-    """Images [angle, r, z] blurred along r and along z by one side of symmetric taps each; its own transpose."""
+    """Images [angle, r, z] blurred along r and along z by symmetric taps, given for one side; self-adjoint."""
 
     range: Space
 
@@ -40,7 +40,7 @@ class Blur(LinearOperator):
 
 
 def gaussian(fwhm: float, width: float = 1.0) -> np.ndarray:
-    """One side of Gaussian taps of sum one; voxels ``width`` ≥ 1 pixels wide see a pixel as wide as ``fwhm``."""
+    """One side of Gaussian taps with sum one; for voxels ``width`` ≥ 1 pixels wide, a pixel is ``fwhm`` wide."""
     reach = np.arange(3 + int(2.6 * fwhm))
     low, high = log(1e-3), log(0.2 * fwhm**2 + 0.5)
     if width_of(_taps(low, reach), width) >= fwhm:
@@ -57,7 +57,7 @@ def _taps(log_variance: float, reach: np.ndarray) -> np.ndarray:
 
 
 def width_of(taps: np.ndarray, width: float) -> float:
-    """Full width at half maximum [pixels] of one pixel after taps, as voxels ``width`` pixels wide see it."""
+    """Full width at half maximum [pixels] of one pixel after the taps, as seen by voxels ``width`` pixels wide."""
     place = np.arange(FINE * (len(taps) + int(width) + 2)) / FINE
     pixels = np.arange(1 - len(taps), len(taps))
     overlap = np.clip(0.5 * (1.0 + width) - np.abs(place[:, None] - pixels), 0.0, 1.0) / width

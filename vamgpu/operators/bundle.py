@@ -1,4 +1,4 @@
-"""Rays of a beam's pixels as they leave the source, in the laboratory: any directions, several to a pixel."""
+"""Rays of a beam's pixels as they leave the source, in fixed coordinates: any directions, several per pixel."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from vamgpu.geometry import Beam, Grid, centers, positive
 
 @dataclass(frozen=True, eq=False)
 class RayBundle:
-    """Where the rays of every pixel start and where they head, the same at every angle.
+    """Start points and directions of the rays of every pixel, the same at every angle.
 
     Args:
-        start: Any point of each ray, all from outside the grid, (columns, rows or 1, rays, 3) [mm]: across the light
-            from the axis, along it, and above the middle of the pixel's row.
-        direction: In the same three axes, (columns, rows or 1, rays, 3), of any length and not upright.
-        weight: Share of the pixel's light in each ray, (rays,) or (columns, rows or 1, rays); None shares it equally.
+        start: Any point on each ray outside the grid, (columns, rows or 1, rays, 3) [mm]: across the light from the
+            axis, along it, and above the middle of the pixel's row.
+        direction: In the same three axes, (columns, rows or 1, rays, 3), of any length and not along the rotation axis.
+        weight: Share of the pixel's light in each ray, (rays,) or (columns, rows or 1, rays); None divides it equally.
 
     Raises:
         BadInput: Shapes differ, a number is not finite, or a direction is zero or upright.
@@ -45,20 +45,20 @@ class RayBundle:
             raise BadInput(
                 f"weights of rays have shape {weight.shape}; expected {count} finite numbers ≥ 0, or some a pixel"
             )
-        length[np.abs(length - 1.0) < 1e-15] = 1.0  # so that a bundle read back is the same to the bit
+        length[np.abs(length - 1.0) < 1e-15] = 1.0  # a bundle that is read back is then the same to the bit
         for name, value in (("start", start), ("direction", direction / length), ("weight", weight)):
             object.__setattr__(self, name, value)
 
     @classmethod
     def parallel(cls, beam: Beam, rise: float = 0.0) -> RayBundle:
-        """Parallel light that climbs; above the axis it is at its row's height.
+        """Parallel light that rises; at the axis it is at its row's height.
 
         Args:
             beam: Its pixels.
             rise: Elevation [rad].
 
         Returns:
-            One ray a pixel.
+            One ray per pixel.
         """
         columns = beam.columns()
         start = np.zeros((columns.size, 1, 1, 3))
@@ -74,7 +74,7 @@ class RayBundle:
             distance: Distance of the sources from the axis [mm].
 
         Returns:
-            One ray a pixel.
+            One ray per pixel.
         """
         distance = positive("distance of the source [mm]", distance)
         columns = beam.columns()
@@ -86,17 +86,17 @@ class RayBundle:
 
     @classmethod
     def cone(cls, beam: Beam, half_angle: float, rays: int = 7, focus: float = 0.0, level: bool = False) -> RayBundle:
-        """A level cone of light from each pixel, in equal shares.
+        """A horizontal cone of light from each pixel, in equal shares.
 
         Args:
             beam: Its pixels.
-            half_angle: Half angle of the cone [rad]; directions fill its disc as a sunflower's seeds do.
-            rays: Rays of a pixel.
+            half_angle: Half angle of the cone [rad]; directions fill its disc in a sunflower pattern.
+            rays: Rays per pixel.
             focus: Position of the focus, downstream of the axis [mm].
-            level: Spread the rays on a level line instead.
+            level: Spread the rays on a horizontal line instead.
 
         Returns:
-            ``rays`` rays a pixel.
+            ``rays`` rays per pixel.
         """
         half_angle = positive("half angle of the cone [rad]", half_angle, zero=True)
         k = np.arange(rays)
@@ -114,7 +114,7 @@ class RayBundle:
 
     @property
     def rays(self) -> int:
-        """Rays of a pixel."""
+        """Rays per pixel."""
         return self.start.shape[2]
 
     @property
@@ -124,19 +124,19 @@ class RayBundle:
         return self.start.shape[1] == 1 and bool(flat)
 
     def table(self, grid: Grid, beam: Beam, *, level: bool, unit: float) -> np.ndarray:
-        """The rays as the kernels of `trace` take them; starts are moved to the grid's circle, where float32 suffices.
+        """The rays in the form for the kernels of `trace`; they start at the grid's circle, where float32 suffices.
 
         Args:
-            grid: Whose voxels are the unit of length.
+            grid: Grid whose voxels are the unit of length.
             beam: Its pixels.
-            level: One row, in slice 0.
+            level: Use one row, in slice 0.
             unit: A factor of the weights.
 
         Returns:
             Start, direction and weight, (columns · rows · rays, 8).
 
         Raises:
-            ShapeMismatch: The rays are those of other pixels.
+            ShapeMismatch: The rays were made for other pixels.
         """
         columns, rows = beam.pixels[0], 1 if level else beam.pixels[1]
         if self.start.shape[0] != columns or self.start.shape[1] not in (1, rows):
@@ -158,7 +158,7 @@ class RayBundle:
 
 
 def _nearer(start: np.ndarray, direction: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays enter the cylinder about the axis, and which do."""
+    """Where rays enter the cylinder about the axis, and which ones do."""
     across, heading = start[..., :2], direction[..., :2]
     a = (heading**2).sum(-1)
     b, c = (across * heading).sum(-1), (across**2).sum(-1) - radius**2

@@ -1,4 +1,4 @@
-"""Operators made of others: one after the other, or side by side."""
+"""Operators made of others, applied in sequence or summed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vamgpu.operators.linear import LinearOperator
 from vamgpu.operators.space import Space
 
 GEOMETRY = ("grid", "beam", "motion", "vessel")
-"""Further attributes that optimizers and reports ask of a projector."""
+"""Further attributes of a projector that optimizers and reports use."""
 
 NO_FLOOR = -3e38
 

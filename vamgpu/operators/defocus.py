@@ -28,15 +28,15 @@ from vamgpu.schema.quantities import Length, Place, Positive
 TO_SIGMA = 1.0 / sqrt(8.0 * log(2.0))
 MIXED = 0.07, 0.3
 """Halfway between two round Gaussians whose widths differ by exp(0.3), their mixture is 7 % narrower than its variance
-says; the gap grows with the square of the exponent."""
+suggests; the difference grows with the square of the exponent."""
 
 
 @dataclass(frozen=True)
 class Defocus:
     """The width of one pixel's light at every depth: FWHM(depth) = fwhm · sqrt(1 + (2·depth / depth_of_focus)²).
 
-    That is the waist of a beam of any quality: at the ends of the depth of focus light is √2 times as wide as in focus.
-    A projector's two numbers rarely match an ideal Gaussian; `quality` gives the difference.
+    It follows the waist of any beam: at the ends of the depth of focus, light is √2 times as wide as in focus.
+    A projector's two numbers rarely match an ideal Gaussian beam; `quality` gives the deviation.
 
     Args:
         fwhm: Full width at half maximum of one pixel's light in focus, in the plane of the beam's pixels [mm].
@@ -94,7 +94,7 @@ class Defocus:
 
 @dataclass(frozen=True, eq=False)
 class WeightedVessel(Vessel):
-    """A vessel whose light counts by a share that depends on the place: share(u, across, along)."""
+    """A vessel whose light is multiplied by a share that depends on the position: share(u, across, along)."""
 
     vessel: Vessel
     share: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -123,14 +123,14 @@ class WeightedVessel(Vessel):
 
 
 def _depth(plane: Vessel, u: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Distance [mm] of points downstream on their rays, from where a ray passes the axis."""
+    """Distance [mm] of points along their rays, downstream of where a ray passes the axis."""
     angle = plane.chords(u).angle
     return along * np.cos(angle) - across * np.sin(angle)
 
 
 @dataclass(frozen=True, eq=False)
 class _WeightedRows:
-    """The same for light that climbs."""
+    """The same for rising light."""
 
     plane: WeightedVessel
     rows: Callable[..., Any]
@@ -140,10 +140,10 @@ class _WeightedRows:
 class Defocused(Derived):
     """A projector whose light widens away from the focus, across columns and across rows.
 
-    A = Σ Bₖ·Pₖ: the projector Pₖ counts the light whose variance is near that of node k, linearly between nodes, and
-    Bₖ blurs by that variance. So a pixel's light has the width of ``defocus`` at every depth, including its
+    A = Σ Bₖ·Pₖ: the projector Pₖ includes the light whose variance is near that of node k, linearly between nodes, and
+    Bₖ blurs by that variance. A pixel's light therefore has the width of ``defocus`` at every depth, including its
     interpolation between pixels (light is never narrower than that). Depths are counted along the rays from the axis. A
-    projection costs one per node.
+    projection takes one projection per node.
 
     Args:
         operator: A `Projection`, a `RingProjection` or an `Oblique`.
@@ -191,7 +191,7 @@ class Defocused(Derived):
         return self.operator.vessel or OpenAir()
 
     def _chosen(self, tolerance: float) -> np.ndarray:
-        """Variances [mm²] that light is sorted by, from the sharpest to the widest in the volume."""
+        """Variances [mm²] by which light is sorted, from the sharpest to the widest in the volume."""
         A, grid = self.operator, self.operator.grid
         corner = hypot(*(0.5 * (n + 3) * grid.pitch for n in grid.shape[:2]))
         if isinstance(A, RingProjection):
@@ -226,23 +226,23 @@ class Defocused(Derived):
         else:
             light = _WeightedRows(plane, A.light.rows) if isinstance(A.light, Rising) else plane
             return Composed(self._blur(nodes[k]), Oblique(A.grid, A.beam, A.motion, light, A.wobble, A.device))
-        part.range = A.range  # the same images, whatever lens each part of their light goes through
+        part.range = A.range  # the same images, regardless of the lens that each part of their light passes
         return part
 
     def _blurred(self, k: int) -> Beam:
-        """Pixels whose point spread makes them and voxels, boxes both, as wide as a node says; sharp if they are."""
+        """Pixels whose point spread, with the boxes of pixel and voxel, is as wide as the node requires; or sharp."""
         beam, ratio = self.operator.beam, self.operator.grid.pitch / self.operator.beam.pitch
         variance = self.nodes[k] - (beam.fill + ratio**2) * beam.pitch**2 / 12.0
         return replace(beam, spread=sqrt(max(variance, 0.0)))
 
     @cached_property
     def direct(self) -> Defocused:
-        """The same by rays through voxels."""
+        """The same operator, by rays through voxels."""
         A = self.operator
         return Defocused(A.direct, self.defocus, self.tolerance) if isinstance(A, RingProjection) else self
 
     def _blur(self, variance: float) -> Blur:
-        """The blur of a node, for images whose pixels are not blurred otherwise."""
+        """The blur of a node, for images whose pixels have no other blur."""
         ratio = self.operator.grid.pitch / self.operator.beam.pitch
         taps = gaussian(sqrt(variance) / TO_SIGMA / self.operator.beam.pitch, 1.0 if ratio <= EQUAL else ratio)
         return Blur(self.range, self.device, taps, taps)
@@ -253,5 +253,5 @@ def direct(A: Projection | RingProjection) -> Projection: ...
 @overload
 def direct(A: Any) -> Any: ...
 def direct(A: Any) -> Any:
-    """The operator on voxels of one on rings; any other operator itself."""
+    """For an operator on rings, its version on voxels; any other operator itself."""
     return A.direct if isinstance(A, RingProjection | Defocused) else A

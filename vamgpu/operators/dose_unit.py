@@ -1,4 +1,4 @@
-"""The factor that makes light energy."""
+"""The factor that converts light to energy."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from vamgpu.schema.quantities import Absorption, measured
 
 
 def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: float | str | None = None) -> float:
-    """The factor pixel_area · dwell / voxel_volume that makes Aᵀ(light) a dose [mJ/mm³]. Raises `BadInput`."""
-    # dwell: mean exposure of an angle [s].  unit: irradiance in air [mW/mm²] of one unit of light.  absorption: of the
-    # resin [1/mm], only where A absorbs no light: Aᵀ(light) is a fluence then, of which thin resin absorbs that share
-    # per mm.
+    """The factor pixel_area · dwell / voxel_volume that converts Aᵀ(light) to a dose [mJ/mm³]. Raises `BadInput`."""
+    # dwell: mean exposure of an angle [s]. unit: irradiance in air [mW/mm²] of one unit of light. absorption: of the
+    # resin [1/mm], only if A absorbs no light; Aᵀ(light) is then a fluence, of which thin resin absorbs that share per
+    # mm.
     factor = unit * A.beam.pixel_area * positive("dwell [s]", dwell) / A.grid.voxel_volume
     if absorbs(A):
         if absorption is not None:
@@ -20,14 +20,14 @@ def dose_unit(A: Projection, dwell: float, *, unit: float = 1.0, absorption: flo
         return factor
     if absorption is None:
         raise BadInput(
-            f"{A!r} absorbs no light, so nothing says how much energy the resin takes up; "
-            "give absorption= [1/mm], or a vessel that absorbs"
+            f"{A!r} absorbs no light, so that the energy absorbed by the resin is unknown; give absorption= [1/mm], "
+            "or a vessel that absorbs"
         )
     return factor * positive("absorption [1/mm]", measured("absorption", absorption, Absorption))
 
 
 def absorbs(A: Projection) -> bool:
-    """Whether the light of a projection is attenuated on its way, so that Aᵀ is an absorbed dose."""
+    """Whether the light of a projection is attenuated on its way, which makes Aᵀ an absorbed dose."""
     extinction = getattr(getattr(A, "medium", None), "extinction", None)
     vessel = getattr(A, "vessel", None)
     return (vessel is not None and vessel.absorption > 0) or extinction is not None

@@ -1,4 +1,4 @@
-"""Poses that are lit for unequal times: part of every operator that a turntable turns."""
+"""Angles that are lit for unequal times: part of every operator with a turntable."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from vamgpu.operators.web_motion import WebMotion
 
 
 class Dwell:
-    """Weights images [angle, r, z], of tile after tile, by the time of their pose over the mean."""
+    """Weights images [angle, r, z], of tile after tile, by the ratio of the time of their angle to the mean."""
 
-    # A = D·P: rows P of light of every pose, and the times D. `weigh` follows P, and Pᵀ takes what `weighted` gives.
+    # A = D·P: P has the rows of light of every angle, D the times. `weigh` follows P, and `weighted` precedes Pᵀ.
 
     def __init__(self, motion: Turntable | WebMotion, device: Device) -> None:
         self._device = device
@@ -25,7 +25,7 @@ class Dwell:
             self._device.launch(weigh_poses, light=images, times=self._times, weighted=images)
 
     def weighted(self, images: DeviceArray) -> DeviceArray:
-        """images · times in new memory; the images themselves where all poses are lit as long."""
+        """images · times in new memory, or the images themselves if all angles are lit equally long."""
         if self._times is None:
             return images
         out = self._device.empty(images.shape)

@@ -1,4 +1,4 @@
-"""A container that turns while a frame is lit: places on the way, and means over them."""
+"""A container that turns while a frame is lit: positions on the way, and means over them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from vamgpu.geometry import Turntable
 from vamgpu.operators.compose import combine
 
 CURVED = 0.03
-"""Columns by which a voxel may on average be off the straight way that it is taken to move along."""
+"""Mean error [columns] of a voxel's position if its curved path is taken as straight."""
 APART = 0.35
-"""Voxels, at most, between places at which one ray a pixel is followed."""
+"""Greatest distance [voxels] between positions at which one ray per pixel is traced."""
 
 
 def straight_parts(motion: Turntable, reach: float) -> int:
-    """Parts of a frame's arc, each straight to within `CURVED`, for voxels out to ``reach`` [columns]."""
+    """Number of parts of a frame's arc, each straight to within `CURVED`, for voxels out to ``reach`` [columns]."""
     return max(ceil(float(motion.arcs.max()) * sqrt(reach / (24.0 * CURVED))), 1)
 
 
 def ray_parts(motion: Turntable, reach: float) -> int:
-    """Parts of a frame's arc, in whose middle one ray a pixel is followed, for voxels out to ``reach`` [voxels]."""
+    """Number of parts of a frame's arc with one ray per pixel each, for voxels out to ``reach`` [voxels]."""
     return max(ceil(float(motion.arcs.max()) * reach / APART), 1)
 
 
@@ -33,7 +33,7 @@ def places(motion: Turntable, parts: int) -> list[np.ndarray]:
 
 
 def mean(parts: int, compute: Callable[[int, DeviceArray], None], out: DeviceArray) -> None:
-    """out = mean over the parts of what ``compute`` writes for the number of one."""
+    """out = mean over the parts of the result that ``compute`` writes for each part's number."""
     compute(0, out)
     if parts == 1:
         return

@@ -1,4 +1,4 @@
-"""The light that makes a dose nearly what is asked: the inverse of how projecting and exposing blur light."""
+"""The light that gives nearly a required dose: the inverse of the blur of exposing and projecting."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import dot
 from vamgpu.operators.ring_projection import RingProjection, uneven_reason, unsupported_reason
 from vamgpu.operators.scenarios import Scenarios
-from vamgpu.operators.spectral import SpectralProjection, straight_passes
+from vamgpu.operators.spectral import SpectralProjection
+from vamgpu.operators.transforms import straight_passes
 
 RIM = 0.1
 """Weight of the voxels outside the judged cylinder."""
 AT_ONCE = 32
-"""Columns whose blur is computed at once."""
+"""Number of columns whose blur is computed at a time."""
 SHARES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
-"""``base`` over the greatest that A Aᵀ makes of light, from the least on that is safe."""
+"""Initial ``base``, relative to the greatest gain of A Aᵀ on light; it grows until it is safe."""
 MOST, STEPS, SETTLED = 1.4, 40, 0.01
-"""Times that light may become brighter before ``base`` grows, steps that the brightest is looked for at most, and
-residual below which it counts as found."""
+"""Greatest gain in brightness before ``base`` grows, greatest number of steps of the search for it, and residual at
+which the search ends."""
 DARK = 1e-6
-"""Share of what the brightest column blurs into itself, up to which a column lights nothing that counts."""
+"""Share of the brightest column's blur into itself, below which a column lights nothing relevant."""
 
 
 @final
 class GramInverse:
-    """(A Aᵀ + base)⁻¹ for light [angle, r, z], of a projector A whose light is one pose, turned."""
+    """(A Aᵀ + base)⁻¹ for light [angle, r, z], for a projector A whose light at all angles is the same, rotated."""
 
-    # A Aᵀ counts voxels beyond ``reach`` [voxels] by ``rim``. At even angles it is a matrix (columns × columns) for
-    # each angular frequency, whose inverses stand between two Fourier transforms. Rows share light along z by the
-    # greatest amount. ``base`` grows until no light becomes more than
-    # `MOST` times as bright by (A Aᵀ + base) and its inverse, and steps go ``pace`` as far: Lanczos' bound from above,
-    # on two slices.
+    # A Aᵀ weights voxels beyond ``reach`` [voxels] by ``rim``. For even angles, it is a matrix (columns × columns) for
+    # each angular frequency; their inverses are applied between two Fourier transforms. For rows, the greatest gain of
+    # the blur along z is used. ``base`` grows until no light becomes more than `MOST` times brighter by (A Aᵀ + base)
+    # and its inverse, and steps are scaled by ``pace``: an upper bound by Lanczos, on two slices.
 
     base: float
     pace: float
@@ -72,7 +72,7 @@ class GramInverse:
 
     @staticmethod
     def unsupported_reason(operator: Any) -> str:
-        """Why there is no inverse of a projector, or of scenarios of some; empty if there is one."""
+        """Reason why there is no inverse for a projector, or for scenarios of some; empty if there is one."""
         for each in operator.operators if isinstance(operator, Scenarios) else (operator,):
             if isinstance(each, RingProjection):
                 continue
@@ -83,7 +83,7 @@ class GramInverse:
         return ""
 
     def _take_room(self, light: tuple[int, int, int], wide: int) -> None:
-        """Fields to work in for light of a shape."""
+        """Work fields for light of a shape."""
         (angles, columns, rows), empty = light, self.device.empty
         deep = rows + rows % 2
         even = (angles, columns, deep)
@@ -91,14 +91,14 @@ class GramInverse:
         self._held, self._wide = empty(even), empty((angles, wide, deep))
 
     def __call__(self, light: DeviceArray, out: DeviceArray) -> None:
-        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. An odd number of rows gets a dark one."""
+        """Apply the inverse to light [angle, r, z]; ``out`` may be ``light``. A dark row makes their number even."""
         launch, even = self.device.launch, self._even
         source, sink = even or (light, out)
         if even is not None:
             launch(copy_slices, source=light, first=0, lanes=light, field=source)
         spectrum = self._there.run(-1.0, source, lambda number: (self._held, sink)[number % 2])
         launch(light_rings, light=spectrum, **self._entries, spectrum=self._wide)
-        last = self._back.count % 2  # in turn, so that the last pass does not write what it reads
+        last = self._back.count % 2  # alternating, because the last pass must not write to its source
         self._back.run(1.0, self._wide, lambda number: (self._held, sink)[(number + last) % 2], last=sink)
         if even is not None:
             launch(copy_slices, source=sink, first=0, lanes=sink, field=out)
@@ -119,7 +119,7 @@ def _members(operator: Any) -> list[tuple[float, Any]]:
 
 
 def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np.ndarray:
-    """A Aᵀ for each angular frequency up to half of the angles, complex64 (frequency, column, column)."""
+    """A Aᵀ for each angular frequency up to half of the number of angles, complex64 (frequency, column, column)."""
     grid, beam, angles = operator.grid, operator.beam, operator.motion.angles
     columns = beam.pixels[0]
     rings = _rings(grid, angles)
@@ -143,12 +143,12 @@ def _blur(operator: Projection | RingProjection, reach: float, rim: float) -> np
 
 
 def _shared(operator: Projection | RingProjection) -> float:
-    """The greatest that rows make of light along z, there and back."""
+    """The greatest gain of light along z through rows, forward and back."""
     return float(np.linalg.norm(operator.row_weights, 2)) ** 2
 
 
 class _Thin:
-    """A Aᵀ on two slices; what rows share along z is as of the whole."""
+    """A Aᵀ on two slices; the gain of rows along z is that of the whole."""
 
     def __init__(self, members: list[tuple[float, Any]], reach: float, rim: float) -> None:
         self._members: list[tuple[float, Any]] = []
@@ -162,7 +162,7 @@ class _Thin:
         self._counted = first.device.upload(np.broadcast_to(counted, shape).astype(np.float32))
 
     def most(self, inverse: GramInverse) -> float:
-        """Lanczos' bound, residual included, on how many times as bright (A Aᵀ + base) · inverse makes a light."""
+        """Lanczos' bound, including the residual, on the gain of (A Aᵀ + base) · inverse in brightness."""
         thin, device = self._members[0][1], self._members[0][1].device
         ahead, light, blurred, part = (device.empty(thin.range.shape) for _ in range(4))
         before = device.upload(np.zeros(thin.range.shape, np.float32))
@@ -201,13 +201,13 @@ def _rings(grid: Grid, angles: int) -> PolarGrid:
 
 
 def _counted(rings: PolarGrid, reach: float, rim: float) -> np.ndarray:
-    """Weight of a cell: its area in voxels, times the samples of its ring, which its transforms leave out."""
+    """Weight of a cell: its area in voxels times its ring's number of samples, for unnormalized transforms."""
     samples = np.concatenate([np.full(b.rings * b.samples, b.samples * rings.angles) for b in rings.bands])
     return rings.areas * samples * np.where(rings.places[0] <= reach * rings.pitch, 1.0, rim)
 
 
 def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
-    """(blur + base)⁻¹ of each frequency; nothing for columns that light nothing."""
+    """(blur + base)⁻¹ of each frequency; 0 for columns that light nothing."""
     own = np.real(np.diagonal(blur[0]))
     lit = np.flatnonzero(own > DARK * own.max())
     found = np.zeros_like(blur)
@@ -218,7 +218,7 @@ def _inverses(blur: np.ndarray, base: float) -> np.ndarray:
 
 
 def _table(device: Device, matrices: np.ndarray, wide: int) -> dict[str, Any]:
-    """Matrices (frequency, column, column) as `light_rings` takes them, columns in place of cells."""
+    """Matrices (frequency, column, column) in the form of `light_rings`, with columns in place of cells."""
     count, columns, _ = matrices.shape
     filled = np.zeros((count, wide, wide), np.complex64)
     filled[:, :columns, :columns] = matrices

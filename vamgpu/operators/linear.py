@@ -23,8 +23,8 @@ class LinearOperator(ABC):
     """Maps ``domain`` to ``range`` on a device. NumPy in → NumPy out; device array in → device array out.
 
     Attributes:
-        domain: Space of what it takes.
-        range: Space of what it gives.
+        domain: Space of the operand.
+        range: Space of the result.
         device: The device of its arrays.
     """
 
@@ -33,7 +33,7 @@ class LinearOperator(ABC):
     device: Device
     _transpose: LinearOperator | None = None
     _made: tuple[Any, ...] | None = None
-    """A function and arguments that make it of another operator; None for one of its own constructor."""
+    """A function and its arguments that make this operator from another one; None for one made by its constructor."""
 
     @abstractmethod
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
@@ -41,7 +41,7 @@ class LinearOperator(ABC):
 
         Args:
             x: The operand, [domain.shape].
-            out: Takes the result, [range.shape].
+            out: Receives the result, [range.shape].
         """
 
     @abstractmethod
@@ -50,7 +50,7 @@ class LinearOperator(ABC):
 
         Args:
             y: The operand, [range.shape].
-            out: Takes the result, [domain.shape].
+            out: Receives the result, [domain.shape].
         """
 
     @property
@@ -66,15 +66,15 @@ class LinearOperator(ABC):
 
         Args:
             x: The operand, [domain.shape]: NumPy, on the device, or any array that its `Device.field` takes.
-            out: Takes the result on the device, [range.shape]; None for a new array.
+            out: Receives the result on the device, [range.shape]; None for a new array.
 
         Returns:
             A x, [range.shape]: NumPy for a NumPy operand without ``out`` (float16 for float16), else on the device.
 
         Raises:
             ShapeMismatch: An array has another shape.
-            BadInput: Values are not finite, of another type than the device's, or too great for float16.
-            DeviceError: An array lives on another device.
+            BadInput: Values are not finite, have another type than the device's, or are too great for float16.
+            DeviceError: An array is on another device.
         """
         require(self.domain, x, "the operand")
         source = self.device.field(x)
@@ -87,13 +87,13 @@ class LinearOperator(ABC):
 
     # ---- copies ------------------------------------------------------------------------------------------------
     def __copy__(self) -> Self:
-        """One that shares its tables, but no transpose."""
+        """An operator that shares its tables, but is not a transpose."""
         other = object.__new__(type(self))
         vars(other).update(vars(self), _transpose=None)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the constructor's arguments, where the registry or ``described`` tells them; else the state."""
+        """Pickle the constructor's arguments, if the registry or ``described`` gives them; else the state."""
         if self._made is not None:
             return self._made
         cls = type(self)
@@ -112,7 +112,7 @@ class LinearOperator(ABC):
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of its numbers."""
+        """Type of the matrix's numbers."""
         return self.device.real
 
     def matvec(self, x: np.ndarray) -> np.ndarray:
@@ -138,18 +138,18 @@ class LinearOperator(ABC):
         return self.T.matvec(y)
 
     def vjp(self, x: Any) -> tuple[Any, LinearOperator]:
-        """Compute the value and the vector-Jacobian product, for whoever differentiates by hand.
+        """Compute the value and the vector-Jacobian product, for differentiation by hand.
 
         Args:
             x: The operand, as for a call.
 
         Returns:
-            A x, and the transpose, which makes derivatives by x of those by A x.
+            A x, and the transpose, which maps derivatives by A x to those by x.
         """
         return self(x), self.T
 
     def __matmul__(self, other: Any) -> Any:
-        # a circle, here and below: sums and products are operators
+        # avoids a circular import, here and below: sums and products are operators
         from vamgpu.operators.compose import Composed
 
         if isinstance(other, LinearOperator):
@@ -178,7 +178,7 @@ class LinearOperator(ABC):
 
     __rmul__ = __mul__
     __array_ufunc__ = None
-    """NumPy's numbers let the operator multiply."""
+    """Let NumPy's numbers multiply the operator."""
 
     def __truediv__(self, factor: float) -> LinearOperator:
         if not isinstance(factor, Real):
@@ -265,7 +265,7 @@ def _built(cls: type[Any], fields: dict[str, Any]) -> Any:
 
 
 def _halved(values: np.ndarray) -> np.ndarray:
-    """In float16. Raises `BadInput` for what it cannot hold."""
+    """In float16. Raises `BadInput` for a result that is too great for it."""
     most = float(np.abs(values).max(initial=0.0))
     if most > float(np.finfo(np.float16).max):
         raise BadInput(f"the result reaches {most:.4g}; float16 holds 65504 at most: scale the operand, or use float32")

@@ -12,10 +12,10 @@ from vamgpu.geometry import Grid, positive
 from vamgpu.kernels.medium import ABSORBS, BENDS, BLOCKS, DARK, MARGIN, WHOLE
 
 FILLED = 2.0 * DARK
-"""Parts of `WHOLE` that a voxel full of insert counts, where shares are given: its surface then lies where they pass
-0.45, and walls one voxel thick still stop all light."""
+"""Parts of `WHOLE` that a voxel full of insert has if shares are given: its surface is then where they pass 0.45, and
+walls one voxel thick still stop all light."""
 FINE = 2.0**17
-"""Steps of extinction in inserts, which float32 holds beside the share."""
+"""Number of steps of extinction in inserts that float32 can hold together with the share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class CoRotatingMedium:
 
     @property
     def kind(self) -> int:
-        """Which of the three there are, as kernels take it."""
+        """Which of the three fields exist, in the form for kernels."""
         bends = BENDS * (self.index is not None)
         return bends | ABSORBS * (self.extinction is not None) | BLOCKS * (self.opaque is not None)
 
@@ -89,18 +89,18 @@ class CoRotatingMedium:
 
     @property
     def _stands(self) -> np.ndarray:
-        """Share of each voxel that is insert, whole numbers to `WHOLE`."""
+        """Share of each voxel that is insert, as whole numbers up to `WHOLE`."""
         opaque = np.asarray(self.opaque)
         return opaque * WHOLE if opaque.dtype == bool else np.rint(opaque * FILLED)
 
     def check(self, grid: Grid) -> None:
-        """Check that every field lives on the voxels of a grid.
+        """Check that every field has the shape of a grid.
 
         Args:
             grid: The grid.
 
         Raises:
-            ShapeMismatch: A field does not.
+            ShapeMismatch: A field has another shape.
         """
         for name, values in self.fields().items():
             if values.shape not in (grid.shape, grid.shape[:2]):

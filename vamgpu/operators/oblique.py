@@ -23,11 +23,11 @@ from vamgpu.operators.wobble import Wobble
 
 @runtime_checkable
 class Rising(Protocol):
-    """Light that moves along the axis: what it does in the plane, and where each ray stands among the rows."""
+    """Light that moves along the axis: its path in the plane, and the row of each ray."""
 
     @property
     def plane(self) -> Vessel:
-        """The vessel that says what happens across the axis."""
+        """The vessel that describes the light across the axis."""
         ...
 
     def rows(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -40,11 +40,11 @@ class Rising(Protocol):
 class Oblique(LinearOperator):
     """Rays that have a column and a row: ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose.
 
-    Entries are those of `Projection`: lengths [mm] of rays in voxels, times what a vessel passes and absorbs, times the
-    dwell of the angle over the mean. One kernel follows every ray through the slices, so a cone's rows spread with
-    depth exactly as its columns do. A pixel is one ray, without point spread. Light of a
-    container that turns while a frame is lit is the mean of places a third of a voxel apart at the rim, which costs as
-    many products; the axis stays where it stands at the frame's angle.
+    Entries are those of `Projection`: lengths [mm] of rays in voxels, multiplied by the transmitted and absorbed shares
+    of a vessel, and by the ratio of the dwell of the angle to the mean. One kernel follows every ray through the
+    slices; a cone's rows therefore spread with depth exactly as its columns do. A pixel is one ray, without point
+    spread. For a container that turns while a frame is lit, light is the mean over positions a third of a voxel apart
+    at the rim, which multiplies the number of products; the axis stays at its position for the frame's angle.
 
     Args:
         grid: Voxels of the volume.
@@ -105,7 +105,7 @@ class Oblique(LinearOperator):
                            "expected less: check the wobble's unit, mm")  # fmt: skip
 
     def _tabulated(self, plane: Vessel) -> dict[str, Any]:
-        """The projector's tables, with the rows beside them, over every place that a voxel may be carried to."""
+        """The projector's tables, together with the rows, over every position that a voxel may reach."""
         grid, beam = self.grid, self.beam
         margin = 2 * ceil(float(np.abs(self._places).max(initial=0.0)))
         wide = Grid((grid.shape[0] + margin, grid.shape[1] + margin, grid.shape[2]), grid.pitch)

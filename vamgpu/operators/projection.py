@@ -31,11 +31,11 @@ FOOTPRINTS = ("exact", "joseph")
 class Projection(LinearOperator):
     """Rays of a beam through a volume that a turntable turns, in air or inside a vessel.
 
-    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the mean, over the
-    box of voxel j, of the light that the box of pixel i sends, blurred by the beam's point spread: the length [mm] of
-    the ray in the voxel, times transmittance and the absorbed fraction per mm where a vessel absorbs. Inside a vessel
-    the light has one ray through each point within the printable radius; voxels outside it count as unlit. Light of a
-    container that turns while a frame is lit is the mean along its way, to 0.001 of the greatest dose.
+    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the light of pixel
+    i's box, blurred by the beam's point spread, averaged over the box of voxel j: the length [mm] of the ray in the
+    voxel, multiplied by the transmittance, and by the absorbed fraction per mm if a vessel absorbs. Inside a vessel,
+    one ray passes through each point within the printable radius; voxels outside it count as unlit. For a container
+    that turns while a frame is lit, light is the mean along its way, accurate to 0.001 of the greatest dose.
 
     Args:
         grid: Voxels of the volume.
@@ -101,11 +101,11 @@ class Projection(LinearOperator):
                            f"{grid.pitch:g} mm; Joseph's rays are straight and as far apart as voxels: leave the "
                            "vessel out and make the pitches equal, or use footprint='exact'")  # fmt: skip
         if beam.fill != 1.0 or beam.spread:
-            raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays know no fill factor and no point "
+            raise BadInput(f"got footprint='joseph' with {beam!r}; Joseph's rays have no fill factor and no point "
                            "spread: give neither, or use footprint='exact'")  # fmt: skip
 
     def _turn(self, motion: Turntable) -> None:
-        """Be a projection at these angles."""
+        """Make this a projection at these angles."""
         self.motion, self._dwell = motion, Dwell(motion, self.device)
         self.range = SinogramSpace(self.beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         arc = [] if self.footprint == "joseph" else [motion.arcs / self._parts]
@@ -116,7 +116,7 @@ class Projection(LinearOperator):
 
     @cached_property
     def _parts(self) -> int:
-        """Parts of a frame's arc, each of which is straight to a voxel."""
+        """Parts of a frame's arc, each of which is straight within a voxel."""
         vessel, grid = self.vessel or OpenAir(), self.grid
         reach = min(vessel.lit_radius, 0.5 * grid.pitch * hypot(*grid.shape[:2]))
         return straight_parts(self.motion, reach / column_in_resin(self.beam, vessel))
@@ -165,7 +165,7 @@ class Projection(LinearOperator):
             self.device.launch(back_footprint, **fields, **self._light)
 
     def of_poses(self, chosen: Sequence[int]) -> Projection:
-        """This projection at some of its angles; everything that does not depend on them is shared.
+        """This projection at some of its angles; it shares everything that does not depend on them.
 
         Args:
             chosen: Numbers of the angles, in order.
@@ -181,10 +181,10 @@ class Projection(LinearOperator):
         return self.turned(self.motion.chosen(chosen))
 
     def turned(self, motion: Turntable) -> Projection:
-        """This projection at other angles of the same turn; everything that does not depend on them is shared.
+        """This projection at other angles of the same turn; it shares everything that does not depend on them.
 
         Args:
-            motion: The angles, whose arcs are no longer than its own.
+            motion: The angles, whose arcs must not be longer than its own.
 
         Returns:
             The projection.
@@ -200,10 +200,10 @@ class Projection(LinearOperator):
         return self._rows.weights
 
     def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:
-        """Dose of some slices, each from its own light only.
+        """Dose of some slices, each only from its own light.
 
         Args:
-            light: With `row_weights` applied, [angle, r, slice], of any number of slices; NumPy or on the device.
+            light: Light after `row_weights`, [angle, r, slice], of any number of slices; NumPy or on the device.
 
         Returns:
             The dose, [x, y, slice] on the device.

@@ -1,4 +1,4 @@
-"""The projector of a geometry: by rays through each voxel, or on rings where that is faster."""
+"""The projector of a geometry: by rays through each voxel, or on rings if that is faster."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def projector(
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
         algorithm: "rays" for a `Projection`, by rays through each voxel; "rings" for a `RingProjection`, by Fourier
-            transforms over even angles; "auto" for rings where they support the geometry, were measured to be faster
-            and fit into memory, else rays.
+            transforms over even angles; "auto" for rings if they support the geometry, were measured to be faster and
+            fit into memory, else rays.
 
     Returns:
         The projector.
@@ -52,7 +52,7 @@ def projector(
 
 
 def with_algorithm(A: Any, algorithm: Algorithm) -> Any:
-    """The operator computed by an algorithm; raises `BadInput` where "rings" do not support it, and `OutOfMemory`."""
+    """The operator computed by an algorithm; raises `BadInput` if "rings" do not support it, and `OutOfMemory`."""
     rays: Any = A.operator if isinstance(A, Defocused) else A
     if algorithm == "rays" or (algorithm == "auto" and not prefers_rings(rays)):
         return A

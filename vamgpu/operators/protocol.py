@@ -1,4 +1,4 @@
-"""The attributes of an operator that methods and proofs ask for."""
+"""The attributes of an operator that methods and proofs need."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any, Protocol
 from vamgpu.backend.device import Device
 
 ATTRIBUTES = ("domain", "range", "device", "grid", "beam", "motion", "T")
-"""Attributes of every operator that light is optimized for."""
+"""Attributes of every operator for which light is optimized."""
 
 
 class Operator(Protocol):
     """A linear map from volumes to light, with its exact transpose and its geometry.
 
-    Every `LinearOperator` with a geometry is one. One in a vessel has the attribute ``vessel`` too.
+    Every `LinearOperator` with a geometry is one. One in a vessel also has the attribute ``vessel``.
 
     Attributes:
         domain: Space of volumes; its ``shape`` is that of the grid, [x, y, z].
@@ -44,15 +44,15 @@ class Operator(Protocol):
 
     @property
     def T(self) -> Any:  # noqa: N802 - the mathematician's name
-        """The transpose, which is called alike."""
+        """The transpose, which is called in the same way."""
         ...
 
     def __call__(self, x: Any, out: Any = None) -> Any:
         """Compute A x.
 
         Args:
-            x: A field on the device, [domain.shape]; stays as it is.
-            out: Takes the result, [range.shape]; None for a new field.
+            x: A field on the device, [domain.shape]; it does not change.
+            out: Receives the result, [range.shape]; None for a new field.
 
         Returns:
             The result, on the device.

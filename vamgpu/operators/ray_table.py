@@ -1,9 +1,10 @@
-"""Tables of one pose for bent or absorbed light: which ray reaches a point, and where a column's light falls."""
+"""Tables of one angle for bent or absorbed light: the ray that reaches a point, and the range of a column's light."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, hypot, inf, sqrt
 from typing import Any
 
@@ -11,25 +12,25 @@ import numpy as np
 
 from vamgpu.backend.cores import pointwise
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Beam, Chords, Grid, Vessel
+from vamgpu.geometry import Beam, Chords, Grid, Vessel, centers
 from vamgpu.kernels.footprint import half_support, sides
 
 FINE = 65_536
 SAFETY = 1.5
-"""On the strays measured midway between samples of the map."""
+"""Safety factor on the errors measured midway between samples of the map."""
 ROUNDING = 0.01
-"""Voxels that float32 may be off by."""
+"""Rounding error of float32 [voxels]."""
 TOGETHER = 4
 """Neighboring columns whose rays a device follows together."""
 WIDE = 0.5
-"""Angle [rad] between the chords of `TOGETHER` columns from which on all voxels of a row are looked at."""
+"""Angle [rad] between the chords of `TOGETHER` columns above which all voxels of a row are checked."""
 EQUAL = 1.05
-"""Voxels up to this much wider than a column's light count as equally wide where widths are one number."""
+"""Relative difference in width up to which voxels count as equally wide as a column's light."""
 
 
 @dataclass(frozen=True)
 class OpenAir(Vessel):
-    """No vessel at all: straight rays, nothing absorbed, light everywhere.
+    """No vessel: straight rays, no absorption, light everywhere.
 
     absorption: none.  lit_radius: of the light [mm].
     """
@@ -47,12 +48,12 @@ class OpenAir(Vessel):
 
 @dataclass(frozen=True)
 class RayTable:
-    """Tables of one pose; lengths in voxels, columns counted from 0."""
+    """Tables of one angle; lengths in voxels, columns counted from 0."""
 
-    # map: (n, n, 4) column, strength, and the columns a voxel across and along the light.  edges: (columns, 8), chords
-    # either side of a column's light, and slack.  radius: of the lit disc.  steepest: columns a voxel, at most.
-    # moving: the same with the way of voxels while a pose is lit, the root of both squares' sum.  fill, sigma: of a
-    # pixel's box and point spread.
+    # map: (n, n, 4) column, strength, and the columns per voxel across and along the light. edges: (columns, 8), chords
+    # on either side of a column's light, and slack. radius: of the lit disc. steepest: greatest number of columns per
+    # voxel. moving: the same with the motion of voxels while an angle is lit, the root of the sum of both squares.
+    # fill, sigma: of a pixel's box and point spread.
 
     map: np.ndarray
     edges: np.ndarray
@@ -64,12 +65,12 @@ class RayTable:
 
     @property
     def taps(self) -> int:
-        """Columns that light one voxel, at most."""
+        """Greatest number of columns that light one voxel."""
         return int(2.0 * float(half_support(*_widest(self.moving, self.sigma), self.fill, self.sigma))) + 1
 
     @property
     def cells(self) -> int:
-        """Voxels of a row that `TOGETHER` neighboring columns light, at most."""
+        """Greatest number of voxels of a row that `TOGETHER` neighboring columns light."""
         far = np.minimum(np.arange(len(self.edges)) + TOGETHER - 1, len(self.edges) - 1)
         low, high = self.edges[:, :4], self.edges[far, 4:]
         turned = np.arctan2(high[:, 2], high[:, 1]) - np.arctan2(low[:, 2], low[:, 1])
@@ -80,22 +81,21 @@ class RayTable:
 def tabulate(grid: Grid, beam: Beam, vessel: Vessel, half: float | None = None, arc: float = 0.0) -> RayTable:
     """The tables of ``vessel`` for a grid and a beam."""
     # half: columns from a voxel's middle to the farthest that lights it, for kernels that follow columns one by one;
-    # None: as footprints and point spread ask, for those that follow `TOGETHER`.  arc: of the turn [rad] while a pose
-    # is lit, at most.
+    # None: from footprints and point spread, for kernels that follow `TOGETHER`. arc: greatest arc [rad] of the turn
+    # while an angle is lit.
     columns = beam.pixels[0]
     corner = hypot(*(0.5 * (n - 1) for n in grid.shape[:2]))
     radius = min(vessel.lit_radius / grid.pitch, corner + 1.0)
     samples = 2 * (ceil(min(radius, corner)) + 2)
-    position = (np.arange(samples) - 0.5 * (samples - 1)) * grid.pitch
-    across, along = np.meshgrid(position, position, indexing="ij")
     whole, shares = unwrap(vessel)
-    u, weight = _continued(whole, radius * grid.pitch, across, along)
+    sampled = _sampled if _never_changes(whole) else _sampled.__wrapped__
+    u, weight = sampled(whole, radius * grid.pitch, samples, grid.pitch)
     column = u / beam.pitch + 0.5 * (columns - 1)
-    strength = weight * grid.pitch**2 / beam.pitch  # so that a row of the operator sums to the length of its ray
+    strength = weight * grid.pitch**2 / beam.pitch  # a row of the operator then sums to the length of its ray
     gradient = np.gradient(column)
     column, strength = _over_voxels(column, strength)
     for share in shares:
-        strength = strength * share(u, across, along)
+        strength = strength * share(u, *_square(samples, grid.pitch))
     fill, sigma = sqrt(beam.fill), beam.sigma
     reaches = _reaches(column, columns, radius, fill, sigma, arc) if half is None else np.full(columns, half)
     rays = _Rays(grid, beam, vessel, reaches)
@@ -119,7 +119,7 @@ def _widest(gradient: float | np.ndarray, sigma: float) -> tuple[np.ndarray, np.
 
 
 def _gradient(column: np.ndarray, arc: float = 0.0) -> np.ndarray:
-    """Columns a voxel, at most, in each cell of the map; ``arc`` [rad] adds the way of a voxel while a pose is lit."""
+    """Greatest number of columns per voxel in each cell of the map; ``arc`` [rad] adds motion while lit."""
     across, along = np.abs(np.diff(column, axis=0)), np.abs(np.diff(column, axis=1))
     across, along = np.maximum(across[:, 1:], across[:, :-1]), np.maximum(along[1:], along[:-1])
     far = np.abs(np.arange(len(across)) - 0.5 * (len(across) - 1)) + 0.5
@@ -127,7 +127,7 @@ def _gradient(column: np.ndarray, arc: float = 0.0) -> np.ndarray:
 
 
 def _near(shape: tuple[int, ...], radius: float) -> np.ndarray:
-    """Cells of the map that a lit voxel may look itself up in."""
+    """Cells of the map from which a lit voxel may read."""
     position = np.arange(shape[0] - 1) - 0.5 * (shape[0] - 2)
     return np.hypot(position[:, None], position[None, :]) <= radius + 1.0
 
@@ -153,7 +153,7 @@ def _reaches(
 
 def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
     """The vessel itself, and the share of its light that each wrapper passes."""
-    # Shares may jump at the edge of a shadow and those sorted by focus must sum to one: they are taken as they are.
+    # Shares may jump at the edge of a shadow, and those sorted by focus must sum to one; they are not smoothed.
     shares = []
     while hasattr(vessel, "bare"):
         shares.append(vessel.share)
@@ -161,8 +161,24 @@ def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
     return vessel, shares
 
 
-def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The light at each point, continued in a straight line beyond ``radius`` [mm]: voxels at the rim interpolate."""
+def _never_changes(vessel: Any) -> bool:
+    """Whether what a vessel does to light is known by its value."""
+    try:
+        hash(vessel)
+    except TypeError:
+        return False
+    return getattr(getattr(vessel, "__dataclass_params__", None), "frozen", False)
+
+
+def _square(samples: int, pitch: float) -> list[np.ndarray]:
+    """Across and along the light: points of a square about the axis."""
+    return list(np.meshgrid(*2 * (centers(samples, pitch),), indexing="ij"))
+
+
+@lru_cache(maxsize=1)  # for other beams in the same vessel: tracing takes most of the time of a table
+def _sampled(vessel: Vessel, radius: float, samples: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """The light at points of a square, continued straight beyond ``radius`` [mm]: voxels at the rim interpolate."""
+    across, along = _square(samples, pitch)
     u, weight = (np.array(value) for value in vessel.illuminate(across, along))
     distance = np.hypot(across, along)
     beyond = (distance > radius) & (distance < 2.0 * radius)
@@ -178,10 +194,10 @@ def _continued(vessel: Vessel, radius: float, across: np.ndarray, along: np.ndar
 
 
 def _over_voxels(column: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples between which lines give, to second order, the mean column and strength of a voxel."""
-    # A voxel's mean is its middle's + ∇²/24; lines between samples are ∇²/12 above it on average. Where strength
-    # changes, the brighter side counts more in the mean of the column: by a sixth of the column's own change where one
-    # edge is dark.
+    """Samples with which linear interpolation gives, to second order, the mean column and strength of a voxel."""
+    # A voxel's mean is its middle's + ∇²/24; linear interpolation between samples is ∇²/12 above it on average. Where
+    # strength changes, the brighter side has more weight in the mean of the column: by a sixth of the column's own
+    # change if one edge is dark.
     steep, brighter = np.gradient(column), np.gradient(strength)
     most = np.hypot(*steep) / 6.0
     leaning = (steep[0] * brighter[0] + steep[1] * brighter[1]) / 12.0
@@ -216,8 +232,8 @@ class _Rays:
 
     def edges(self, slack: np.ndarray, radius: float, together: int) -> np.ndarray:
         """(columns, 8): p, cos d, sin d, slack of the chords on either side of the light of each column."""
-        # A device gathers between the first chord of ``together`` columns and the last; slack covers chords that leave
-        # that space. Where no chord is near them all, both edges are one chord and slack spans the grid.
+        # A device gathers between the first chord of ``together`` columns and the last; slack covers chords outside
+        # that space. If no chord is near all of them, both edges are one chord and slack spans the grid.
         columns = np.arange(self.columns)
         (low_p, low), (high_p, high) = self.at(columns - self.reaches), self.at(columns + self.reaches)
         slack = slack.copy()

@@ -1,4 +1,4 @@
-"""Numbers about fields, computed where the fields live; at most 4 kB crosses the bus for each."""
+"""Numbers about fields, computed on their device; each needs a transfer of at most 4 kB."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vamgpu.kernels.reduce import HIGH, LOW, SUM, fold, partial_dot, partial_ext
 from vamgpu.kernels.signature import Kernel
 
 FOLDED = 512
-"""Partial results that are downloaded at most: 4 kB in float64."""
+"""Greatest number of partial results that are downloaded: 4 kB in float64."""
 
 EVERYWHERE = 1e18
 
@@ -54,7 +54,7 @@ def extent(
     upper: float = EVERYWHERE,
     reach: float = EVERYWHERE,
 ) -> tuple[float, float]:
-    """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper; (inf, −inf) of none."""
+    """Minimum and maximum of ``a`` within ``reach`` of the axis where lower ≤ mask < upper, or (inf, −inf)."""
     lows, highs = parts_for(partial_extent, a), parts_for(partial_extent, a)
     chosen = {"mask": a if mask is None else mask, "lower": lower, "upper": upper, "reach": reach}
     a.device.launch(partial_extent, a=a, **chosen, lows=lows, highs=highs)
@@ -62,10 +62,10 @@ def extent(
 
 
 def window(dose: DeviceArray, target: DeviceArray, reach: float, margin: float = 0.0) -> tuple[float, float, float]:
-    """Least dose inside the part, greatest dose outside it, greatest dose; inside is a fraction of at least one half.
+    """Least dose inside the part, greatest dose outside it, greatest dose; inside: a fraction of one half or more.
 
-    reach: radius of the cylinder that counts, in voxels. A part that fills it all has −infinity outside.  margin: of
-    fractions on either side of one half that are neither.
+    reach: radius of the cylinder that counts, in voxels. If a part fills it all, the dose outside is −infinity. margin:
+    range of fractions on either side of one half that count as neither.
     """
     inside = extent(dose, target, 0.5 + margin, inf, reach)
     outside = extent(dose, target, -inf, 0.5 - margin, reach)

@@ -1,4 +1,4 @@
-"""Projection of a box of voxels that is computed on rings: one table of one pose, whatever the number of angles."""
+"""Projection of a box of voxels that is computed on rings: one table of one angle for any number of angles."""
 
 from __future__ import annotations
 
@@ -27,38 +27,39 @@ from vamgpu.operators.ray_table import column_in_resin
 from vamgpu.operators.ring_splines import TAPS, shares
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
-from vamgpu.operators.spectral import SpectralProjection, passes
+from vamgpu.operators.spectral import SpectralProjection
 from vamgpu.operators.traced_projection import BLOCK, WHOLE, SparseEntries
+from vamgpu.operators.transforms import passes
 from vamgpu.schema.quantities import finite
 
 WIDTH, FINE = 0.75, 0.6
-"""Width of a ring over that of a voxel, and over that of a column of light in the resin: the lesser one. Windows of
-light found by rays in a vial, of columns of 0.33 to 1.33 voxels in the resin, are the same on such rings within 0.001;
-at 0.75 voxels they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67 and 1 voxel."""
+"""Width of a ring, the smaller of its ratios to a voxel and to a column of light in the resin. Windows of light found
+by rays in a vial, with columns of 0.33 to 1.33 voxels in the resin, are the same on such rings within 0.001. On rings
+of 0.75 voxels, they are lower by 0.1, 0.06, 0.04 and 0.007 for columns of 0.33, 0.5, 0.67 and 1 voxel."""
 NARROWEST, WIDEST = 0.1, 2.0
-"""Widths that are taken: narrower rings are many, wider ones miss a tenth of the dose."""
+"""Allowed widths: narrower rings are too many, wider ones lose a tenth of the dose."""
 BEYOND = 2
-"""Rings beyond those that voxels take of: where splines end, what light does beyond is felt for as many."""
+"""Number of rings beyond those that voxels use: at the end of splines, light beyond affects this many rings."""
 FAINT = 3e-4
-"""Share of the greatest entry of the table that counts as none: up to a quarter of the products, 3e-5 of a dose."""
+"""Share of the table's greatest entry below which entries are dropped: ≤ 1/4 of the products, 3e-5 of a dose."""
 AT_ONCE = {False: 1 << 30, True: 1 << 33}
-"""Bytes of the fields it works in, on processors and on GPUs."""
+"""Limit of its work fields [bytes], on processors and on GPUs."""
 Others = Sequence[tuple[SpectralProjection, DeviceArray]]
 THICK = 64
-"""Slices that a strip has a multiple of: those of the widest lanes, which share each entry of the table."""
+"""Strips have a multiple of this number of slices, the widest lanes, which share each entry of the table."""
 
 
 @final
 class RingProjection(LinearOperator):
     """A `Projection` at even angles, computed by Fourier transforms over the angles, on rings about the axis.
 
-    It replaces a `Projection` everywhere, also in a vial, and gives the same dose within 0.002 of the greatest (root
+    It can replace a `Projection` everywhere, also in a vial. It gives the same dose within 0.002 of the greatest (root
     mean square; 0.02 anywhere), for light with a point spread and except for two voxels along the rim of the lit resin.
     Dose is the mean over voxels, or over parts of them as wide as columns in the resin, about points of rings 0.75
-    voxels or 0.6 columns wide; cubic splines interpolate it at the voxels within the cylinder that every angle lights.
-    Voxels beyond it count as unlit. Its transpose is exact. Prints are judged by independent rays, as for ``direct``.
-    Its work fields are kept: three on rings, each at least 1.4 times a volume, and three of light, of so many slices at
-    a time that they stay below one gigabyte on processors and eight on GPUs.
+    voxels or 0.6 columns wide; cubic splines interpolate it at the voxels within the cylinder that light reaches at
+    every angle. Voxels beyond it count as unlit. Its transpose is exact. Prints are judged by independent rays, as for
+    ``direct``. It keeps its work fields: three on rings, each at least 1.4 times a volume, and three of light. Slices
+    are processed in strips that keep the fields below one gigabyte on processors and eight on GPUs.
 
     Args:
         grid: Voxels of the volume, an even number along z.
@@ -66,7 +67,7 @@ class RingProjection(LinearOperator):
         motion: Angles of the turntable, even over a full turn.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
-        rings: The rings, of the voxels' height; by default of the width above.
+        rings: The rings, of the voxels' height; by default with the width given above.
         tf32: Use eleven bits of each number in products, as for `SpectralProjection`.
 
     Raises:
@@ -135,7 +136,7 @@ class RingProjection(LinearOperator):
             tf32: Use eleven bits of each number in products, as for `SpectralProjection`.
 
         Returns:
-            The same on rings; ``direct`` of it is ``A``.
+            The projection on rings; its ``direct`` is ``A``.
 
         Raises:
             BadInput: Rings do not support it.
@@ -153,7 +154,7 @@ class RingProjection(LinearOperator):
         return found
 
     def raised(self, height: float) -> RingProjection:
-        """The same for light that is higher, with the same tables; its ``direct`` is not moved.
+        """The same operator for light that is higher, with the same tables; its ``direct`` is not moved.
 
         Args:
             height: Distance by which it is higher [mm].
@@ -169,7 +170,7 @@ class RingProjection(LinearOperator):
 
     @cached_property
     def direct(self) -> Projection:
-        """The same operator by rays through each voxel."""
+        """The same operator, by rays through each voxel."""
         return Projection(self.grid, self.beam, self.motion, self.vessel, self.device)
 
     def described(self) -> dict[str, Any]:
@@ -191,25 +192,25 @@ class RingProjection(LinearOperator):
         self.transposed_with(y, out, ())
 
     def takes_with(self, cells: PolarGrid) -> bool:
-        """Whether light that is transformed once also serves cells of the same slices.
+        """Whether light that is transformed once can also be used for cells of the same slices.
 
         Args:
             cells: The cells.
 
         Returns:
-            True where all slices are worked on at once.
+            True if all slices are processed at once.
         """
         own = self._spectral.grid
         same = (own.angles, own.slices) == (cells.angles, cells.slices) and len(self._strips) == 1
         return same and np.allclose(own.z, cells.z)
 
     def forward_with(self, x: DeviceArray, others: Others, out: DeviceArray) -> None:
-        """Compute out = A x + the sum of what other operators make of their cells.
+        """Compute out = A x + the projections of the cells of other operators.
 
         Args:
             x: The operand, [x, y, z].
-            others: Products on rings that `takes_with` holds for, and their cells.
-            out: Takes the result, [angle, r, z].
+            others: Products on rings for which `takes_with` is true, and their cells.
+            out: Receives the result, [angle, r, z].
         """
         with self._rows.filling(out, self._rows_field) as rows:
             for first in self._strips:
@@ -227,8 +228,8 @@ class RingProjection(LinearOperator):
 
         Args:
             y: The operand, [angle, r, z].
-            out: Takes the result, [x, y, z].
-            others: Products on rings that `takes_with` holds for, and what takes their cells.
+            out: Receives the result, [x, y, z].
+            others: Products on rings for which `takes_with` is true, and the arrays for their cells.
         """
         rows = self._rows.in_slices(y, self._rows_field)
         for first in self._strips:
@@ -242,7 +243,7 @@ class RingProjection(LinearOperator):
             self._put(dose, first, out)
 
     def _take_memory(self) -> None:
-        """Have what is worked in all the time before anything else is, which may then have to lie in files."""
+        """Allocate the permanent work fields before any others, which may then have to be in files."""
         slices, (angles, columns, _) = self._spectral.grid.slices, self.range.shape
         work = self._spectral._work
         several = self._spectral._from_rings.count > 1
@@ -263,25 +264,25 @@ class RingProjection(LinearOperator):
         return self._spectral._work("rows", shape)
 
     def _strip(self, name: str, of: DeviceArray) -> DeviceArray:
-        """A field for the slices of a field that are worked on at once; the field itself where those are all."""
+        """A field for the slices that are processed at a time; the field itself if those are all."""
         alone = len(self._strips) == 1
         return of if alone else self._spectral._work(name, (*of.shape[:2], self._spectral.grid.slices))
 
     def _cut(self, name: str, source: DeviceArray, first: int) -> DeviceArray:
-        """Slices of a field from ``first`` on; what lies beyond its last one is left as it was."""
+        """Slices of a field from ``first`` on; slices beyond its last one are not changed."""
         strip = self._strip(name, source)
         if strip is not source:
             self.device.launch(copy_slices, source=source, first=first, lanes=source, field=strip)
         return strip
 
     def _put(self, strip: DeviceArray, first: int, field: DeviceArray) -> None:
-        """Bring what `_cut` takes to where it is from."""
+        """Copy the slices of `_cut` back to their field."""
         if strip is not field:
             self.device.launch(copy_slices, source=strip, first=-first, lanes=strip, field=field)
 
 
 def unsupported_reason(A: Any) -> str:
-    """Why rings cannot replace an operator; empty if they can."""
+    """Reason why rings cannot replace an operator; empty if they can."""
     if isinstance(A, RingProjection):
         return "it is on rings already; RingProjection.of(A.direct, width=…) makes others"
     if not isinstance(A, Projection):
@@ -303,7 +304,7 @@ def prefers_rings(A: Any) -> bool:
 
 
 def uneven_reason(motion: Turntable) -> str:
-    """Why the light of one pose, turned, is not that of all angles; empty if it is."""
+    """Reason why the light of one angle, rotated, is not that of all angles; empty if it is."""
     even = motion.is_even and motion.angles >= 2
     return "" if even else f"its angles, {motion}, are not two or more, even over a full turn from 0, each lit as long"
 
@@ -317,24 +318,24 @@ def _unsupported(grid: Grid, motion: Turntable) -> str:
 
 
 def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
-    """Rings out to beyond the taps of the outermost voxel that every angle lights."""
+    """Rings out to beyond the taps of the outermost voxel that light reaches at every angle."""
     count = _least(grid, width) + BEYOND
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
 
 
 def _width(grid: Grid, beam: Beam, vessel: Vessel | None) -> float:
-    """Width of rings over that of voxels that light asks for."""
+    """Ratio of the width of rings to that of voxels that the light needs."""
     column = column_in_resin(beam, vessel) if vessel else beam.pitch
     return max(min(WIDTH, FINE * column / grid.pitch), NARROWEST)
 
 
 def _parts(width: float) -> int:
-    """Squares in a row that a voxel is the mean of, about as wide as columns that need rings of this width."""
+    """Number of squares in a row whose mean is a voxel, about as wide as columns that need rings of this width."""
     return max(1, ceil(FINE / width - 0.25))
 
 
 def _strips(rings: PolarGrid, beam: Beam, device: Device) -> tuple[range, int]:
-    """First slices of the strips that are worked on one after the other, and how many slices a strip has."""
+    """First slices of the strips, which are processed one after another, and the number of slices of a strip."""
     angles, cells, slices = rings.shape
     each = 4 * angles * (3 * cells + 3 * beam.pixels[0])
     most = AT_ONCE[getattr(device, "is_gpu", False)] * len(getattr(device, "members", ".")) // each
@@ -357,19 +358,19 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
         )
     if not covers(rings, grid):
         raise BadInput(
-            f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before what voxels take of them; "
+            f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before the last ones that voxels need; "
             f"expected {_least(grid, rings.pitch / grid.pitch)} or more for {grid!r}, a multiple of {ROWS}"
         )
     return rings
 
 
 def covers(rings: PolarGrid, grid: Grid) -> bool:
-    """Whether rings reach beyond all that the voxels which every angle lights take of them."""
+    """Whether rings extend beyond all that are needed by the voxels that light reaches at every angle."""
     return rings.rings >= _least(grid, rings.pitch / grid.pitch)
 
 
 def _least(grid: Grid, width: float) -> int:
-    """Rings, of a width in voxels, out to the last tap of the outermost voxel that every angle lights."""
+    """Rings, of a width in voxels, out to the last tap of the outermost voxel that light reaches at every angle."""
     beyond = sqrt(0.5) * (1.0 - 1.0 / _parts(width))  # to the middle of its outermost square
     return ceil((0.5 * (min(grid.shape[:2]) - 1) + beyond) / width + TAPS[-1] + 0.5)
 
@@ -389,7 +390,7 @@ def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntr
 
 
 def _at_points(rings: PolarGrid, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Number of each point, cell and weight of what points take; rings that end before a point's taps leave it dark."""
+    """Numbers of points and cells, and weights, of the taps of points; points beyond the rings are dark."""
     radius, turn = np.hypot(x, y) / rings.pitch - 0.5, np.arctan2(y, x) / FULL_TURN
     inside = np.flatnonzero(radius + TAPS[-1] < rings.rings)
     radius, turn = radius[inside], turn[inside]

@@ -1,4 +1,4 @@
-"""RowResampler of a beam and slices of a grid: two samplings of z about the same middle."""
+"""Resampling between the rows of a beam and the slices of a grid: two samplings of z about the same middle."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from vamgpu.kernels.footprint import FAR, TAIL, THINNEST
 from vamgpu.kernels.resample import resample
 
 Empty = Callable[[tuple[int, ...]], DeviceArray]
-"""Makes a field of a shape."""
+"""Function that makes a field of a shape."""
 
 
 class RowResampler:
-    """Resamples light of rows of pixels to slices of voxels and back; both ways are transposes."""
+    """Resamples light of rows of pixels to slices of voxels and back; each direction is the transpose of the other."""
 
-    # A weight is the mean, over a slice, of the light of a row: of its lit box (``fill`` of its height), blurred by the
-    # point spread ``sigma`` [rows].  raised: by which the light lies higher [rows].  gap: height between the lower half
-    # of the slices and the upper one [mm].
+    # A weight is the light of a row, averaged over a slice: of its lit box (``fill`` of its height), blurred by the
+    # point spread ``sigma`` [rows]. raised: distance by which the light is higher [rows]. gap: height between the lower
+    # half of the slices and the upper one [mm].
 
     rows: int
     slices: int
@@ -57,7 +57,7 @@ class RowResampler:
         return cls(beam.pixels[1], beam.pitch, slices, pitch, device, fill, sigma, height / beam.pitch, gap)
 
     def in_slices(self, rows: DeviceArray, empty: Empty | None = None) -> DeviceArray:
-        """The light [pose, r, slice] of rows; the rows themselves where each is a slice."""
+        """The light [angle, r, slice] of rows; the rows themselves if each is a slice."""
         if self.same:
             return rows
         slices = (empty or self.device.empty)((*rows.shape[:2], self.slices))
@@ -66,7 +66,7 @@ class RowResampler:
 
     @contextmanager
     def filling(self, rows: DeviceArray, empty: Empty | None = None) -> Iterator[DeviceArray]:
-        """A field [pose, r, slice] to fill, which fills rows in the end; the rows themselves where each is a slice."""
+        """A field [angle, r, slice] to fill and resample to rows; the rows themselves if each is a slice."""
         slices = rows if self.same else (empty or self.device.empty)((*rows.shape[:2], self.slices))
         yield slices
         if slices is not rows:
@@ -103,7 +103,7 @@ def _second_integral(x: np.ndarray, sigma: float) -> np.ndarray:
 def banded(device: Device, matrix: np.ndarray) -> dict[str, DeviceArray]:
     """The tables of `resample` for a matrix [target, source] whose rows are one short run each."""
     filled = matrix != 0.0
-    first = np.maximum.accumulate(filled.argmax(axis=1))  # a row without an entry stands where the one before it does
+    first = np.maximum.accumulate(filled.argmax(axis=1))  # a row without an entry begins where the previous one does
     last = np.where(filled.any(axis=1), matrix.shape[1] - filled[:, ::-1].argmax(axis=1), first + 1)
     taps = np.arange(int((last - first).max()))
     columns = np.minimum(first[:, None] + taps, matrix.shape[1] - 1)

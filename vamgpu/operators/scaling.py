@@ -1,4 +1,4 @@
-"""A volume, each voxel times a number of its own."""
+"""A volume whose voxels are multiplied by their own factors."""
 
 from __future__ import annotations
 

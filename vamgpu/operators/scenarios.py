@@ -54,7 +54,7 @@ class Scenarios(Derived):
         self.grid = replace(self.each, shape=(wide, deep, high * len(self.mix)))
         self.domain, self.range, self.device = VolumeSpace(self.grid), nominal.range, nominal.device
         self.projections = 0.0
-        """Projections and doses computed so far, in evaluations: half of one each."""
+        """Number of projections and doses computed so far, half an evaluation each."""
         self._ones = self.device.table(np.ones((high, 1)))
         self._firsts = [
             self.device.upload(np.arange(high, dtype=np.int32) + high * s, np.dtype(np.int32), table=True)
@@ -69,11 +69,11 @@ class Scenarios(Derived):
 
     @property
     def cost(self) -> float:
-        """Evaluations of projectors that one evaluation takes."""
+        """Number of projector evaluations that one evaluation of the scenarios takes."""
         return float(sum(bool(self._shares(number)) for number in range(len(self.operators))))
 
     def stacked(self, fields: Sequence[DeviceArray]) -> DeviceArray:
-        """Put the volumes [x, y, z] of all scenarios above each other, [x, y, scenario · z]."""
+        """Stack the volumes [x, y, z] of all scenarios, [x, y, scenario · z]."""
         out = self.device.upload(np.zeros(self.domain.shape, np.float32))
         for scenario, field in enumerate(fields):
             self._put(field, scenario, 1.0, False, out)
@@ -93,7 +93,7 @@ class Scenarios(Derived):
         )  # fmt: skip
 
     def _shares(self, operator: int) -> list[int]:
-        """Scenarios that an operator has a share in."""
+        """Scenarios to which an operator contributes."""
         return [s for s, share in enumerate(self.mix[:, operator]) if share]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:

@@ -22,10 +22,10 @@ from vamgpu.schema.quantities import Count, Place
 
 
 class Shift:
-    """Moves images by fractions of a pixel, there and back, by linear interpolation."""
+    """Moves images by fractions of a pixel, forward and back, by linear interpolation."""
 
     # moves: (images, 2), columns and rows by which a moved pixel lies further on in its source, both counted from the
-    # middle.  source, moved: shapes (columns, rows) of the images.
+    # middle. source, moved: shapes (columns, rows) of the images.
 
     def __init__(self, device: Device, moves: np.ndarray, source: tuple[int, int], moved: tuple[int, int]) -> None:
         start = moves + 0.5 * (np.array(source) - 1) - 0.5 * (np.array(moved) - 1)
@@ -60,7 +60,7 @@ def _check_projector(operator: Any, name: str) -> None:
 class Wobbled(Derived):
     """A projector whose axis moves with its vessel from angle to angle: its images move along r.
 
-    Only `Wobble.across` moves them, by fractions of a pixel: parallel light is the same all along its path. For other
+    Only `Wobble.across` moves them, by fractions of a pixel: parallel light is the same along its whole path. For other
     light, give the wobble to `Oblique`, which also needs no interpolation.
 
     Args:
@@ -108,7 +108,7 @@ class Wobbled(Derived):
 
 @dataclass(frozen=True)
 class TiledSpace:
-    """Images of a beam at several places, those of one tile after those of the other, axes ``[tile · pose, r, z]``."""
+    """Images of a beam at several heights, tile after tile, axes ``[tile · angle, r, z]``."""
 
     beam: Beam
     poses: int
@@ -117,7 +117,7 @@ class TiledSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Tiles times poses, columns and rows."""
+        """Number of tiles times angles, columns and rows."""
         return (self.tiles * self.poses, *self.beam.pixels)
 
 
@@ -125,17 +125,17 @@ class TiledSpace:
 class Tiles(Derived):
     """A volume taller than the beam, exposed in turn with the beam at several heights; range [tile·angle, r, row].
 
-    Optimize with the tall projector, then `split` its light: tiles overlap with complementary weights, so that they
-    give the dose of the tall light, and a slightly misplaced beam leaves no seam. Or optimize the tiles themselves.
+    Optimize with the tall projector, then `split` its light. Tiles overlap with complementary weights: together they
+    give the tall light's dose, and a slightly misplaced beam leaves no seam. Or optimize the tiles themselves.
 
     Args:
         operator: A projector whose tall beam covers the volume.
         rows: Rows of the machine's beam.
-        overlap: Fewest rows that neighbors share.
+        overlap: Smallest number of rows that neighbors share.
         centers: Middles of the tiles along z [mm], in their order, (tiles,); None for even ones at whole rows.
 
     Raises:
-        BadInput: The overlap is as high as the beam, or tiles leave a gap.
+        BadInput: The overlap is at least as high as the beam, or tiles leave a gap.
     """
 
     device: Device
@@ -210,7 +210,7 @@ def _spread(tall: Beam, rows: int, overlap: int) -> np.ndarray:
 
 
 def _tapers(tall: Beam, rows: int, centers: np.ndarray) -> np.ndarray:
-    """(tile, row): weights that fall in a straight line over every overlap and add up to one."""
+    """(tile, row): weights that decrease linearly over every overlap and add up to one."""
     if centers.ndim != 1 or not centers.size or not np.isfinite(centers).all() or (np.diff(centers) <= 0).any():
         raise BadInput(f"centers of tiles are {centers}; expected finite heights [mm] that rise from tile to tile")
     low, high = (centers + side * 0.5 * rows * tall.pitch for side in (-1, 1))

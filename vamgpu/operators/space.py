@@ -1,4 +1,4 @@
-"""The spaces operators map between: those of volumes and sinograms, of rings, of webs and the light on them."""
+"""The spaces between which operators map: those of volumes and sinograms, of rings, of webs and the light on them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SinogramSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Poses, columns and rows."""
+        """Number of angles, columns and rows."""
         return (self.motion.angles, *self.beam.pixels)
 
     @property
@@ -61,7 +61,7 @@ class WebSpace:
 
 @dataclass(frozen=True)
 class WebSinogramSpace:
-    """Values on the pixels of a beam at every pose of a web, axes ``[pose, r, z]``."""
+    """Values on the pixels of a beam at every angle of a web, axes ``[angle, r, z]``."""
 
     beam: Beam
     motion: WebMotion
@@ -69,7 +69,7 @@ class WebSinogramSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Poses, columns and rows."""
+        """Number of angles, columns and rows."""
         return (self.motion.poses, *self.beam.pixels)
 
 
@@ -82,7 +82,7 @@ class PolarSpace:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Angles, cells between two of them, slices."""
+        """Number of angles, of cells between two of them, and of slices."""
         return self.grid.shape
 
 
@@ -91,11 +91,12 @@ Space = VolumeSpace | SinogramSpace | PolarSpace | WebSpace | WebSinogramSpace
 
 def require(space: Space, value: Any, name: str) -> None:
     """Raise `ShapeMismatch` unless ``value`` has the shape of ``space``."""
-    shape = tuple(getattr(value, "shape", ()))
-    if shape != space.shape:
-        axes = ", ".join(space.axes)
+    shape = getattr(value, "shape", None)
+    if shape is None or tuple(shape) != space.shape:
+        got = f"is a {type(value).__name__}" if shape is None else f"has shape {tuple(shape)}"
         raise ShapeMismatch(
-            f"{name} has shape {shape}; expected {space.shape} = [{axes}]: build it on the same geometry"
+            f"{name} {got}; expected an array of shape {space.shape} = [{', '.join(space.axes)}]: build it on the same "
+            "geometry"
         )
 
 

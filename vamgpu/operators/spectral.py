@@ -2,65 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from math import prod
 from threading import local
 from typing import Any, final
-
-import numpy as np
 
 from vamgpu.backend import open_device
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
-from vamgpu.geometry import FULL_TURN, Beam, Turntable, Vessel, positive
-from vamgpu.kernels.spectrum import (
-    AT_ONCE,
-    FACTOR,
-    ONE_SUM,
-    factors,
-    fourier,
-    gather_rings,
-    in_groups,
-    is_even,
-    light_rings,
-    most_lit_first,
-)
+from vamgpu.geometry import Beam, Turntable, Vessel, positive
+from vamgpu.kernels.spectrum import gather_rings, light_rings, most_lit_first
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.polar import PolarGrid, PoseTile, ring_table
+from vamgpu.operators.polar import PolarGrid, PoseTile, tiles_of_vessel
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.ring_table import ring_table
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
+from vamgpu.operators.transforms import Passes, Place, ring_radices, straight_passes
 from vamgpu.schema.quantities import finite
-
-MOST = 4
-"""_Passes that there may be."""
 
 
 @final
 class SpectralProjection(LinearOperator):
     """Rays of a beam through rings of voxels that a turntable turns, in air or inside a vessel at rest.
 
-    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the mean, over
-    cell j, of the light that the box of pixel i sends, blurred by the beam's point spread, × pitch² / pixel pitch, as
-    of a voxel of a box; multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction,
-    absorption and the point spread are in the light of one angle, and cost nothing.
+    ``A.T(sinogram)`` is the dose [angle, cell, z], ``A(volume)`` its plain transpose. ``A[i, j]`` is the light of pixel
+    i's box, blurred by the beam's point spread, averaged over cell j, × pitch² / pixel pitch, as for a voxel of a box;
+    multiply a volume by the ``areas`` of the grid to integrate it along rays. Refraction, absorption and the point
+    spread are part of the light of one angle, and take no additional time.
 
     Args:
-        grid: Rings of the volume, made for the angles.
+        grid: Rings of the volume, made for these angles.
         beam: Pixels, with their fill factor and point spread.
         vessel: For example a `Vial`; None for straight light.
         device: A name or a device; the best available one by default.
-        square: Side [mm] of squares about the middles of the cells, over which doses are means instead of over cells;
-            ``pitch`` above is then theirs.
-        faint: Share of the greatest entry of its table up to which entries of the outermost columns count as zero.
+        square: Side [mm] of squares about the middles of the cells, over which doses are averaged instead of over
+            cells; ``pitch`` above is then this side.
+        faint: Share of the greatest entry of its table below which entries of the outermost columns count as zero.
         tf32: Use eleven bits of each number in products (TensorFloat-32) on devices with units for them: NVIDIA's in
             OpenCL. It has no effect on other devices.
-        motion: Turntable of the grid's angles, and the share of the steps that is lit; None for one that turns all the
-            time.
-        splines: Give coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only with
-            a square.
+        motion: Turntable of the grid's angles, with the lit share of its steps; None for one that is lit during the
+            whole step.
+        splines: Return coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only
+            with a square.
         tiles: Dose of the light of one angle in every eight rings, if it is not that of the vessel.
 
     Raises:
@@ -106,11 +91,12 @@ class SpectralProjection(LinearOperator):
         self._held = local()
         self._rows = RowResampler.of(beam, grid.slices, grid.slice_pitch, self.device)
         arc = float(motion.arcs[0])
-        table = ring_table(grid, beam, vessel or OpenAir(), square, faint, self.device.room, splines, arc, tiles)
+        given = tiles or tiles_of_vessel(grid, beam, vessel or OpenAir(), square, splines, arc)
+        table = ring_table(grid, beam, given, self.device, faint, splines)
         self._light_shape = (grid.angles, beam.pixels[0], grid.slices)
         upload = self.device.table
         self._entries = {
-            "entries": self.device.settle(table.entries),
+            "entries": self.device.hold(table.entries),
             "greatest": table.greatest,
             "tiles": upload(table.tiles, "int32"),
             "lit": upload(table.lit, "int32"),
@@ -126,10 +112,10 @@ class SpectralProjection(LinearOperator):
             Its arguments by name.
 
         Raises:
-            BadInput: It was given tiles.
+            BadInput: The operator was made from tiles.
         """
         if self._has_tiles:
-            raise BadInput(f"got {self!r} of tiles, which are not kept; expected one of a vessel: pickle what made it")
+            raise BadInput(f"got {self!r}, made of tiles; expected one of a vessel: pickle the operator of its tiles")
         return {"grid": self.grid, "beam": self.beam, "vessel": self.vessel, **self._given}
 
     def __repr__(self) -> str:
@@ -138,25 +124,21 @@ class SpectralProjection(LinearOperator):
         return f"SpectralProjection({self.grid!r}, {self.beam!r}{vessel}, device={self.device.name!r}{how})"
 
     @cached_property
-    def _of_light(self) -> _Passes:
+    def _of_light(self) -> Passes:
         return straight_passes(self.device, *self._light_shape[:2])
 
     @cached_property
-    def _to_rings(self) -> _Passes:
+    def _to_rings(self) -> Passes:
         own = self._radices and [radices[::-1] for radices in self._radices]
-        return _Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._bands], own)
+        return Passes(self.device, [(n, rings, spectral, cells) for n, rings, cells, spectral in self._bands], own)
 
     @cached_property
-    def _from_rings(self) -> _Passes:
-        return _Passes(self.device, self._bands, self._radices)
+    def _from_rings(self) -> Passes:
+        return Passes(self.device, self._bands, self._radices)
 
     @property
     def _radices(self) -> list[tuple[int, ...]] | None:
-        """GPUs transform rings over the angles first, as light, then over the cells between two angles."""
-        angles, bands = self.grid.angles, self.grid.bands
-        if not on_gpu(self.device) or not any(factors(angles)):
-            return None
-        return [(angles, band.samples) if bands[-1].samples > 1 else (angles,) for band in bands]
+        return ring_radices(self.device, self.grid.angles, [band.samples for band in self.grid.bands])
 
     @property
     def _bands(self) -> list[tuple[int, int, Place, Place]]:
@@ -178,7 +160,7 @@ class SpectralProjection(LinearOperator):
         self._in_turn(self._gathered(x), rows)
 
     def _gathered(self, x: DeviceArray) -> DeviceArray:
-        """`_gather` by angular frequencies, in a field that is worked in."""
+        """`_gather` for angular frequencies, in a work field."""
         launch, work = self.device.launch, self._work
         spectrum = self._from_rings.run(-1.0, x, lambda number: work(f"rings {number}", x.shape))
         light = work("light 0", self._light_shape)
@@ -186,110 +168,26 @@ class SpectralProjection(LinearOperator):
         return light
 
     def _in_turn(self, light: DeviceArray, rows: DeviceArray) -> None:
-        """Light by angular frequencies, in "light 0", back at its angles."""
+        """Transform light in "light 0" from angular frequencies to angles."""
         self._of_light.run(1.0, light, lambda number: self._work(f"light {1 - number}", self._light_shape), last=rows)
 
     def _light(self, rows: DeviceArray, out: DeviceArray) -> None:
-        """The dose of columns in slices, the transpose of `_gather`."""
+        """The dose of columns in slices; the transpose of `_gather`."""
         self._on_rings(self._by_frequency(rows), out)
 
     def _by_frequency(self, rows: DeviceArray) -> DeviceArray:
-        """Light by its angular frequencies, in a field that is worked in."""
+        """Angular frequencies of light, in a work field."""
         return self._of_light.run(-1.0, rows, lambda number: self._work(f"light {number}", self._light_shape))
 
     def _on_rings(self, light: DeviceArray, out: DeviceArray) -> None:
-        """The dose of light by its angular frequencies."""
+        """The dose of light given by its angular frequencies."""
         spectrum = self._work("rings 0", out.shape)
         self.device.launch(light_rings, light=light, **self._entries, spectrum=spectrum)
         self._to_rings.run(1.0, spectrum, lambda number: self._work(f"rings {1 - number}", out.shape), last=out)
 
     def _work(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """A field to work in, kept for the next product: the pages of new memory cost more than a pass over them."""
+        """A work field, kept for the next product: new memory takes longer than a pass over it."""
         held = vars(self._held)  # of each thread
         if name not in held:
             held[name] = self.device.empty(shape)
         return held[name]
-
-
-Place = tuple[int, int, int, int]
-"""First sample, n, and steps a and b, as of `vamgpu.kernels.spectrum.RingBands`."""
-
-
-class _Passes:
-    """Fourier transforms of rings, a pass after the other."""
-
-    # bands: (samples, rings, place in the source, in the sink).  radices: of the passes of each; chosen if left out.
-
-    def __init__(
-        self, device: Device, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]] | None = None
-    ) -> None:
-        self._device = device
-        radices = radices or passes([n for n, *_ in bands], _fits(device))
-        waves = [FULL_TURN * np.arange(n) / n for n, *_ in bands]
-        self._waves = device.table(np.concatenate([np.stack([np.cos(w), np.sin(w)], axis=1) for w in waves]))
-        self._tables = [self._pass(bands, radices, number) for number in range(len(radices[0]))]
-
-    @property
-    def count(self) -> int:
-        """The number of passes."""
-        return len(self._tables)
-
-    def _pass(
-        self, bands: list[tuple[int, int, Place, Place]], radices: list[tuple[int, ...]], number: int
-    ) -> dict[str, Any]:
-        """The arguments of one pass; the first reads where the source lies, all others where the sink does."""
-        found, item, wave = [], 0, 0
-        for (n, rings, source, sink), own in zip(bands, radices, strict=True):
-            read = sink if number else source
-            found.append((item, n, rings, own[number], prod(own[:number]), wave, *read, *sink))
-            item, wave = item + n * rings, wave + n
-        radix = radices[0][number]
-        alike = radix > FACTOR and all(own[number] == radix for own in radices) and all(map(is_even, found))
-        fixed = factors(radix) if alike and on_gpu(self._device) else (0, 0, 0, 0)
-        bands_of_pass = self._device.table(in_groups(found, whole=any(fixed)), "int32")
-        return {"bands": bands_of_pass, **dict(zip(("first", "second", "third", "last"), fixed, strict=True))}
-
-    def run(
-        self, sign: float, source: DeviceArray, work: Callable[[int], DeviceArray], last: DeviceArray | None = None
-    ) -> DeviceArray:
-        """Transform by way of work(0) and work(1), which may be the source; return where the result is."""
-        for number, own in enumerate(self._tables):
-            sink = last if last is not None and number == self.count - 1 else work(number % 2)
-            self._device.launch(fourier, source=source, **own, waves=self._waves, sign=sign, sink=sink)
-            source = sink
-        return source
-
-
-def straight_passes(device: Device, angles: int, width: int, given: int | None = None) -> _Passes:
-    """Transforms over the angles of light [angle, r, z] of so many columns, or of the first of those ``given``."""
-    return _Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
-
-
-def on_gpu(device: Device) -> bool:
-    """Whether it is one in OpenCL, which computes some transforms in its own way."""
-    return device.name.startswith("opencl") and getattr(device, "is_gpu", False)
-
-
-def _fits(device: Device) -> Callable[[int], bool]:
-    """Which radices a device has short work with."""
-    if not device.name.startswith("opencl"):
-        return ONE_SUM.__ge__
-    return (lambda radix: any(factors(radix))) if on_gpu(device) else AT_ONCE.__ge__
-
-
-def passes(lengths: list[int], fits: Callable[[int], bool]) -> list[tuple[int, ...]]:
-    """Radices of each transform, as many for all: as few passes as make them all fit, else those of the least work."""
-    for count in range(1, MOST + 1):
-        short = [_radices(n, count, fits) for n in lengths]
-        if all(short):
-            return short
-    choices = [found for count in range(1, MOST + 1) if all(found := [_radices(n, count) for n in lengths])]
-    return min(choices, key=lambda found: sum(map(sum, found)))
-
-
-def _radices(n: int, passes: int, fits: Callable[[int], bool] = bool) -> tuple[int, ...]:
-    """Factors of n that fit, one a pass, none of them 1, whose sum is least; nothing where there are none."""
-    if passes == 1:
-        return (n,) if n > 1 and fits(n) else ()
-    rest = ((d, *_radices(n // d, passes - 1, fits)) for d in range(2, n) if n % d == 0 and fits(d))
-    return min((found for found in rest if len(found) == passes), key=sum, default=())

@@ -1,4 +1,4 @@
-"""Projection through fields that the resin carries: every ray is traced at every angle."""
+"""Projection through a medium that turns with the resin: every ray is traced at every angle."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import SinogramSpace, VolumeSpace, require_kinds
 
 SCRATCH = 64 << 20
-"""Bytes of the table that poses are traced into at once."""
+"""Bytes of the table for the angles that are traced at a time."""
 WHOLE = 1 << 24
-"""Float32 represents all whole numbers up to here."""
+"""Float32 represents all whole numbers up to this one."""
 BLOCK = 1 << 24
-"""Columns of a matrix that are read together."""
+"""Number of columns of a matrix that are read together."""
 PLANES, POSES = 32, 45
-"""Planes of voxels, and poses, whose entries are gathered together, so that neighbors find them in the cache."""
+"""Planes of voxels, and angles, whose entries are gathered together; neighbors then find them in the cache."""
 PATIENCE = 8
-"""A ray counts as trapped after a path through this many grids."""
+"""A ray counts as trapped after a path through this number of grids."""
 
 
 @final
 class TracedProjection(LinearOperator):
     """Rays of a beam through a volume that turns together with a medium.
 
-    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]; ``A[i, j]`` is the length [mm] of
-    ray i in voxel j, times transmittance and the absorbed fraction per mm where the medium absorbs, and times the dwell
-    of its angle over the mean. Opaque voxels get no dose. Where nothing depends on z and light is level, all slices
-    share the rays of one: they are traced once into a sparse matrix and its transpose, both on the device. Otherwise
-    rays are marched in every product. A pixel is one ray, or those of ``rays``, without point spread. Light of a
-    container that turns while a frame is lit is the mean of places a third of a voxel apart at the rim: as many times
-    the rays are traced.
+    ``A(volume)`` is the sinogram [angle, r, z], ``A.T(sinogram)`` the dose [x, y, z]. ``A[i, j]`` is the length [mm] of
+    ray i in voxel j, multiplied by the transmittance, by the absorbed fraction per mm if the medium absorbs, and by the
+    ratio of the dwell of its angle to the mean. Opaque voxels get no dose. If nothing depends on z and light is
+    horizontal, all slices share the rays of one: they are traced once into a sparse matrix and its transpose, both on
+    the device. Otherwise rays are marched in every product. A pixel is one ray, or those of ``rays``, without point
+    spread. For a container that turns while a frame is lit, light is the mean over positions a third of a voxel apart
+    at the rim; the number of traced rays grows accordingly.
 
     Args:
         grid: Voxels of the volume.
@@ -57,7 +57,7 @@ class TracedProjection(LinearOperator):
         rays: Rays of every pixel; None for parallel light.
         device: A name or a device; the best available one by default.
         step: Step of a ray [voxels], at most 0.5 for thin inserts.
-        most_steps: Steps after which a ray counts as trapped; by default enough to cross the grid 8 times.
+        most_steps: Number of steps after which a ray counts as trapped; by default enough to cross the grid 8 times.
 
     Raises:
         BadInput: An argument is of another type or out of its range, or a ray never leaves.
@@ -92,7 +92,7 @@ class TracedProjection(LinearOperator):
         expected = ((grid, Grid), (beam, Beam), (motion, Turntable), (medium, CoRotatingMedium), (rays, RayBundle))
         require_kinds("TracedProjection(grid, beam, …)", *expected)
         one_ray_a_pixel("TracedProjection", beam)
-        assert rays is not None  # only a beam of another kind leaves it out
+        assert rays is not None  # only beams without rays lack it
         self.grid, self.beam, self.motion, self.medium, self.rays = grid, beam, motion, medium, rays
         self.vessel = None
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
@@ -113,7 +113,7 @@ class TracedProjection(LinearOperator):
 
     @property
     def entries(self) -> int:
-        """Pairs of the sparse matrix of one slice; 0 where rays are marched in every product."""
+        """Number of entries of the sparse matrix of one slice; 0 if rays are marched in every product."""
         return self._way.entries
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
@@ -124,7 +124,7 @@ class TracedProjection(LinearOperator):
         self._way.transposed(self._dwell.weighted(y), out)
 
     def _inputs(self, *, level: bool) -> dict[str, Any]:
-        """Medium, rays, step and kind as the kernels of `trace` take them."""
+        """Medium, rays, step and kind in the form for the kernels of `trace`."""
         unit = 1.0 if self.medium.kind & ABSORBS else self.grid.pitch
         starts = self.rays.table(self.grid, self.beam, level=level, unit=unit)  # type: ignore[union-attr]
         return {
@@ -143,8 +143,8 @@ class TracedProjection(LinearOperator):
         pose = np.degrees(self.motion.poses[angle])
         raise BadInput(
             f"{int(caught.sum())} of {caught.size} rays have not left after {self.most_steps} steps of {self.step:g} "
-            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), first that of column {column}, "
-            f"row {row} at {pose:.4g}°; look at the index, or allow more with most_steps="
+            f"voxels ({self.most_steps * self.step * self.grid.pitch:.4g} mm), first that of column {column}, row "
+            f"{row} at {pose:.4g}°; check the index, or allow more with most_steps="
         )
 
 
@@ -186,7 +186,7 @@ def _mean_of(owner: TracedProjection, shape: tuple[int, int]) -> SparseEntries:
 
 
 def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
-    """The matrix of one slice at some angles, rows being [angle, r]; traced some poses at a time."""
+    """The matrix of one slice at some angles, with rows [angle, r]; some angles are traced at a time."""
     device, bundle = owner.device, owner.rays.rays  # type: ignore[union-attr]
     inputs = owner._inputs(level=True) | {"most": owner.most_steps}
     rays = owner.beam.pixels[0] * bundle
@@ -258,14 +258,14 @@ class _March:
 
 @dataclass(frozen=True, eq=False)
 class SparseEntries:
-    """Entries of a matrix in any order: rows and columns, int32, and weights; those of one place add up."""
+    """Entries of a matrix in any order: rows and columns, int32, and weights; entries at the same position add up."""
 
     row: np.ndarray
     column: np.ndarray
     weight: np.ndarray
 
     def transposed(self) -> SparseEntries:
-        """The same entries, rows and columns exchanged."""
+        """The same entries with rows and columns exchanged."""
         return SparseEntries(self.column, self.row, self.weight)
 
     def table(self, device: Device, shape: tuple[int, int], block: int) -> dict[str, DeviceArray]:
@@ -279,7 +279,7 @@ class SparseEntries:
 
 
 def _sorted(place: np.ndarray, places: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each place's entries begin, and all entries by their places; those of one place keep their order."""
+    """Start of each position's entries, and all entries by position; those of one position keep their order."""
     from scipy.sparse import csr_array
 
     row = csr_array((np.arange(place.size, dtype=np.int32), place, np.array([0, place.size])), shape=(1, places))

@@ -24,20 +24,20 @@ from vamgpu.web import Propagation, WebGrid, Wrap, light_of_pose
 class WebProjection(LinearOperator):
     """The light of one angle at every position of a web that moves past it.
 
-    ``A(web)`` is the light [pose, r, z] of a web [l, rho, z]: g[pose, r, z] = Σ over the window of
-    P[r, rho, l]·f[l + start + pose·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count
-    as nothing; a window that begins between two columns interpolates linearly, and light is the mean over the film's
-    motion while a frame is lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing",
-    section S2, is never made: memory is that of f and g, and with steps between columns that of one more g. A pixel is
-    that of the `Propagation`, without point spread.
+    ``A(web)`` is the light [angle, r, z] of a web [l, rho, z]: g[angle, r, z] = Σ over the window of P[r, rho, l]·f[l +
+    start + angle·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count as 0. A window
+    that begins between two columns interpolates linearly, and light is the mean over the film's motion while a frame is
+    lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never
+    stored: memory is that of f and g, and for steps between columns one more g. A pixel is that of the `Propagation`,
+    without point spread.
 
     Args:
         grid: The web.
         beam: The beam, without ``fill`` and ``spread``.
         wrap: The machine that moves the web.
         device: A name or a device; the best available one by default.
-        poses: Number of angles; by default all that light any of the web.
-        start: Start of the first window [columns]; by default the first that lights any of the web.
+        poses: Number of angles; by default all that light any part of the web.
+        start: Start of the first window [columns]; by default the first that lights any part of the web.
 
     Attributes:
         light: The `Propagation` of one pose.
@@ -90,7 +90,7 @@ class WebProjection(LinearOperator):
         Args:
             grid: The web.
             light: Light of one pose.
-            step: From pose to pose [columns].
+            step: Step from angle to angle [columns].
             beam: The light's pixels; by default each row of light is a slice.
             device: A name or a device; the best available one by default.
             poses: As for `WebProjection`.
@@ -141,7 +141,7 @@ class WebProjection(LinearOperator):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the tables on the device: all that both directions keep."""
+        """Bytes of the tables on the device, for both directions."""
         between = self._between.nbytes if self._between else 0
         return self._forward.nbytes + self._transposed.nbytes + between
 
@@ -167,7 +167,7 @@ class WebProjection(LinearOperator):
 
 
 class _Between:
-    """Poses between two columns as mixtures of ``count`` poses at whole columns from column ``first``."""
+    """Angles between two columns as mixtures of ``count`` angles at whole columns from column ``first``."""
 
     def __init__(self, motion: WebMotion, way: float, device: Device) -> None:
         pose, column, weight = motion.taps(way)
@@ -183,7 +183,7 @@ class _Between:
         return sum(table.nbytes for table in (*self._mix.values(), *self._unmix.values()))
 
     def mix(self, whole: DeviceArray, poses: DeviceArray) -> None:
-        """Light at the poses from light at whole columns."""
+        """Light at the angles, from light at whole columns."""
         self.device.launch(mix_poses, source=whole, target=poses, **self._mix)
 
     def unmix(self, poses: DeviceArray, whole: DeviceArray) -> None:

@@ -1,4 +1,4 @@
-"""The way of a web past a pose of light, in columns."""
+"""The motion of a web past the light, in columns per angle."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from vamgpu.geometry import counts, positive
 from vamgpu.web import Propagation, way_taps
 
 DRIFT = 1e-6
-"""Columns by which all poses together may miss whole columns and still count as whole."""
+"""Total deviation [columns] of all angles from whole columns that still counts as whole."""
 
 
 @dataclass(frozen=True)
 class WebMotion:
-    """Poses along a web: at pose k the window begins at column ``start + k·step``, which may lie between two."""
+    """Angles along a web: angle k begins at column ``start + k·step``, which may lie between two columns."""
 
     poses: int
     step: float
@@ -28,12 +28,12 @@ class WebMotion:
     def past(
         cls, columns: int, window: int, step: float, poses: int | None = None, start: float | None = None
     ) -> WebMotion:
-        """The poses that see any of a web of ``columns``, or ``poses`` of them. Raises `BadInput`, `SkippedColumns`."""
+        """The angles that see a web of ``columns``, or ``poses`` of them. Raises `BadInput`, `SkippedColumns`."""
         step = positive("the step in columns a pose", step)
         if step > window:
             raise SkippedColumns(
-                f"the web moves {step:g} columns an angle and the window of light is {window} columns long; "
-                "turn by smaller steps or use coarser columns"
+                f"the web moves {step:g} columns an angle and the window of light is {window} columns long; turn by "
+                "smaller steps or use coarser columns"
             )
         begin = float(1 - window) if start is None else float(start)
         if not np.isfinite(begin):
@@ -67,7 +67,7 @@ class WebMotion:
         return below.astype(np.int64), np.where(share < DRIFT, 0.0, share)
 
     def taps(self, way: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose, column and share of whole columns about each pose, at which the film moves a ``way`` while lit."""
+        """Angle, column and share of whole columns about each angle, if the film moves a ``way`` while lit."""
         below, shares = self.neighbors
         near = [way_taps(way, float(share)) for share in shares]
         pose = np.repeat(np.arange(self.poses), [columns.size for columns, _ in near])
@@ -75,7 +75,7 @@ class WebMotion:
         return pose, column, np.concatenate([part for _, part in near])
 
     def lit(self, light: Propagation, columns: int) -> np.ndarray:
-        """Whether each of ``columns`` gets any light at any pose; boolean (columns,)."""
+        """Whether each of ``columns`` gets any light at any angle; boolean (columns,)."""
         below, share = self.neighbors
         reached = np.concatenate([below, below[share > 0] + 1])
         starts = np.unique(reached)
@@ -86,7 +86,7 @@ class WebMotion:
         return out
 
     def check_lit(self, light: Propagation, columns: int, whole_web: bool) -> None:
-        """Raise `SkippedColumns` where a column between two lit ones (or any, of a ``whole_web``) is never lit."""
+        """Raise `SkippedColumns` if a column between two lit ones (or any column of a ``whole_web``) is never lit."""
         lit = np.flatnonzero(self.lit(light, columns))
         if not lit.size:
             raise SkippedColumns(

@@ -14,10 +14,10 @@ from vamgpu.schema.quantities import Place
 
 @dataclass(frozen=True, init=False, eq=False)
 class Wobble:
-    """The position of the axis at every angle, in the laboratory.
+    """The position of the axis at every angle, in fixed coordinates.
 
-    Parallel light in air is the same all along its path, so only ``across`` matters for it; ``along`` counts if light
-    spreads, is absorbed or casts shadows.
+    Parallel light in air is the same along its whole path, and only ``across`` matters for it; ``along`` counts if
+    light spreads, is absorbed or casts shadows.
 
     Args:
         across: Position across the light, towards +r [mm]; one number, or one for every angle, (angles,).
@@ -44,7 +44,7 @@ class Wobble:
 
     @staticmethod
     def circle(radius: float, phase: float, motion: Turntable) -> Wobble:
-        """An axis on a circle, once per turn: the part was not centered on the turntable.
+        """An axis on a circle, once per turn, if the part was not centered on the turntable.
 
         Args:
             radius: Distance of the axis from the table's center [mm].

@@ -1,6 +1,6 @@
 """Beams other than the collimated, centered one: each wraps a round vessel, or air, with another ray map.
 
-They are fixed in the laboratory, so one map of one angle describes them. `Misaligned` and `Fan` turn rays only in the
+The beams do not rotate; a map at one angle therefore describes them. `Misaligned` and `Fan` turn rays only in the
 plane across the axis and are vessels themselves: ``Projection(grid, beam, motion, Fan(vial, throw=300))``.
 """
 
@@ -23,17 +23,17 @@ from vamgpu.schema.quantities import Far, Place, Turn
 
 MOST_STEPS = 60
 STEP_DONE = 1e-9
-"""Change of a column, relative to the distance of the farthest point, at which the search for it ends."""
+"""The search for a column ends at this change of the column, relative to the distance of the farthest point."""
 
 
 class Wrapper(Vessel):
-    """A vessel that changes the light of another one, or of plain air."""
+    """A vessel that changes the light of another vessel, or of air."""
 
     vessel: Vessel | None
 
     @property
     def inner(self) -> Vessel:
-        """The other vessel, air included."""
+        """The wrapped vessel; air has one, too."""
         return OpenAir() if self.vessel is None else self.vessel
 
     @property
@@ -45,7 +45,7 @@ class Wrapper(Vessel):
         return self.inner.lit_radius
 
     def check_fits(self, radius: float) -> None:
-        """Check a target of a radius [mm] against the other vessel, if that has limits."""
+        """Check a target of a radius [mm] against the wrapped vessel, if that has limits."""
         check = getattr(self.vessel, "check_fits", None)
         if check is not None:
             check(radius)
@@ -79,7 +79,7 @@ class Misaligned(Wrapper):
         return inf
 
     def check_fits(self, radius: float) -> None:
-        """Check a target against the vessel; in air everything fits before the pupil.
+        """Check a target against the vessel; in air, every target in front of the pupil fits.
 
         Args:
             radius: Radius of the target [mm].
@@ -92,7 +92,7 @@ class Misaligned(Wrapper):
         super().check_fits(radius)
 
     def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Lines that columns u send: distance from the axis q, turn d0, and both by u."""
+        """Rays of columns u: distance q from the axis, turn d0, and the derivatives of both by u."""
         slope = u / self.distance
         root = np.sqrt(1.0 + slope**2)
         q, turn = (u - self.offset) / root, self.tilt - np.arctan(slope)
@@ -111,12 +111,12 @@ class Misaligned(Wrapper):
         )
 
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
-        """The ray through each point; its density counts columns in the plane: 1 / (magnification · cos of the ray's
+        """The ray through each point. The weight counts columns in the plane: 1 / (magnification · cos of the ray's
         slope).
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,), broadcast with ``across``.
 
         Returns:
             Columns u [mm], (...,), and weights, (...,), as for `Vessel`.
@@ -140,14 +140,14 @@ class Misaligned(Wrapper):
                 break
         if (moving & (np.hypot(x, y) < (1.0 - 1e-9) * self.lit_radius)).any():
             raise BadInput(
-                f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every "
-                f"point within {farthest:g} mm; expected a throw of several times that"
+                f"the pupil is {self.distance:g} mm from the axis, too near to follow its rays to every point within "
+                f"{farthest:g} mm; expected a throw of several times that"
             )
-        # where rays cross or none comes, beyond the lit radius, the search may go on for ever
+        # where rays cross or none comes, beyond the lit radius, the search may never end
         return u, np.where(moving, 0.0, weight * self._denser(u, x, y))
 
     def _denser(self, u: Floats, x: Floats, y: Floats) -> Floats:
-        """Density of columns over that of parallel light that enters along the same ray."""
+        """Density of columns relative to that of parallel light that enters along the same ray."""
         if self.distance == inf:
             return np.ones_like(u)
         q, turn, q_by_u, turn_by_u = self._entry(u)
@@ -165,8 +165,8 @@ class Misaligned(Wrapper):
 class Fan(Misaligned):
     """Light that spreads in the plane from a pupil, for a lens that is not telecentric; rows stay level.
 
-    Columns u are counted in the plane of the axis: in air one lights X = u (1 + Y / throw) and its irradiance falls as
-    1 / distance. If rows also spread, see `Cone`.
+    Columns u are counted in the plane of the axis: in air, column u lights X = u (1 + Y / throw), and the irradiance
+    falls as 1 / distance. If rows also spread, see `Cone`.
 
     Args:
         vessel: as for `Misaligned`.
@@ -175,7 +175,7 @@ class Fan(Misaligned):
         throw: Distance of the pupil from the axis in the medium around the vessel [mm].
 
     Raises:
-        BadInput: The throw is not above 0, or as short as the vessel's radius.
+        BadInput: The throw is not above 0, or not longer than the vessel's radius.
     """
 
     throw: Far = inf
@@ -194,7 +194,7 @@ class Fan(Misaligned):
 
 # ---- checks --------------------------------------------------------------------------------------------------------
 def turned(x: Floats, y: Floats, angle: Floats) -> tuple[Floats, Floats]:
-    """(x, y) in a frame turned by ``angle``."""
+    """(x, y) in a frame that is rotated by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)
     return x * c + y * s, y * c - x * s
 
@@ -207,7 +207,7 @@ def _too_short(throw: float, reach: float) -> BadInput:
 
 
 def _check_round(vessel: Any, name: str) -> None:
-    """Reject a vessel that is not the same from every direction."""
+    """Reject a vessel that is not rotationally symmetric."""
     if vessel is not None and not isinstance(vessel, Vessel):
         raise BadInput(f"{name} got {vessel!r} as vessel; expected a vessel, or None for air")
     if (
@@ -222,7 +222,7 @@ def _check_round(vessel: Any, name: str) -> None:
 
 
 def with_absorption(vessel: Any, absorption: float) -> Any:
-    """Change the absorption [1/mm] of a vessel, or of the one within its wrappers. Raises `BadInput`."""
+    """Change the absorption [1/mm] of a vessel, or of the vessel inside its wrappers. Raises `BadInput`."""
     names = getattr(vessel, "__dataclass_fields__", {})
     if "absorption" in names:
         return replace(vessel, absorption=absorption)

@@ -38,7 +38,7 @@ class DoubleWalledVial(Vial):
         polarization: Polarization of the light, as for `Vial`.
 
     Raises:
-        BadInput: As `Vial`, or the layers leave no room for resin.
+        BadInput: As `Vial`, or the layers leave no space for resin.
     """
 
     gap: Thickness

@@ -10,13 +10,13 @@ import numpy as np
 from vamgpu.optics.inputs import Floats
 from vamgpu.optics.interface import transmittance
 
-# Keeps the slope of the deviation finite at grazing incidence; far below what rounding leaves of a cosine there.
+# Keeps the slope of the deviation finite at grazing incidence; far below the rounding error of a cosine there.
 SMALLEST_COSINE = 1e-9
 
 
 @dataclass(frozen=True)
 class Face:
-    """A cylinder about the axis, of a radius [mm], crossed inwards; the bath's index is where columns are counted."""
+    """A cylinder about the axis, of a radius [mm], crossed inwards; columns are counted in the bath."""
 
     radius: float
     outer_index: float
@@ -41,7 +41,7 @@ def _cosine(sine: Floats) -> Floats:
 def turn(faces: Sequence[Face], u: Floats) -> tuple[Floats, Floats, Floats]:
     """Cosine and sine of the total deviation and its slope [rad/mm] for the columns u [mm].
 
-    The deviations of the faces are added as products of unit complex numbers, which costs square roots only.
+    The deviations of the faces are added as products of unit complex numbers; this needs only square roots.
     """
     cos_all, sin_all, slope = np.ones_like(u), np.zeros_like(u), np.zeros_like(u)
     for face in faces:

@@ -15,14 +15,14 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length
 
 NEGLIGIBLE = 0.05
-"""Share of the light below which it does not count for a window (Toombs et al., S11)."""
+"""Share of the light below which it does not count for the window of light (Toombs et al., S11)."""
 
 
 @dataclass(frozen=True)
 class Film:
     """An absorbing film in a bath, with or without a clear substrate on the side of the light.
 
-    Light does not reach a substrate between resin and roller: add its thickness to the roller's radius.
+    Light does not reach a substrate between resin and roller; in that case, add its thickness to the roller's radius.
 
     Args:
         thickness: Thickness of the resin [mm].
@@ -32,7 +32,7 @@ class Film:
         substrate: Thickness [mm] and index of a clear sheet between bath and resin.
 
     Raises:
-        BadInput: A value is out of its range, or the film is thicker than light penetrates, so that its far side cannot
+        BadInput: A value is out of its range, or the film is thicker than the light penetrates, and its far side cannot
             be printed.
     """
 
@@ -55,7 +55,7 @@ class Film:
 
     @property
     def penetration(self) -> float:
-        """Depth [mm] in which light falls to 5 %: L = −ln(0.05)/α (S11, with the sign it misses); inf without α."""
+        """Depth [mm] in which light falls to 5 %: L = −ln(0.05)/α (S11, whose sign is missing); inf if α is 0."""
         return -log(NEGLIGIBLE) / self.absorption if self.absorption > 0 else inf
 
     @property
@@ -99,9 +99,9 @@ def _sheet(value: object) -> tuple[float, float]:
 class Coverage:
     """Range of angles to the normal of the film, both sides together [rad].
 
-    outer: for light behind the outer face, 2·asin(m) (Toombs et al., S11).  inner: for light at the roller; it is more,
-    because the normal turns as a ray goes inwards.  limit: largest gain.  clipped: angle of incidence in the bath above
-    which 1/T exceeds the limit.  lost: part of ``outer`` that is clipped.  lost_incidence: the same as a range of
+    outer: for light behind the outer face, 2·asin(m) (Toombs et al., S11). inner: for light at the roller; it is
+    larger, because the normal turns as a ray goes inwards. limit: largest gain. clipped: angle of incidence in the bath
+    above which 1/T exceeds the limit. lost: part of ``outer`` that is clipped. lost_incidence: the same as a range of
     angles of incidence.
     """
 

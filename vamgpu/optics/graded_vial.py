@@ -26,17 +26,17 @@ TANGENT = 1e-4  # cosine of refraction below which the end of a ray is too sensi
 
 @dataclass(frozen=True)
 class GradedVial(Vessel):
-    """A round vial of resin of index n(X, Y), which stands still while the resin turns or is symmetric about z.
+    """A round vial of resin of index n(X, Y). The index does not rotate with the resin, or is symmetric about z.
 
     Frame and columns are those of `Vial`: X counts the beam's columns, light comes along +Y. Fresnel loss and Snell's
-    law at both faces take the index where a ray meets them; between the faces d²R/dt² = ½∇n² is marched. Parts that
-    turn with the resin must not carry an index of their own, unless it is the same all around. Chords are the straight
-    ones nearest the bent rays, with the bent rays' length; weights count columns per mm across the bent ray.
+    law at both faces use the index where a ray meets them; between the faces d²R/dt² = ½∇n² is integrated. Parts that
+    turn with the resin must not have an index of their own, unless it is the same all around. Chords are the straight
+    lines nearest to the bent rays, with the length of the bent rays; weights count columns per mm across the bent ray.
 
     Args:
         radius: Outer radius [mm].
         wall: Thickness of the wall [mm]; 0 for no wall, then wall_index has no effect.
-        resin: n² over the whole resin; its own region does not matter.
+        resin: n² over the whole resin; the field's own region has no effect.
         wall_index: Refractive index of the wall.
         bath_index: Refractive index around the vial.
         absorption: Absorption of the resin, natural logarithm [1/mm].
@@ -46,7 +46,7 @@ class GradedVial(Vessel):
 
     Raises:
         BadInput: A value is out of its range.
-        RayError: When the light is first asked for: a ray never leaves the resin or turns back.
+        RayError: A ray never leaves the resin or turns back; raised when the light is first computed.
     """
 
     radius: VesselRadius
@@ -79,7 +79,7 @@ class GradedVial(Vessel):
 
     # ---- the faces -------------------------------------------------------------------------------------------------
     def _entry(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Place on the inner face (rays, 2), turn of the ray in front of it [rad], index behind it, sine in front."""
+        """Position on the inner face (rays, 2), turn of the ray before it [rad], index behind it, sine before it."""
         turn, sine = np.zeros_like(u), u / self.radius
         before = u.copy()
         if self.wall > 0:
@@ -101,7 +101,7 @@ class GradedVial(Vessel):
 
     @cached_property
     def _span(self) -> tuple[float, float]:
-        """The columns [mm] between which every ray enters the resin."""
+        """The first and last column [mm] whose rays enter the resin."""
         most = self.radius
         if self.wall > 0:
             most = min(most, *(r * self.wall_index / self.bath_index for r in (self.radius, self.inner_radius)))
@@ -132,7 +132,7 @@ class GradedVial(Vessel):
 
     # ---- the rays --------------------------------------------------------------------------------------------------
     def _node(self, u: Floats) -> Floats:
-        """Fractional index of the ray of a column: nodes are equally far apart in ψ, u = middle + half·sin ψ."""
+        """Fractional index of the ray of a column: nodes are evenly spaced in ψ, with u = middle + half·sin ψ."""
         low, high = self._span
         return (np.arcsin(_sine((2.0 * u - low - high) / (high - low))) / np.pi + 0.5) * (self.rays - 1)
 
@@ -153,7 +153,7 @@ class GradedVial(Vessel):
         times = np.zeros(self.rays)
         clear = _cosine(sine * self._outer_index / behind) > TANGENT
         times[clear] = march(field, place[clear], along[clear], tolerance=SETTLED * self.radius, device="numpy").time
-        if not clear.all():  # a tangent either leaves at once or is drawn inwards
+        if not clear.all():  # a tangent ray either leaves at once or is drawn inwards
             step = self.radius / 256
             times[~clear] = march(field, place[~clear], along[~clear], step=step, device="numpy").time
             times[~clear & (times < 2.0 * step)] = 0.0
@@ -165,7 +165,7 @@ class GradedVial(Vessel):
     def _chords(self) -> tuple[Floats, Floats, Floats]:
         """Distance p and turn d of the straight chord nearest each ray, and the ray's length."""
         x, y = self.sheet.across, self.sheet.along
-        # The chord of a ray without length is its tangent, by the neighbour that has one.
+        # The chord of a ray without length is the tangent of the nearest neighbor that has one.
         angle = np.arctan2(-(x[:, -1] - x[:, 0]), y[:, -1] - y[:, 0])
         short = self.sheet.path[:, -1] < 1e-6 * self.radius
         if short.any():
@@ -176,7 +176,7 @@ class GradedVial(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius [mm] inside which no ray is missing and no two meet, at every pose."""
+        """Radius [mm] within which, at every angle, every point has a ray and no two rays meet."""
         return self._lit_radius
 
     @cached_property
@@ -227,7 +227,7 @@ def _cosine(sine: Floats) -> Floats:
 
 
 def _least(x: Floats, y: Floats) -> float:
-    """Least distance from the origin of a smooth path, by the parabola through the three nearest places."""
+    """Smallest distance of a smooth path from the origin, from the parabola through the three nearest points."""
     square = x**2 + y**2
     i = int(np.clip(np.argmin(square), 1, square.size - 2))
     a, b, c = square[i - 1 : i + 2]

@@ -18,15 +18,15 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place
 
 FAR = 1e30
-"""Where a region has no border; infinity would not reach a device."""
+"""Stands for "no border"; devices cannot handle infinity."""
 EVERYWHERE = (-FAR, -FAR, -FAR)
 EXTRAPOLATE = np.array([[10.0, -20.0, 15.0, -4.0], [4.0, -6.0, 4.0, -1.0]])
-"""Two samples before the first four, by the cubic through them."""
+"""Two samples before the first four, from the cubic through them."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.
+    """Region in which rays are marched: a·x² + b·y² + c·z² ≤ radius², and inside a box.
 
     weights: a, b, c.  radius: [mm].  low, high: corners of the box [mm].
     """
@@ -61,12 +61,12 @@ class Region:
 
     @property
     def table(self) -> Floats:
-        """As `march_formula` takes it, (10,)."""
+        """The arguments of `march_formula`, (10,)."""
         return np.array([*self.weights, self.radius**2, *self.low, *self.high])
 
     @property
     def extents(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest x, y and z [mm]; ±`FAR` where there is no border."""
+        """Lowest and highest x, y and z [mm]; ±`FAR` if there is no border."""
         out = []
         for weight, low, high in zip(self.weights, self.low, self.high, strict=True):
             reach = self.radius / np.sqrt(weight) if weight > 0 else FAR
@@ -89,7 +89,7 @@ class IndexField(Protocol):
         ...
 
     def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
-        """½∇n² [1/mm], (points, 3), and n², (points,), at places [mm], (points, 3); in float64."""
+        """½∇n² [1/mm], (points, 3), and n², (points,), at positions [mm], (points, 3); in float64."""
         ...
 
 
@@ -125,7 +125,7 @@ class FormulaField:
 def fish_eye(radius: float, index: float = 2.0, *, cylinder: bool = False) -> FormulaField:
     """Maxwell's fish-eye n = index/(1 + r²/radius²), without a border: every ray is a circle."""
     scale = 1.0 / positive("fish-eye radius [mm]", radius) ** 2
-    return FormulaField(_round(cylinder), (index**2,), (1.0, 2.0 * scale, scale**2))
+    return FormulaField((1.0, 1.0, 0.0 if cylinder else 1.0), (index**2,), (1.0, 2.0 * scale, scale**2))
 
 
 def parabolic(index: float, slope: float, half_width: float | None = None) -> FormulaField:
@@ -134,22 +134,18 @@ def parabolic(index: float, slope: float, half_width: float | None = None) -> Fo
     return FormulaField((1.0, 0.0, 0.0), (index**2, -((index * slope) ** 2)), region=region)
 
 
-def _round(cylinder: bool) -> tuple[float, float, float]:
-    return (1.0, 1.0, 0.0 if cylinder else 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class GridField:
     """n² by cubic B-splines on a grid in x and y, or in x, y and z; made in Python, stored in job folders.
 
-    ∇n² is exactly the slope of n².
+    ∇n² is exactly the gradient of n².
 
     Args:
         coefficients: Coefficients of the splines, (nx + 2, ny + 2) or (nx + 2, ny + 2, nz + 2): one more on every side
             than samples.
-        corner: Place of the first sample [mm].
+        corner: Position of the first sample [mm].
         pitch: Pitch of the samples [mm].
-        region: Region in which the field holds.
+        region: Region in which the field is valid.
     """
 
     coefficients: Floats
@@ -161,8 +157,8 @@ class GridField:
     def from_array(cls, index: ArrayLike, pitch: float, region: Region | None = None) -> GridField:
         """Samples of n, (nx, ny) or (nx, ny, nz), ``pitch`` [mm] apart and centered on the origin.
 
-        The splines take the samples' local cubics (their own values and a sixth of the second difference off), so
-        cubics are exact and the error falls with the fourth power of the pitch. Raises `BadInput`.
+        The spline coefficients are quasi-interpolants (each sample minus a sixth of its second difference); cubics are
+        therefore exact, and the error falls with the fourth power of the pitch. Raises `BadInput`.
         """
         square = np.asarray(index, np.float64) ** 2
         if square.ndim not in (2, 3) or min(square.shape) < 4 or not np.isfinite(square).all():
@@ -187,7 +183,7 @@ class GridField:
 
     @classmethod
     def _of(cls, square: Floats, pitch: float, region: Region | None) -> GridField:
-        """Build from n² with two more samples on every side."""
+        """Build from n² with two additional samples on every side."""
         pitch = positive("pitch [mm]", pitch)
         half = [0.5 * (n - 5) * pitch for n in square.shape]
         for axis in range(square.ndim):
@@ -199,7 +195,7 @@ class GridField:
 
     @property
     def place(self) -> Floats:
-        """As `march_plane` takes it, (4,): first sample, and samples per mm."""
+        """The arguments of `march_plane`, (4,): first sample, and samples per mm."""
         return np.array([*self.corner, 1.0 / self.pitch])
 
     def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
@@ -215,9 +211,9 @@ def _extended(values: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class FunctionField:
-    """Any n(x, y) or n(x, y, z) of arrays [mm]; marched as it is by NumPy, sampled to a grid for other devices.
+    """Any n(x, y) or n(x, y, z) of arrays [mm]; NumPy marches it directly, other devices sample it on a grid.
 
-    region: bounded along the axes the function takes.  axes: 2 or 3.  samples: along the longest of them.
+    region: bounded along the axes of the function. axes: 2 or 3. samples: along the longest of them.
     """
 
     function: Callable[..., Floats]
@@ -230,7 +226,7 @@ class FunctionField:
             raise BadInput(f"a function of {self.axes} axes over {self.region}; expected 2 or 3 axes, all with borders")
 
     def evaluate(self, place: Floats) -> tuple[Floats, Floats]:
-        """The gradient by central differences of fourth order over a thousandth of the region."""
+        """The gradient, from central differences of fourth order over a thousandth of the region."""
         delta, pull = 1e-3 * self.region.size, np.zeros_like(place)
         for axis in range(self.axes):
             near, far = (self._square(place, axis, d) - self._square(place, axis, -d) for d in (delta, 2.0 * delta))

@@ -11,11 +11,11 @@ from vamgpu.geometry import positive
 Floats = NDArray[np.float64]
 
 LOW_TRANSMITTANCE = 0.8
-"""Share of the light below which a vessel warns: what lies there prints late."""
+"""Share of the light below which a vessel warns: regions with less light print late."""
 
 
 def as_offsets(name: str, value: ArrayLike) -> Floats:
-    """Return the value as float64; raises BadInput where it is not finite."""
+    """Return the value as float64; raises BadInput if it is not finite."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -27,7 +27,7 @@ def as_offsets(name: str, value: ArrayLike) -> Floats:
 
 
 def index(name: str, value: float) -> float:
-    """Return a refractive index relative to vacuum; raises BadInput unless it is finite and at least 1."""
+    """Return a refractive index relative to vacuum; raises BadInput if it is not finite or below 1."""
     number = positive(name, value)
     if number < 1.0:
         raise BadInput(f"{name} is {number:g}; expected a refractive index of at least 1; give it relative to vacuum")
@@ -35,7 +35,7 @@ def index(name: str, value: float) -> float:
 
 
 def absorbed_share(absorption: float, path: Floats) -> Floats:
-    """Power absorbed per mm after the given path in resin [1/mm], or 1 where the resin absorbs nothing."""
+    """Power absorbed per mm after a path in resin [1/mm], or 1 if the resin absorbs nothing."""
     if absorption > 0:
         return absorption * np.exp(-absorption * path)
     return np.ones_like(path)

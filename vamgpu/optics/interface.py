@@ -12,16 +12,16 @@ from vamgpu.optics.inputs import Floats
 
 Index = float | Floats
 Crossing = tuple[Floats, Floats, Index, Index]
-"""Cosines of incidence and refraction at a face, refractive indices before and behind it."""
+"""Cosines of incidence and refraction at a face, and refractive indices before and behind it."""
 
 Polarization = Literal["none", "s", "p"]
 POLARIZATIONS: tuple[Polarization, ...] = get_args(Polarization)
-"""Polarizations: none; its field along the axis of the vial, parallel to every face; or across the axis, in
-the plane of incidence."""
+"""Polarizations: none; field along the axis of the vial, parallel to every face; or field across the axis, in the plane
+of incidence."""
 
 
 def impact_after(impact: Floats, index_before: float, index_after: float) -> Floats:
-    """Distance [mm] of a ray from a cylinder's axis after refraction: Snell's law keeps index · distance."""
+    """Distance [mm] of a ray from a cylinder's axis after refraction: Snell's law conserves index · distance."""
     return impact * (index_before / index_after)
 
 
@@ -47,21 +47,21 @@ def fresnel(cos_before: Floats, cos_after: Floats, index_before: Index, index_af
     s_in, s_out = index_before * cos_before, index_after * cos_after
     p_in, p_out = index_after * cos_before, index_before * cos_after
     both = 4.0 * s_in * s_out
-    # Grazing rays make both sums vanish together; they transmit nothing.
+    # For grazing rays both sums vanish; such rays transmit nothing.
     tiny = np.finfo(np.float64).tiny
     return np.stack([both / np.maximum((s_in + s_out) ** 2, tiny), both / np.maximum((p_in + p_out) ** 2, tiny)], -1)
 
 
 def left(shares: Floats, polarization: str) -> Floats:
-    """Share of the power that is left of light, by what is left of s and of p (..., 2); without one half of each."""
+    """Transmitted share of the power, from that of s and p (..., 2); unpolarized light has half of each."""
     return shares.mean(axis=-1) if polarization == "none" else shares[..., POLARIZATIONS.index(polarization) - 1]
 
 
 def transmittance(crossings: Iterable[Crossing], polarization: str = "none") -> Floats:
-    """Share of the power that crosses all faces, given by the arguments of `fresnel`, one after the other."""
-    # At every face s light stays s and p light stays p, so that each has its own product over the faces. Unpolarized
-    # light leaves the mean of the two products. The product of the means is another number: what the first face let
-    # pass is richer in p, which the next face lets pass better.
+    """Share of the power that crosses all faces, each given by its arguments of `fresnel`."""
+    # At every face s light stays s and p light stays p; each has its own product over the faces. Unpolarized light
+    # keeps the mean of the two products. The product of the means differs: after the first face the light contains more
+    # p, which the next face transmits better.
     return left(np.prod([fresnel(*crossing) for crossing in crossings], axis=0), polarization)
 
 

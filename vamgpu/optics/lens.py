@@ -1,8 +1,8 @@
-"""A lens that current tunes, in the Fourier plane of a relay: where the projector focuses, and how to make it.
+"""A lens tuned by a current, in the Fourier plane of a relay: where the projector focuses, and how to set the focus.
 
-The projector is two relays one after the other, L1 and L2, then L3 and L4. The tunable lens stands between L1 and L2
-where the mirrors' light crosses, together with a fixed lens that takes the middle of its range off; so magnification
-and telecentricity do not depend on its power, and focus moves in proportion to it.
+The projector consists of two relays in series, L1 and L2, then L3 and L4. The tunable lens stands between L1 and L2
+where the mirrors' light crosses. A fixed lens next to it compensates the middle of its range. Magnification and
+telecentricity then do not depend on its power, and the focus moves in proportion to the power.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class TunableLens:
 
     Args:
         focal: Focal lengths of L1 to L4 [mm].
-        offset: Focal length of the fixed lens at the tunable one [mm], < 0 if it diverges.
+        offset: Focal length of the fixed lens next to the tunable one [mm], < 0 if it diverges.
         powers: Lowest and highest power of the tunable lens [dpt].
         index: Refractive index beyond the last window.
         air: Distance from L4 to the last window [mm].
         bins: Number of depth bins, and of focus planes.
         quantum: Smallest step of the power that the driver can set [dpt]; 0 for none.
-        settle: Time from one power to the next [s].
+        settle: Time that the lens needs to settle at a new power [s].
 
     Raises:
         BadInput: A value is out of its range.
@@ -64,13 +64,13 @@ class TunableLens:
 
     @property
     def magnification(self) -> float:
-        """Size of the image over that of the mirrors' array; positive, as two relays invert twice."""
+        """Ratio of the size of the image to that of the mirror array; positive, because two relays invert twice."""
         f1, f2, f3, f4 = self.focal
         return f2 * f4 / (f1 * f3)
 
     @property
     def slope(self) -> float:
-        """Way of the focus per power of the lens [mm/dpt]: −n·f₂²·M²·1 dpt with M = f₄/f₃ (S7)."""
+        """Shift of the focus per power of the lens [mm/dpt]: −n·f₂²·M²·1 dpt with M = f₄/f₃ (S7)."""
         _, f2, f3, f4 = self.focal
         return -self.index * (f2 * f4 / f3) ** 2 * DIOPTER
 
@@ -106,7 +106,7 @@ class TunableLens:
         return self.index * (f4 - (f2 * f4 / f3) ** 2 * bent - self.air)
 
     def shift(self, power: ArrayLike) -> Floats:
-        """Focus beyond that of the lowest power: −|slope|·(power − lowest), thus never > 0 (S5).
+        """Shift of the focus from that at the lowest power: −|slope|·(power − lowest), never > 0 (S5).
 
         Args:
             power: Powers of the tunable lens [dpt], (...,).
@@ -120,8 +120,8 @@ class TunableLens:
         """Powers that focus at some depths, rounded to the driver's quantum.
 
         Args:
-            depth: Along the light from the roller's axis [mm], < 0 before it, (...,).
-            axis: Power that focuses on the axis, as a calibration finds it [dpt]; the lowest by default.
+            depth: Depths along the light from the roller's axis [mm], < 0 before it, (...,).
+            axis: Power that focuses on the axis, from a calibration [dpt]; by default the lowest power.
 
         Returns:
             Powers [dpt], (...,).
@@ -153,7 +153,7 @@ def _lens(power: float) -> np.ndarray:
 
 
 def _way(length: float) -> np.ndarray:
-    """A straight way [mm]."""
+    """A straight path [mm]."""
     return np.array([[1.0, length], [0.0, 1.0]])
 
 

@@ -1,4 +1,4 @@
-"""Rays marched through a medium of varying index, as finely as a tolerance asks."""
+"""Rays marched through a medium of varying index with a given tolerance."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from vamgpu.optics.index_field import FormulaField, FunctionField, GridField, In
 from vamgpu.optics.inputs import Floats, as_offsets
 
 ORDERS = {"sharma": 4, "leapfrog": 2, "yoshida": 4}
-"""Steppers and their orders; the last two are symplectic. Their places are their numbers in the kernels."""
+"""Steppers and their orders; the last two are symplectic. Their positions are their numbers in the kernels."""
 FIRST = 32
-"""Steps across the region to begin with."""
+"""Steps across the region at the start."""
 TURNS = 64
-"""Sizes of the region a ray may travel before it counts as one that never leaves."""
+"""Number of region sizes that a ray may travel before it counts as one that never leaves."""
 HALVINGS = 10
-"""Halvings of the first step, before a ray counts as one that does not settle."""
+"""Number of halvings of the first step before a ray counts as one that does not converge."""
 NOISE = 4e-6
-"""Share of the region's size below which float32 cannot tell two ends apart."""
+"""Share of the region's size below which float32 cannot distinguish two ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class Marched:
     """Where rays end."""
 
-    # place: [mm], (rays, 3).  heading: optical direction, as long as the index, (rays, 3).  optical, length: optical
-    # path and geometric length [mm].  time: ∫ds/n [mm].  left: whether the ray left the region.  step: of ∫ds/n [mm],
-    # per ray.  error: of the place [mm] by halving the step, per ray; NaN without a tolerance.  path: (rays, rows, 3)
-    # [mm].
+    # place: [mm], (rays, 3). heading: optical direction, whose length is the index, (rays, 3). optical, length: optical
+    # path and geometric length [mm]. time: ∫ds/n [mm]. left: whether the ray left the region. step: of ∫ds/n [mm], per
+    # ray. error: of the place [mm], estimated by halving the step, per ray; NaN without a tolerance. path: (rays, rows,
+    # 3) [mm].
 
     place: Floats
     heading: Floats
@@ -56,7 +56,7 @@ class Marched:
 
 
 class Marcher:
-    """A medium on a device, ready to trace tables of rays again and again. Raises `BadInput`."""
+    """A medium on a device, prepared to trace tables of rays repeatedly. Raises `BadInput`."""
 
     device: Device
     field: IndexField
@@ -79,10 +79,10 @@ class Marcher:
         self._region = table(field.region.table)
 
     def starts(self, place: ArrayLike, direction: ArrayLike) -> Floats:
-        """Places and headings, (rays, 6), of rays at places [mm] along directions of any length."""
+        """Positions and headings, (rays, 6), of rays at positions [mm] along directions of any length."""
         at, along = (_triples(name, value) for name, value in (("place", place), ("direction", direction)))
         if at.shape != along.shape:
-            raise BadInput(f"{len(at)} places and {len(along)} directions; expected one direction a ray")
+            raise BadInput(f"{len(at)} places and {len(along)} directions; expected one direction per ray")
         size = np.linalg.norm(along, axis=1, keepdims=True)
         if not size.all():
             raise BadInput(f"{np.count_nonzero(size == 0)} directions are zero; expected vectors with a length")
@@ -111,7 +111,7 @@ class Marcher:
 
     def trace(self, starts: Floats, step: float, steps: int, scheme: str = "sharma", rows: int = 1, every: int = 1
               ) -> Marched:  # fmt: skip
-        """`run` from and to NumPy."""
+        """`run` with input and output in NumPy."""
         tables = self.run(self.device.table(starts), step, steps, scheme, rows, every)
         ends, path, times = (table.numpy().astype(np.float64) for table in tables)
         left = times >= 0
@@ -126,10 +126,10 @@ def march(
     tolerance: float | None = None, until: float | None = None, scheme: str = "sharma", rows: int = 1,
     halvings: int = HALVINGS, device: str | Device | None = None,
 ) -> Marched:  # fmt: skip
-    """Rays from places along directions until they leave the field's region, or until ∫ds/n reaches ``until``.
+    """Rays from positions along directions until they leave the field's region, or until ∫ds/n reaches ``until``.
 
-    Give either a step or a tolerance. With a tolerance every ray is marched with steps h and h/2, the difference over
-    2^order − 1 is the error of the finer one, and steps are halved for the rays that are not good enough.
+    Give either a step or a tolerance. With a tolerance, every ray is marched with steps h and h/2. The difference
+    divided by 2^order − 1 is the error of the finer result; steps are halved for the rays whose error is too large.
 
     Args:
         place, direction: (rays, 2 or 3) [mm]; directions of any length.
@@ -137,11 +137,11 @@ def march(
         tolerance: largest error of an end [mm].
         until: ∫ds/n [mm] at which rays stop; without it they must leave the region.
         scheme: "sharma" (fourth order), "leapfrog" (second, symplectic) or "yoshida" (fourth, symplectic).
-        halvings: of the first step that are tried to reach the tolerance.
-        rows: of the path kept of each ray, equally spaced in ∫ds/n; 1 keeps only the start.
+        halvings: number of halvings of the first step to try in order to reach the tolerance.
+        rows: number of points of each ray's path, equally spaced in ∫ds/n; 1 is only the start.
 
     Raises:
-        BadInput: values that cannot be used.
+        BadInput: a value cannot be used.
         RayError: a ray never leaves, meets n² ≤ 0, or does not reach the tolerance.
     """
     marcher, span = Marcher(field, device), _span(field, until)
@@ -170,7 +170,7 @@ def _traced(
     step = span / steps if until is not None else step
     if rows == 1:
         return marcher.trace(starts, step, steps, scheme)
-    if until is None:  # how long the longest ray is tells how far apart the rows of its path are
+    if until is None:  # the length of the longest ray determines the distance of the rows of its path
         longest = marcher.trace(starts, step, steps, scheme)
         steps = int(np.ceil(longest.time.max() / step)) + 1 if longest.left.all() else steps
     return marcher.trace(starts, step, steps, scheme, rows, max(1, -(-steps // (rows - 1))))
@@ -189,8 +189,8 @@ def _refined(
     field, order = marcher.field, ORDERS.get(scheme, 1)
     noise = NOISE * (field.region.size or span) if marcher.device.real.itemsize < 8 else 0.0
     if tolerance < noise:
-        raise RayError(f"a tolerance of {tolerance:g} mm is below what {marcher.device.name} resolves, {noise:.2g} mm; "
-                       "ask for less, or march on numpy")  # fmt: skip
+        raise RayError(f"a tolerance of {tolerance:g} mm is below what {marcher.device.name} resolves, {noise:.2g} "
+                       "mm; use a larger tolerance, or march on numpy")  # fmt: skip
     step = (min(span, field.region.size) if field.region.size else span) / FIRST
     best = _checked(field, until, _traced(marcher, starts, step, span, until, scheme, rows))
     todo = np.arange(len(starts))
@@ -205,7 +205,7 @@ def _refined(
     worst = todo[np.argmax(best.error[todo])]
     raise RayError(f"after {halvings} halvings, at steps of {step:.3g} mm, {todo.size} of {len(starts)} rays are off "
                    f"by more than {tolerance:g} mm (ray {worst} by {best.error[worst]:.3g} mm); smooth the medium or "
-                   "ask for less")  # fmt: skip
+                   "use a larger tolerance")  # fmt: skip
 
 
 def _with(all_rays: Marched, index: NDArray[np.intp], few: Marched) -> Marched:

@@ -1,4 +1,4 @@
-"""Things that stand in the light, fixed in the laboratory."""
+"""Obstacles in the light that do not rotate."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vamgpu.schema.quantities import Length, Place, Share
 
 @dataclass(frozen=True)
 class Occluded(Wrapper):
-    """A rod parallel to the axis that stands in the light, fixed in the laboratory, and its shadow downstream.
+    """A rod parallel to the axis that stands in the light and does not rotate, and its shadow downstream.
 
     Args:
-        vessel: Any vessel, a `Fan` too, or None for air.
-        across: Laboratory X of the rod [mm].
-        along: Laboratory Y of the rod [mm].
+        vessel: Any vessel, including a `Fan`, or None for air.
+        across: Position X of the rod across the light [mm].
+        along: Position Y of the rod along the light [mm].
         radius: Radius of the rod [mm].
-        transmittance: Share of the light that passes it.
+        transmittance: Share of the light that passes the rod.
 
     Raises:
         BadInput: A value is out of its range.
@@ -43,7 +43,7 @@ class Occluded(Wrapper):
 
     @property
     def is_round(self) -> bool:
-        """Never: a rod stands on one side."""
+        """Always False, because a rod stands on one side."""
         return False
 
     def chords(self, u: ArrayLike) -> Chords:
@@ -55,12 +55,12 @@ class Occluded(Wrapper):
         return self.inner
 
     def share(self, u: ArrayLike, across: ArrayLike, along: ArrayLike) -> Floats:
-        """Share of the vessel's light that is left at some places: the transmittance in the rod's shadow, else 1.
+        """Share of the vessel's light that remains at some positions: the transmittance in the rod's shadow, else 1.
 
         Args:
             u: Columns of the light [mm], (...,).
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,).
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,).
 
         Returns:
             Share of the light, (...,).

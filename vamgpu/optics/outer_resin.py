@@ -1,8 +1,8 @@
-"""The dose of resin that no voxel of the judged cylinder holds: beside it out to the wall, and above and below it.
+"""The dose of resin outside the voxels of the judged cylinder: beside it out to the wall, and above and below it.
 
-Beyond the lit radius of a vessel several rays or none meet a point. So cells get what traced rays leave in them, not
-what the ray through a point brings. The light of one pose, turned, is that of all poses: products are those of
-`SpectralProjection`.
+Beyond the lit radius of a vessel, several rays or none meet a point. Cells therefore get the energy that traced rays
+leave in them, not the light of the ray through a point. The light of every angle is that of one angle, rotated;
+products are therefore those of `SpectralProjection`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
+from vamgpu.backend.cores import FEW, ahead
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Turntable, Vessel, centers, positive
@@ -38,14 +39,16 @@ from vamgpu.schema.quantities import Thickness
 WIDTH = 2.0
 """Width of a cell beside the part [voxels]."""
 MOST_ANGLES = 1440
-"""Even angles over a turn, at most, that measured ones lie between."""
+"""Greatest number of even angles per turn between which measured angles are placed."""
+TOGETHER = 64
+"""Rows whose crossings a thread finds at once."""
 RAYS, STEPS = 6, 8
-"""Rays traced a column, or, where that is more, as many as `STEPS` a width of a ring; and places on each across one."""
+"""Rays traced per column, or, if that is more, `STEPS` per ring width; and positions on each ray across one ring."""
 
 
 @dataclass(frozen=True)
 class OuterRings(PolarGrid):
-    """Rings from a radius [mm] on, in slices that leave out a gap [mm] about the middle."""
+    """Rings from a radius [mm] on, in slices that omit a gap [mm] about the middle."""
 
     inner: Thickness = 0.0
     gap: Thickness = 0.0
@@ -73,21 +76,21 @@ class OuterRings(PolarGrid):
 
 
 def outer_resin(A: Any, width: float = WIDTH, height: float = 1.0) -> tuple[OuterResin, ...]:
-    """Operators for the resin that the judged cylinder does not hold, where light reaches it. Raises `BadInput`."""
+    """Operators for the resin outside the judged cylinder, where light reaches it. Raises `BadInput`."""
     # One is for the resin beside the cylinder, from its radius to the inner wall (in open air, to the corners of the
-    # grid), one for all resin above and below; rows of pixels that light no voxel count as dark.  width, height: of the
-    # cells [voxels].
+    # grid); one is for all resin above and below. Rows of pixels that light no voxel count as dark. width, height: of
+    # the cells [voxels].
     A = A if isinstance(A, RingProjection) else direct(A)
     if not isinstance(A, Projection | RingProjection):
-        raise BadInput(f"got {A!r}; expected a Projection or a RingProjection, whose light one angle tells: "
-                       "give the projection of each scenario, color or tile")  # fmt: skip
+        raise BadInput(f"got {A!r}; expected a Projection or a RingProjection, whose light is the same at every "
+                       "angle: give the projection of each scenario, color or tile")  # fmt: skip
     return tuple(OuterResin(A, cells) for cells in outer_cells(A.grid, A.beam, A.motion, A.vessel, width, height))
 
 
 def outer_cells(
     grid: Grid, beam: Beam, motion: Turntable, vessel: Vessel | None, width: float = WIDTH, height: float = 1.0
 ) -> tuple[OuterRings, ...]:
-    """The cells of `outer_resin`, of a projector's geometry."""
+    """The cells of `outer_resin`, from a projector's geometry."""
     for name, size in (("width", width), ("height", height)):
         positive(f"{name} [voxels]", size)
     wall = resin_radius(vessel)
@@ -108,7 +111,7 @@ def outer_cells(
 
 
 def _whole_turn(motion: Turntable) -> int:
-    """Even angles over a full turn of which a turntable's are some, else twice as many as lie as close as those."""
+    """Even angles over a full turn that include a turntable's angles; else twice as many as those at their closest."""
     step = float(np.median(np.diff(np.sort(motion.poses)))) if motion.angles > 1 else 0.5 * FULL_TURN
     count = max(round(FULL_TURN / max(step, FULL_TURN / MOST_ANGLES)), 2)
     place = motion.poses / FULL_TURN * count
@@ -122,17 +125,17 @@ def _whole_turn(motion: Turntable) -> int:
 def _cells(
     inner: float, wall: float, width: float, slices: int, height: float, angles: int, **more: float
 ) -> OuterRings:
-    """Rings about as wide as asked, from a radius to the wall."""
+    """Rings about as wide as requested, from a radius to the wall."""
     count = ceil((wall - inner) / width / ROWS - 1e-9) * ROWS
     return OuterRings(count, slices, (wall - inner) / count, angles, height, inner=inner, **more)
 
 
 @final
 class OuterResin(LinearOperator):
-    """Light in cells of resin: ``A.T(light)`` is their dose [angle, cell, z], in units of voxels' dose."""
+    """Light in cells of resin: ``A.T(light)`` is their dose [angle, cell, z], in the units of voxels' dose."""
 
     # A[i, j] is the mean over cell j of the light of pixel i, × the volume of a voxel / the area of a pixel. Angles
-    # that are not even count as light of the even ones that they are or lie between; arcs, as their mean.
+    # that are not evenly spaced are divided among the even angles next to them; arcs count by their mean.
 
     domain: PolarSpace
     range: SinogramSpace
@@ -176,12 +179,12 @@ class OuterResin(LinearOperator):
         return self._spectral._work("rows", shape)
 
     def _field(self, name: str, angles: int) -> DeviceArray:
-        """Light of so many angles, a row for each slice."""
+        """Light of this number of angles, with one row for each slice."""
         return self._spectral._work(name, (angles, self.beam.pixels[0], self.cells.slices))
 
 
 def _between(motion: Turntable, columns: int, device: Device, count: int) -> tuple[_Sparse, _Sparse] | None:
-    """Tables from light of even angles to that of a turntable's, and back; None if they are the same."""
+    """Tables from light of even angles to that of a turntable's, and back; None if the angles are the same."""
     if motion.is_even and count == motion.angles:
         return None
     angle = np.arange(motion.angles)
@@ -200,7 +203,7 @@ def _between(motion: Turntable, columns: int, device: Device, count: int) -> tup
 
 @final
 class AllResin:
-    """A projector and what its light does to the resin outside its judged cylinder; rings transform light once."""
+    """A projector and its light in the resin outside its judged cylinder; on rings, light is transformed only once."""
 
     def __init__(self, A: Any, outer: Sequence[OuterResin] | None = None) -> None:
         self.operator: Any = A
@@ -229,7 +232,7 @@ class AllResin:
             combine(1.0, light, 1.0, part, light)
 
     def _parted(self, cells: Sequence[DeviceArray]) -> tuple[list[_Cells], list[_Cells]]:
-        """Operators and their cells: those whose light is that of the rings, and others."""
+        """Operators and their cells: those that share the light of the rings, and the others."""
         A, pairs = self.operator, list(zip(self.outer, cells, strict=True))
         shared = [isinstance(A, RingProjection) and A.takes_with(outer.cells) for outer in self.outer]
         return [p for p, s in zip(pairs, shared, strict=True) if s], [
@@ -244,11 +247,11 @@ _Sparse = dict[str, DeviceArray]
 # ---- one pose, traced ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Tile:
-    """The light of one pose in `ROWS` rings."""
+    """The light of one angle in `ROWS` rings."""
 
-    # paths: mean over each cell [1/mm] of each ray, (cells, rays), sparse.  columns: light of each ray by column,
-    # sparse.  arcs: turns [rad] over which each ring has a mean, (2, rings): of a frame; of rays, farther apart than
-    # short cells.
+    # paths: mean over each cell [1/mm] of each ray, (cells, rays), sparse. columns: light of each ray from columns,
+    # sparse. arcs: turns [rad] over which each ring is averaged, (2, rings): of a frame; and of rays, which are farther
+    # apart than short cells.
 
     paths: Any
     columns: Any
@@ -262,13 +265,13 @@ class _Tile:
         ray = int(self.paths.indices.max(initial=-1))
         return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
 
-    def add(self, found: np.ndarray, beam: Beam, first_column: int = 0) -> None:
-        from scipy.fft import irfft, rfft
-
-        pose = (self.paths @ self.columns[:, first_column : first_column + found.shape[2]]).toarray()
-        pose = pose.reshape(found.shape)
-        waves = np.prod(np.sinc(self.arcs[..., None] / FULL_TURN * np.arange(pose.shape[1] // 2 + 1)), axis=0)
-        found += irfft(rfft(pose, axis=1) * waves[..., None], pose.shape[1], axis=1)
+    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
+        angles, cells, width = out.shape
+        light = (self.paths @ self.columns[:, first : first + width]).toarray()
+        pose = np.zeros((angles, cells // ROWS, ROWS, width))
+        pose[..., : light.shape[1]] = light.reshape(ROWS, angles, cells // ROWS, -1).transpose(1, 2, 0, 3)
+        pose[..., 0] *= factor
+        out.device.put(pose.reshape(out.shape), out)
 
 
 def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:
@@ -288,7 +291,7 @@ def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:
 
 
 def _columns(rays: Rays, beam: Beam) -> Any:
-    """Light that each ray stands for, by column, (rays, columns), sparse."""
+    """Light that each ray represents, by column, (rays, columns), sparse."""
     from scipy.sparse import csr_array
 
     edges = np.concatenate([rays.u[:1], 0.5 * (rays.u[1:] + rays.u[:-1]), rays.u[-1:]]) / beam.pitch
@@ -298,7 +301,7 @@ def _columns(rays: Rays, beam: Beam) -> Any:
 
 
 def _is_mirrored(rays: Rays, cells: OuterRings) -> bool:
-    """Whether rays on either side of the axis mirror each other."""
+    """Whether the rays on both sides of the axis are mirror images."""
     far = cells.inner + cells.rings * cells.pitch
 
     def differ(values: np.ndarray, sign: float) -> float:
@@ -311,7 +314,7 @@ def _is_mirrored(rays: Rays, cells: OuterRings) -> bool:
 
 
 def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
-    """Path of each ray in each cell, times what is absorbed, over the area; sparse; and the first cell of each tile."""
+    """Path of each ray in each cell, times its absorption, over the area; sparse; and the first cell of each tile."""
     from scipy.sparse import csr_array
 
     bands = [tile for band in cells.bands for tile in band.tiles]
@@ -321,15 +324,25 @@ def _paths(rays: Rays, cells: OuterRings) -> tuple[Any, np.ndarray]:
     area = 0.5 * (edges[1:] ** 2 - edges[:-1] ** 2) * FULL_TURN / count
     rows = 2 * ceil(edges[-1] / cells.pitch * STEPS)
     step = 2.0 * edges[-1] / rows
-    places, numbers, lengths = [], [], []
-    for along in centers(rows, step):
-        across, cosine, share = rays.cross(float(along))
+
+    def crossed(along: float) -> tuple[np.ndarray, np.ndarray]:
+        """Cell in which each ray crosses a row, −1 outside of all, and its path there over the area."""
+        across, cosine, share = rays.cross(along)
         radius = np.hypot(across, along)
-        ray = np.flatnonzero((radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0))
-        ring = np.minimum(((radius[ray] - cells.inner) / cells.pitch).astype(int), cells.rings - 1)
-        turn = np.arctan2(across[ray], -along) / FULL_TURN
-        places.append(first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring])
-        numbers.append(ray)
-        lengths.append(share[ray] * step / cosine[ray] / area[ring])
-    place, number, length = (np.concatenate(each) for each in (places, numbers, lengths))
+        ring = np.clip((radius - cells.inner) / cells.pitch, 0, cells.rings - 1).astype(int)
+        turn = np.arctan2(across, -along) / FULL_TURN
+        place = first[ring] + np.floor(turn * count[ring] + 0.5).astype(int) % count[ring]
+        inside = (radius >= edges[0]) & (radius < edges[-1]) & (share > 0.0)
+        return np.where(inside, place, -1), share * step / cosine / area[ring]
+
+    def summed(some: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells, rays and paths in some rows; rows that follow each other in a cell are one."""
+        place, length = (np.stack(each, axis=1).ravel() for each in zip(*map(crossed, some.tolist()), strict=True))
+        ray = np.repeat(np.arange(rays.u.size), some.size)
+        begins = np.flatnonzero(np.diff(place, prepend=-2).astype(bool) | (np.diff(ray, prepend=-1) > 0))
+        kept = place[begins] >= 0
+        return place[begins][kept], ray[begins][kept], np.add.reduceat(length, begins)[kept]
+
+    parts = ahead(summed, np.array_split(centers(rows, step), ceil(rows / TOGETHER)), FEW)
+    place, number, length = (np.concatenate(each) for each in zip(*parts, strict=True))
     return csr_array((length, (place, number)), (int(first[-1]), rays.u.size)), first[::ROWS]

@@ -1,4 +1,4 @@
-"""A sheet of bent rays as one smooth map: from (which ray, how far along it) to places, and back."""
+"""A sheet of bent rays as one smooth map: from (number of the ray, distance along it) to positions, and back."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from vamgpu.kernels.index_field import Look, bspline, cell_of
 from vamgpu.optics.index_field import EXTRAPOLATE
 from vamgpu.optics.inputs import Floats
 
-COARSE = 4  # every so many rays are scanned for the first that passes beyond a point
-CHUNK = 8192  # points at once, so that the scan stays in the cache
+COARSE = 4  # step between the rays that are scanned for the first one beyond a point
+CHUNK = 8192  # number of points at a time that fits the cache
 NEWTON = 12
-CLOSE = 1e-9  # of the sheet's size: a point this near to its ray is met
+CLOSE = 1e-9  # tolerance, as a share of the sheet's size, within which a ray meets a point
 
 
 @dataclass(frozen=True, eq=False)
 class RaySheet:
-    """Rays in order of their offsets, each at equal shares of its ∫ds/n: (ray, share)."""
+    """Rays in order of their offsets, each sampled at equal shares of its ∫ds/n: (ray, share)."""
 
-    # across, along: places [mm].  path: length from the ray's start [mm].  Light travels towards larger ``along``.
+    # across, along: positions [mm]. path: length from the ray's start [mm].  Light travels towards larger ``along``.
 
     across: Floats
     along: Floats
@@ -32,7 +32,7 @@ class RaySheet:
 
     @classmethod
     def traced(cls, look: Look, starts: Floats, times: Floats, rows: int) -> RaySheet:
-        """Rays from places and headings (rays, 6), each for its own ∫ds/n [mm], in ``rows`` − 1 steps by Sharma."""
+        """Rays from positions and headings (rays, 6), each over its own ∫ds/n [mm], in ``rows`` − 1 steps by Sharma."""
         state, step = State(look, starts), times / (rows - 1)
         across, along, path = ([value] for value in (state.place[:, 0], state.place[:, 1], state.length))
         for _ in range(rows - 1):
@@ -59,7 +59,7 @@ class RaySheet:
         return _coefficients(self.across), _coefficients(self.along), _coefficients(self.path)
 
     def at(self, ray: Floats, share: Floats) -> tuple[Floats, Floats, Floats]:
-        """Across, along and path at fractional indices; each (3, points): value, slope per ray, slope per share."""
+        """Across, along and path at fractional indices; each (3, points): value, slope by ray, slope by share."""
         i, wi, di = cell_of(ray, self.across.shape[0] + 2)
         j, wj, dj = cell_of(share, self.across.shape[1] + 2)
         taps = np.arange(4)
@@ -73,13 +73,13 @@ class RaySheet:
 
     @cached_property
     def turned(self) -> Floats:
-        """Determinant of the map at its nodes: positive where neighbouring rays have not crossed."""
+        """Determinant of the map at its nodes: positive unless neighbouring rays have crossed."""
         by_ray, by_share = ([np.gradient(f, axis=a) for f in (self.across, self.along)] for a in (0, 1))
         return by_ray[0] * by_share[1] - by_ray[1] * by_share[0]
 
     @cached_property
     def _levels(self) -> tuple[Floats, Floats, Floats, NDArray[np.int_]]:
-        """Levels of ``along``; ``across`` and share of some rays there, straight on beyond their ends; their index."""
+        """Levels of ``along``; ``across`` and share of some rays there, straight beyond their ends; their index."""
         rays = np.append(np.arange(0, len(self.across) - 1, COARSE), len(self.across) - 1)
         levels = np.linspace(-self.size, self.size, self.across.shape[1])
         across, share = np.empty((rays.size, levels.size)), np.empty((rays.size, levels.size))

@@ -11,29 +11,35 @@ from vamgpu.backend.cores import pointwise
 from vamgpu.optics.faces import Face, turn
 from vamgpu.optics.inputs import Floats
 
-NODES = 64  # of the scan that brackets the first root
+NODES, FEW_NODES = 64, 8  # of the scan that brackets the first root, and of one for points that one ray reaches
 CHUNK = 2048  # points at once, so that the scan stays in the cache
 STEP_DONE = 1e-8  # Newton doubles the digits: a step of this size leaves an error near rounding
 MOST_STEPS = 100
 
 
 def first_columns(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Column u [mm] of the ray through each (x, y) [mm], and its dX_perpendicular/du: 0 where no ray comes."""
+    """Column u [mm] of the ray through each (x, y) [mm], and dX_perpendicular/du of that ray; 0 without a ray."""
     # The ray of column u passes (X, Y) where f(u) = X cos d(u) + Y sin d(u) − ratio·u vanishes. f(0) = X, and mirroring
     # X mirrors u: the ray is the first change of sign over 0 < u < aperture, for |X|. Newton's method runs in ψ with u
     # = aperture·sin ψ, in which d is smooth up to the last ray.
-    u, spacing = pointwise(partial(_piece, faces, aperture, ratio), np.abs(x), y)
+    u, spacing = np.empty_like(x), np.empty_like(x)
+    single = x**2 + y**2 < (ratio * aperture) ** 2
+    for some, nodes in ((single, FEW_NODES), (~single, NODES)):
+        found = pointwise(partial(_piece, faces, aperture, ratio, nodes), np.abs(x[some]), y[some])
+        u[some], spacing[some] = found
     return np.copysign(u, x), spacing
 
 
-def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    psi = np.linspace(0.0, 0.5 * np.pi, NODES + 1)
+def _piece(
+    faces: Sequence[Face], aperture: float, ratio: float, nodes: int, x: Floats, y: Floats
+) -> tuple[Floats, Floats]:  # fmt: skip
+    psi = np.linspace(0.0, 0.5 * np.pi, nodes + 1)
     columns = aperture * np.sin(psi)
     cos_d, sin_d, _ = turn(faces, columns)
     node, before, after = np.empty(x.size, np.int64), np.empty_like(x), np.empty_like(x)
     for start in range(0, x.size, CHUNK):
         some = slice(start, start + CHUNK)
-        # no product of BLAS, whose threads would add to ours
+        # avoid BLAS, whose threads would compete with ours
         values = x[some, None] * cos_d + (y[some, None] * sin_d - ratio * columns)
         node[some] = at = np.argmax(values[:, 1:] <= 0.0, axis=1)
         row = np.arange(at.size)
@@ -53,7 +59,7 @@ def _piece(faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: F
 def _newton(
     faces: Sequence[Face], aperture: float, ratio: float, x: Floats, y: Floats, low: Floats, high: Floats, psi: Floats
 ) -> Floats:
-    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method with bisection as the safeguard."""
+    """Root of f in psi between low (f >= 0) and high (f <= 0), by Newton's method safeguarded by bisection."""
     root = psi.copy()
     live = np.arange(x.size)
     for _ in range(MOST_STEPS):

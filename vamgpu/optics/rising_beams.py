@@ -1,7 +1,7 @@
-"""Beams whose light also moves along the axis of rotation: each has a plane, which is a vessel, and rows.
+"""Beams whose light also moves along the axis of rotation: each consists of a plane, which is a vessel, and rows.
 
 `Oblique` projects them. Both are for light that is straight in the resin: air, or a vat whose liquid matches it. A
-round vial also bends rising light out of the plane.
+round vial would also bend rising light out of the plane.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from vamgpu.optics.vat import Vat
 from vamgpu.schema.quantities import Length, Place, Turn, finite
 
 STEEPEST = np.radians(80.0)
-"""Elevation beyond which rays hardly cross the resin any more."""
+"""Elevation beyond which rays hardly cross the resin."""
 
 
 @dataclass(frozen=True, init=False)
 class Cone:
-    """A fan whose rows spread like its columns: all light comes from one pupil, irradiance falls as 1 / distance².
+    """A fan whose rows spread like its columns: light comes from one pupil; the irradiance falls as 1/distance².
 
-    The pupil is level with the middle row. The path of a row at the height w is longer by (w / throw)² / 2, which is
-    ignored. ``plane`` is the `Fan`.
+    The pupil is at the height of the middle row. The path of a row at the height w is longer by (w / throw)² / 2, which
+    is ignored. ``plane`` is the `Fan`.
 
     Args:
         vessel: A `Vat` with a radius, or None for air.
@@ -56,14 +56,14 @@ class Cone:
         return {name: getattr(self.plane, name) for name in ("vessel", "throw", "offset", "tilt")}
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some positions; see `vamgpu.operators.oblique.Rising`.
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,).
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,).
 
         Returns:
-            Lift [mm], stretch and gain, (...,) each: the ray through (X, Y, z) stands at lift + stretch·z.
+            Lift [mm], stretch and gain, (...,) each: the row of the ray through (X, Y, z) is lift + stretch·z.
         """
         downstream = turned(across, along, np.asarray(self.plane.tilt))[1]
         stretch = 1.0 / (1.0 + downstream / self.plane.throw)
@@ -84,7 +84,7 @@ class Inclined:
         tilt: Rotation of the light about the axis, in the plane [rad].
 
     Raises:
-        BadInput: The elevation exceeds 80 degrees, the vessel bends light, or as `Misaligned`.
+        BadInput: The elevation exceeds 80 degrees, the vessel bends light, or as for `Misaligned`.
     """
 
     plane: Vessel
@@ -107,7 +107,7 @@ class Inclined:
             object.__setattr__(self, name, value)
 
     def described(self) -> dict[str, Any]:
-        """Return the constructor's arguments; the absorption stored in ``plane`` includes the longer path.
+        """Return the constructor's arguments; the absorption stored in ``plane`` already includes the longer path.
 
         Returns:
             The arguments by name.
@@ -115,14 +115,14 @@ class Inclined:
         return self._given  # type: ignore[attr-defined]
 
     def rows(self, across: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rows of the rays through some places; see `vamgpu.operators.oblique.Rising`.
+        """Rows of the rays through some positions; see `vamgpu.operators.oblique.Rising`.
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,).
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,).
 
         Returns:
-            Lift [mm], stretch and gain, (...,) each: the ray through (X, Y, z) stands at lift + stretch·z.
+            Lift [mm], stretch and gain, (...,) each: the row of the ray through (X, Y, z) is lift + stretch·z.
         """
         downstream = turned(across, along, np.asarray(self.tilt))[1]
         stretch = np.full_like(downstream, cos(self.elevation))
@@ -132,6 +132,6 @@ class Inclined:
 def _check_straight(vessel: Any, name: str) -> None:
     if vessel is not None and not isinstance(vessel, (Vat, OpenAir)):
         raise BadInput(
-            f"{name} got {vessel!r}; expected a Vat, or None for air: what bends light in the plane bends "
-            "rising light out of it too"
+            f"{name} got {vessel!r}; expected a Vat, or None for air: a vessel that bends light in the plane also "
+            "bends rising light out of it"
         )

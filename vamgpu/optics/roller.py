@@ -26,49 +26,49 @@ from vamgpu.web import Propagation, WebGrid
 
 Volume = Literal["flat", "bent"]
 LARGEST_GAIN = 2.0
-"""Gain at which the compensation of Fresnel's loss is clipped by default; without a limit it diverges."""
+"""Default gain at which the compensation of Fresnel's loss is clipped; without a limit it would diverge."""
 SAME = 1e-6
-"""Relative difference up to which the thickness of a grid is that of the film."""
+"""Relative difference up to which the thickness of a grid counts as that of the film."""
 
 
 @dataclass(frozen=True)
 class Roller:
     """A film wrapped by half a turn about an opaque roller, as in Toombs et al., Fig. 2; a `vamgpu.web.Wrap`.
 
-    The axis of the roller is (0, 0). Light travels towards +y and meets the film at y = −√(r_o² − x²), refracts there
-    by Snell's law with Fresnel's loss, runs straight, is absorbed by Beer and Lambert's law, and ends at the roller, in
-    the bath, or at the end of one of the two legs in which the web comes and goes.
+    The axis of the roller is (0, 0). Light travels towards +y and meets the film at y = −√(r_o² − x²). It refracts
+    there by Snell's law with Fresnel's loss, continues straight, and is absorbed by Beer and Lambert's law. It ends at
+    the roller, in the bath, or at the end of one of the two straight runs ("legs") before and after the roller.
 
     Args:
         radius: Radius of the roller [mm].
         film: The film around it.
         step: Rotation from one angle to the next [rad].
-        legs: Length of each leg in the window [mm]; None for the depth in which light falls to 5 %.
+        legs: Length of each straight run in the window [mm]; None for the depth in which light falls to 5 %.
         reflectivity: Share of the light that the roller reflects, specular.
-        compensation: Largest factor by which columns compensate Fresnel's loss, as `gain` gives it; None for none. It
-            is part of the beam: a projector with equally bright columns must show frames multiplied by `gain`.
+        compensation: Largest factor by which columns compensate Fresnel's loss, see `gain`; None for none. It is
+            part of the beam: a projector with equally bright columns must show frames multiplied by `gain`.
         divergence: Half angle of the fan of light of each column in the bath [rad], uniform in its sine, centered where
             the column is in focus.
         planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it. Each column is
             in focus at the plane nearest to where it meets the middle of the film, as in `vamgpu.FocusMasks`. None:
             each column is in focus exactly there.
         lit_share: Share of each step during which its frame is lit while the film moves, half of it before the angle; 0
-            for a film that stands still while it is lit. With a lens, the focus planes divide this time.
-        neutral: Depth of the line that bending does not stretch, as a share of the thickness from the roller.
-        rays: Rays across the width of a column; if the walls of a voxel are parallel to the light, its share of a
-            column is accurate to one ray.
+            for a film that stops while it is lit. With a lens, the focus planes divide this time.
+        neutral: Depth of the line that bending does not stretch, as a share of the thickness, measured from the roller.
+        rays: Rays across the width of a column; if the walls of a voxel are parallel to the light, the voxel's share of
+            a column is accurate to one ray.
         fan: Rays across the fan of a column.
-        index: Refractive index of the resin if it varies in space: rays are marched through the film, on a device if
-            the index is a field. Coverage, gain and aperture still use the index of the film.
+        index: Refractive index of the resin if it varies in space. Rays are then marched through the film, on a device
+            if the index is a field. Coverage, gain and aperture still use the index of the film.
         polarization: Polarization of the light: "none", "s" (its field along the roller's axis) or "p" (across it).
         core: Index of a transparent roller: light passes through it and the bath behind it, and re-enters the film.
             None for a roller that absorbs or reflects light.
         volume: Volume by which absorbed energy is divided: that of the "flat" film, which conserves energy when the
-            film is laid flat, or that of the "bent" film; they differ by the radius over that of the neutral line.
+            film is laid flat, or that of the "bent" film. Their ratio is the radius over that of the neutral line.
 
     Raises:
         BadInput: A value is out of its range.
-        RayError: Legs are left open for a film that absorbs nothing.
+        RayError: The length of straight runs is not given, but the film absorbs nothing.
     """
 
     radius: Length
@@ -106,8 +106,8 @@ class Roller:
             )
         if self.legs is None and self.film.penetration == inf:
             raise RayError(
-                "the film absorbs nothing, so that a ray along a straight run never leaves the window; "
-                "expected the length of the straight runs [mm], or a film with an absorption above 0"
+                "the film absorbs nothing, so that a ray along a straight run never leaves the window; expected the "
+                "length of the straight runs [mm], or a film with an absorption above 0"
             )
 
     @property
@@ -122,17 +122,17 @@ class Roller:
 
     @property
     def neutral_radius(self) -> float:
-        """Radius [mm] at which the film moves as fast as the flat web, by default r_i + τ/2."""
+        """Radius [mm] at which the film moves as fast as the flat web; by default r_i + τ/2."""
         return self.radius + self.neutral * self.film.thickness
 
     @property
     def advance(self) -> float:
-        """Way [mm] of the web along its neutral line from one pose to the next."""
+        """Distance [mm] that the web moves along its neutral line from one angle to the next."""
         return self.step * self.neutral_radius
 
     @property
     def leg(self) -> float:
-        """Length [mm] of each leg."""
+        """Length [mm] of each straight run."""
         return self.film.penetration if self.legs is None else self.legs
 
     @property
@@ -149,7 +149,7 @@ class Roller:
         """The map between the wrapped and the flat film over the window.
 
         Args:
-            grid: Draws the legs out to a whole number of its voxels; None leaves them as they are.
+            grid: Extends the straight runs to a whole number of its voxels; None leaves them unchanged.
 
         Returns:
             The map.
@@ -158,12 +158,12 @@ class Roller:
         if grid is None:
             return plain
         edge = self.check(grid).edges[0]
-        # A window that is whole already must not grow by the rounding of its length.
+        # A window that is already whole must not grow by rounding errors of its length.
         columns = int(np.ceil(plain.length / edge * (1.0 - 1e-12)))
         return WrapMap(self.radius, self.outer, self.neutral_radius, max(0.0, 0.5 * (columns * edge - plain.arc)))
 
     def coverage(self, limit: float | None = None) -> Coverage:
-        """Angles from which light reaches the film, and what clipping the compensation costs of them.
+        """Angles from which light reaches the film, and the angles lost when the compensation is clipped.
 
         Args:
             limit: Largest factor of the compensation; by default the roller's own, or 2.
@@ -180,13 +180,13 @@ class Roller:
             u: Offsets of the columns [mm], (...,).
 
         Returns:
-            Share of the power, (...,); 0 where a column misses.
+            Share of the power, (...,); 0 for columns that miss the film.
         """
         offsets = as_offsets("u", u)
         return np.where(np.abs(offsets) < self.aperture, transmit(self.faces, offsets, self.polarization), 0.0)
 
     def gain(self, u: ArrayLike, limit: float | None = None) -> Floats:
-        """Factors of columns against Fresnel's loss: 1/transmittance, at most ``limit``.
+        """Factors by which columns compensate Fresnel's loss: 1/transmittance, at most ``limit``.
 
         Args:
             u: Offsets of the columns [mm], (...,).
@@ -221,13 +221,13 @@ class Roller:
             The grid.
 
         Raises:
-            BadInput: It is not.
+            BadInput: The thicknesses differ.
         """
         thick = grid.size[1]
         if abs(thick - self.film.thickness) > SAME * self.film.thickness:
             raise BadInput(
-                f"the grid is {thick:.6g} mm thick, {grid.shape[1]} voxels of {grid.edges[1]:.6g} mm, and "
-                f"the film {self.film.thickness:.6g} mm; expected the same; a pitch of "
+                f"the grid is {thick:.6g} mm thick, {grid.shape[1]} voxels of {grid.edges[1]:.6g} mm, and the film "
+                f"{self.film.thickness:.6g} mm; expected the same; a pitch of "
                 f"{self.film.thickness / grid.shape[1]:.6g} mm along rho makes it so"
             )
         return grid
@@ -235,13 +235,13 @@ class Roller:
     def trace(
         self, u: ArrayLike, angle: ArrayLike = 0.0, leg: float | None = None, device: str | Device | None = None
     ) -> Traced:
-        """Trace rays of some columns. A ray that leans does so about the point where its column is in focus.
+        """Trace rays of some columns. An inclined ray is rotated about the point where its column is in focus.
 
         Args:
             u: Offsets of the columns [mm], (...,).
-            angle: Lean towards +x in the bath [rad], (...,), broadcast with ``u``.
-            leg: Length of each leg [mm]; by default the roller's.
-            device: Marches rays through a field of the index; a name or a device, the best available one by default.
+            angle: Inclination towards +x in the bath [rad], (...,), broadcast with ``u``.
+            leg: Length of each straight run [mm]; by default the roller's.
+            device: Device that marches rays through a field of the index; a name or a device, by default the best one.
 
         Returns:
             The rays, flattened.
@@ -255,13 +255,13 @@ class Roller:
         return trace(self._layers(self.leg if leg is None else leg), x, y, np.sin(lean), np.cos(lean), device)
 
     def propagation(self, grid: WebGrid, beam: Beam, device: str | Device | None = None) -> Propagation:
-        """Light of one pose in the flat film.
+        """Light of one angle in the flat film.
 
-        Every column is ``rays`` × ``fan`` rays of equal power; each leaves in every voxel it crosses exactly what is
-        absorbed between the two walls. Per flat volume the entries are energies, so that the Jacobian r/(r_i + τ/2) is
-        in them: what a voxel of the flat film absorbs is what its bent self absorbs, and the sum over a column is the
-        mean over its rays of T·(1 − exp(−α·L)), times its gain where the roller compensates. They are of a
-        film at its pose; the way that it moves on by while it is lit stands beside them.
+        Every column is ``rays`` × ``fan`` rays of equal power; in every voxel, each ray leaves exactly the energy that
+        is absorbed between its entry and exit. Per flat volume, the entries are energies and include the Jacobian
+        r/(r_i + τ/2): a voxel of the flat film absorbs the same as its bent counterpart. The sum over a column is the
+        mean over its rays of T·(1 − exp(−α·L)), times its gain if the roller compensates. They are for a film at rest
+        at its angle; its motion while it is lit is stored separately.
 
         Args:
             grid: Voxels of the film.

@@ -1,7 +1,7 @@
-"""Energy that straight pieces of rays leave in the voxels of the flat film: exact crossings, no steps.
+"""Energy that straight segments of rays leave in the voxels of the flat film: exact crossings, no steps.
 
-On the roller the walls of the voxels are circles and radii, in the legs they are planes. Cut at the point nearest the
-axis, a piece runs steadily in l and in rho, so that its crossings with the walls are two lists in closed form.
+On the roller, the walls of the voxels are circles and radii; in the straight runs they are planes. Cut at its point
+nearest the axis, a segment is monotonic in l and in rho, and its crossings with walls are two lists in closed form.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from vamgpu.optics.wrap_map import WrapMap
 Reals = NDArray[np.floating]
 
 MOST_CROSSINGS = 1 << 16
-"""Crossings, and voxels, held at once: what stays in a processor's cache."""
+"""Crossings, and voxels, processed at a time: as many as fit a processor's cache."""
 SMALLEST_IMPACT = 1e-12
-"""Keeps the angle of a ray that runs through the axis defined [mm]; far below rounding."""
+"""Distance that keeps the angle of a ray through the axis defined [mm]; far below rounding errors."""
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """Pieces that run steadily from ``begin`` to ``finish`` [mm] along their lines; ``before``: way in resin at 0."""
+    """Monotonic segments from ``begin`` to ``finish`` [mm] along lines; ``before``: path in resin before t = 0."""
 
     column: np.ndarray
     begin: Floats
@@ -44,13 +44,13 @@ class _Lines:
         raise NotImplementedError
 
     def cross(self, map: WrapMap, rho: Reals, l: Reals) -> tuple[Reals, Reals]:  # noqa: E741 - the web's axis
-        """t at which rho and l are reached, (pieces, n); anything where they are not."""
+        """t at which rho and l are reached, (pieces, n); arbitrary if they are not reached."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class _Arcs(_Lines):
-    """Arcs on the roller; t counts from the point nearest the axis, at distance ``impact`` and angle ``turn``."""
+    """Segments on the roller; t counts from the point nearest the axis, at distance ``impact`` and angle ``turn``."""
 
     impact: Floats
     turn: Floats
@@ -69,7 +69,7 @@ class _Arcs(_Lines):
 
 @dataclass(frozen=True)
 class _Straights(_Lines):
-    """In a leg; rho and l at t = 0, and their slopes."""
+    """Segments in a straight run; rho and l at t = 0, and their slopes."""
 
     depth: Floats
     along: Floats
@@ -86,11 +86,11 @@ class _Straights(_Lines):
 
 def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: float, shape: tuple[int, int, int],
           pitch: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Floats]:  # fmt: skip
-    """Light of columns in voxels: indices column, rho, l, in lexical order, and the sum of their pieces.
+    """Light of columns in voxels: indices column, rho, l, in lexical order, and the sum of their segments.
 
-    A piece leaves power · exp(−α·s)·(1 − exp(−α·Δ)) where it runs from s to s + Δ in a voxel: Beer and Lambert's law
-    integrated exactly; without absorption it is power · Δ [mm].  column: of each piece.  shape: columns and voxels
-    along rho and l.  pitch: edges [mm] along rho and l.
+    A segment leaves power · exp(−α·s)·(1 − exp(−α·Δ)) where it runs from s to s + Δ in a voxel: Beer and Lambert's law
+    integrated exactly; without absorption it leaves power · Δ [mm]. column: of each segment. shape: number of columns,
+    and of voxels along rho and l. pitch: edges [mm] along rho and l.
     """
     order = np.argsort(column, kind="stable")
     kinds = (_arcs(map, segments, column, order), _straights(map, segments, column, order))
@@ -114,7 +114,7 @@ def cells(map: WrapMap, segments: Segments, column: np.ndarray, absorption: floa
 
 
 def _arcs(map: WrapMap, segments: Segments, column: np.ndarray, order: np.ndarray) -> _Arcs:
-    """The pieces on the roller, cut where they are nearest the axis."""
+    """The segments on the roller, cut where they are nearest the axis."""
     rows = order[segments.side[order] == 0]
     x, y, dx, dy = (getattr(segments, name)[rows] for name in ("x", "y", "dx", "dy"))
     start, impact = x * dx + y * dy, x * dy - y * dx
@@ -131,7 +131,7 @@ def _arcs(map: WrapMap, segments: Segments, column: np.ndarray, order: np.ndarra
 
 
 def _straights(map: WrapMap, segments: Segments, column: np.ndarray, order: np.ndarray) -> _Straights:
-    """The pieces in the legs."""
+    """The segments in the straight runs."""
     rows = order[segments.side[order] != 0]
     x, y, dx, dy, side = (getattr(segments, name)[rows] for name in ("x", "y", "dx", "dy", "side"))
     return _Straights(column[rows], np.zeros(rows.size), segments.length[rows], segments.power[rows],
@@ -141,7 +141,7 @@ def _straights(map: WrapMap, segments: Segments, column: np.ndarray, order: np.n
 
 def _chunks(map: WrapMap, lines: _Lines, pitch: tuple[float, float]
             ) -> Iterator[tuple[_Lines, Reals, Reals]]:  # fmt: skip
-    """Pieces with about as many walls together, and the walls [mm] each may cross, along rho and along l."""
+    """Groups of segments with similar numbers of walls, and walls [mm] that each may cross along rho and l."""
     if not lines.column.size:
         return
     spans = []
@@ -161,7 +161,7 @@ def _chunks(map: WrapMap, lines: _Lines, pitch: tuple[float, float]
 
 def _crossed(map: WrapMap, lines: _Lines, deep: Reals, along: Reals, absorption: float, shape: tuple[int, int, int],
              pitch: tuple[float, float]) -> tuple[np.ndarray, Reals]:  # fmt: skip
-    """Flat indices of the voxels between all walls, and what is left there; nothing where two walls are one."""
+    """Flat indices of the voxels between all walls, and the energy left there; none where two walls coincide."""
     ends = lines.begin[:, None], lines.finish[:, None]
     t = np.concatenate([ends[0], *lines.cross(map, deep, along), ends[1]], axis=1)
     np.clip(t, *ends, out=t)

@@ -1,4 +1,4 @@
-"""Rays bend between the faces of a film whose index changes from place to place."""
+"""Rays bend between the faces of a film whose index varies in space."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length
 
 NUDGE = 1e-4
-"""Half the distance [mm] of the difference that gives a slope of the index."""
+"""Half the distance [mm] of the finite difference for the gradient of the index."""
 
 
 @dataclass(frozen=True)
 class FilmIndex:
-    """Refractive index of the resin on the wrapped film, in the laboratory frame of one angle.
+    """Refractive index of the resin on the wrapped film, in the fixed frame of one angle.
 
     Args:
         index: A medium in x and y [mm], with the roller's axis at (0, 0): a formula, a grid or a function with a
-            region, all marched on a device; or a plain function of arrays x and y, traced in NumPy and evaluated up to
-            `NUDGE` mm outside the film. Job folders store only formulas and grids.
-        stride: Longest straight piece [mm]; errors fall with its square.
+            region, all of which are marched on a device; or a plain function of arrays x and y, which is traced in
+            NumPy and evaluated up to `NUDGE` mm outside the film. Job folders can store only formulas and grids.
+        stride: Longest straight segment [mm]; errors fall with its square.
 
     Raises:
         BadInput: A value is out of its range, or the medium depends on z.
@@ -40,8 +40,8 @@ class FilmIndex:
         if isinstance(self.index, (FormulaField, GridField, FunctionField)):
             deep = self.index.weights[2] if isinstance(self.index, FormulaField) else _axes(self.index) - 2
             if deep:
-                raise BadInput(f"FilmIndex index is a {type(self.index).__name__} that depends on z; expected one of x "
-                               "and y, as all rows of a web share the light of one angle")  # fmt: skip
+                raise BadInput(f"FilmIndex index is a {type(self.index).__name__} that depends on z; expected one of "
+                               "x and y, because all rows of a web share the light of one angle")  # fmt: skip
         elif not callable(self.index):
             raise BadInput(f"FilmIndex index is {self.index!r}; expected a FormulaField, a GridField, a FunctionField, "
                            "or a function of x and y [mm]")  # fmt: skip
@@ -52,7 +52,7 @@ class FilmIndex:
         return self.index if isinstance(self.index, (FormulaField, GridField, FunctionField)) else None
 
     def check_reach(self, outer: float, leg: float) -> None:
-        """Raise `BadInput` unless the medium is known all over a film of an outer radius with legs [mm]."""
+        """Raise `BadInput` unless the medium is known in all of a film of an outer radius with straight runs [mm]."""
         if isinstance(self.index, GridField):
             corner, shape = self.index.corner, self.index.coefficients.shape
             spans = [(low, low + (n - 3) * self.index.pitch) for low, n in zip(corner, shape, strict=False)]
@@ -62,12 +62,12 @@ class FilmIndex:
             return
         need, slack = ((-outer, outer), (-outer, leg)), 1e-6 * outer
         if any(low > a + slack or high < b - slack for (low, high), (a, b) in zip(spans, need, strict=True)):
-            known, wanted = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
+            known, needed = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
             raise BadInput(f"the {type(self.index).__name__} of the film reaches from {known} mm in x and y; expected "
-                           f"{wanted} mm, the film with its straight runs")  # fmt: skip
+                           f"{needed} mm, the film with its straight runs")  # fmt: skip
 
     def at(self, x: Floats, y: Floats) -> Floats:
-        """Index at places; raises `BadInput` where it is below 1 or not finite."""
+        """Index at given positions; raises `BadInput` if it is below 1 or not finite."""
         if (medium := self.medium) is not None:
             square = medium.evaluate(np.stack([x, y, np.zeros_like(x)], axis=1))[1]
             return self._checked(np.sqrt(np.maximum(square, 0.0)), x)
@@ -90,9 +90,9 @@ class FilmIndex:
         return east / (2.0 * NUDGE), north / (2.0 * NUDGE)
 
     def kick(self, rays: dict[str, Any], way: Floats, strength: Floats) -> Floats:
-        """Turn rays in the film by the slope at their place over a way [mm]; returns the new strength.
+        """Turn rays in the film by the gradient at their position over a distance [mm]; returns the new strength.
 
-        strength: length of index × direction. Half a kick, a straight way and half a kick are one step of the
+        strength: length of index × direction. Half a turn, a straight path and half a turn are one step of the
         second-order symplectic scheme for d(n·d)/ds = ∇n.
         """
         east, north = self.slope(rays["x"], rays["y"])

@@ -1,7 +1,7 @@
 """Rays marched on a device from face to face of a film whose index is a field.
 
-A region of the marching kernels ends at one quadric and a box. Over the roller rays are marched to the outer circle and
-once more to the inner one, and the end that comes first counts; a leg is a box.
+The marching kernels end a region at one quadric and a box. Over the roller, rays are marched once to the outer circle
+and once to the inner one, and the first end counts; a straight run is a box.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from vamgpu.optics.inputs import Floats
 from vamgpu.optics.march import Marcher
 
 PATHS = 1 << 26
-"""Bytes of the paths of the rays that are marched at once."""
+"""Bytes of the paths of the rays that are marched at a time."""
 DETOUR = 1.2
-"""Steps marched at once over those of the longest straight way; rays that bend more go on from there."""
+"""Steps marched at a time, relative to those of the longest straight path; rays that bend more continue from there."""
 INNER, OUTER, MIDDLE, FINISH, NONE = range(5)
-"""The faces, as `roller_rays` numbers them."""
+"""The faces, numbered as in `roller_rays`."""
 
 
 class FilmMarcher:
-    """A film's medium on a device; radii of the film, length of the legs and stride in mm."""
+    """A film's medium on a device; radii of the film, length of the straight runs and stride in mm."""
 
     marcher: Marcher
     inner: float
@@ -42,10 +42,10 @@ class FilmMarcher:
         self.inner, self.outer, self.leg, self.stride = inner, outer, leg, stride
 
     def run(self, rays: dict[str, Any], index: Floats, powers: Floats, pieces: list[dict[str, Any]]) -> np.ndarray:
-        """Take the rays in the film to the faces they meet next, and note the pieces of their ways."""
-        # rays: place, direction and way so far of all; changed.  index: of the resin where they are.  powers: of the
-        # pieces.  pieces: are added to, as `roller_rays.Segments` has them.  Returns the faces; none for rays that
-        # still run or are out.
+        """Take the rays in the film to the faces that they meet next, and record the segments of their paths."""
+        # rays: position, direction and path so far of all; updated. index: of the resin where they are. powers: of the
+        # segments. pieces: are appended to, as in `roller_rays.Segments`. Returns the faces; none for rays that are
+        # still running or have left.
         face = np.full(index.size, NONE)
         for side in (-1, 0, 1):
             rows = np.flatnonzero(rays["film"] & (rays["side"] == side))
@@ -106,13 +106,13 @@ class FilmMarcher:
         return face
 
     def _to(self, starts: Any, step: float, steps: int, region: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
-        """Ends, paths and times of a march to a region's border, in float64; the ends close the paths."""
+        """Ends, paths and times of a march to a region's border, in float64; the paths' last points are the ends."""
         tables = self.marcher.run(starts, step, steps, rows=steps + 1, region=np.array(region))
         ends, path, times = (one.numpy().astype(np.float64) for one in tables)
         return ends, path, times
 
     def _face(self, side: int, x: Floats, y: Floats, dx: Floats, dy: Floats) -> np.ndarray:
-        """The nearest face that rays at the border of a zone leave it by."""
+        """The nearest face through which rays at the border of a zone leave it."""
         if side:
             ways, leans = (
                 (side * x - self.inner, self.outer - side * x, y, self.leg - y),
@@ -125,7 +125,7 @@ class FilmMarcher:
         return np.argmin(gaps, axis=0)
 
     def _on(self, face: np.ndarray, side: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Places put onto their faces, from which float32 is off by rounding."""
+        """Positions moved onto their faces, from which float32 rounding has shifted them."""
         radius = np.where(face == INNER, self.inner, self.outer)
         meets = (face == INNER) | (face == OUTER)
         if side:

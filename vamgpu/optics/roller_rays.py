@@ -1,7 +1,7 @@
 """Rays through a film about a roller: from face to face, straight in between.
 
 The faces are concentric circles in front of the roller's axis (y < 0) and planes |x| = const behind it, where the web
-leaves the roller along two straight legs.
+leaves the roller along two straight runs.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from vamgpu.optics.roller_index import FilmIndex
 from vamgpu.optics.roller_march import FINISH, INNER, MIDDLE, NONE, OUTER, FilmMarcher
 
 MOST_FACES = 2000
-"""Faces a ray may meet before it is said never to leave."""
+"""Number of faces after which a ray counts as one that never leaves."""
 
 MOST_CHORDS = 1000
-"""Chords of a clear roller that a ray may run, along its back, before it is taken to be lost in it."""
+"""Number of chords of a clear roller along its back after which a ray counts as lost in it."""
 
 
 class End(IntEnum):
@@ -32,17 +32,17 @@ class End(IntEnum):
     MISSED = 0  # it met no resin
     ROLLER = 1
     BATH = 2  # through a face of the film
-    LEG = 3  # at the end of a leg, where the window ends
+    LEG = 3  # at the end of a straight run, where the window of light ends
 
 
 @dataclass(frozen=True)
 class Layers:
     """The faces and media that a ray can meet in a film on a roller."""
 
-    # inner, outer: radii of the film [mm].  shell: outer radius of the substrate, or outer.  leg: length of the legs
-    # [mm].  resin, bath, sheet: refractive indices.  reflectivity: of the roller.  field: index of the resin where it
-    # changes from place to place, instead of ``resin``.  polarization: of the light.  core: index of a clear roller,
-    # None for one that light ends at.
+    # inner, outer: radii of the film [mm]. shell: outer radius of the substrate, or outer. leg: length of the straight
+    # runs [mm]. resin, bath, sheet: refractive indices. reflectivity: of the roller. field: index of the resin if it
+    # varies in space, in place of ``resin``. polarization: of the light. core: index of a clear roller, None for an
+    # opaque one.
 
     inner: float
     outer: float
@@ -57,17 +57,17 @@ class Layers:
     core: float | None = None
 
     def resin_at(self, x: Floats, y: Floats) -> Floats:
-        """Index of the resin at wrapped places."""
+        """Index of the resin at wrapped positions."""
         return np.full(x.shape, self.resin) if self.field is None else self.field.at(x, y)
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight pieces of rays in resin; all arrays (pieces,).
+    """Straight segments of rays in resin; all arrays (pieces,).
 
-    ray: which ray.  x, y: start [mm].  dx, dy: unit direction.  length [mm].  before: way in resin before the start
-    [mm].  power: share of the ray's power that faces and roller left, before absorption.  side: −1 and 1 in the legs
-    at negative and positive x, 0 on the roller.
+    ray: number of the ray. x, y: start [mm]. dx, dy: unit direction. length [mm]. before: path in resin before the
+    start [mm]. power: share of the ray's power after losses at faces and roller, before absorption. side: −1 and 1 in
+    the straight runs at negative and positive x, 0 on the roller.
     """
 
     ray: np.ndarray
@@ -81,7 +81,7 @@ class Segments:
     side: np.ndarray
 
     def absorbed(self, absorption: float) -> Floats:
-        """Power absorbed in each piece, as a share of its ray's; the length times the power if nothing is absorbed."""
+        """Power absorbed in each segment, as a share of its ray's; length times power without absorption."""
         if absorption == 0:
             return self.power * self.length
         return self.power * np.exp(-absorption * self.before) * -np.expm1(-absorption * self.length)
@@ -89,8 +89,8 @@ class Segments:
 
 @dataclass(frozen=True)
 class Traced:
-    """Rays and how they ended. transmittance: power that first entered the resin, share of each ray's.
-    length: way in the resin [mm].  end: `End` of each ray.  All (rays,).
+    """Rays and how they ended. transmittance: share of each ray's power that first entered the resin. length: path in
+    the resin [mm]. end: `End` of each ray. All (rays,).
     """
 
     segments: Segments
@@ -106,7 +106,7 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     reflection is ignored. A ray that meets the roller ends there, or continues with the roller's reflectivity. A field
     of the index is marched on ``device``, by default the best available one.
 
-    Raises `RayError`: a ray meets more than `MOST_FACES` faces without an end.
+    Raises `RayError` if a ray meets more than `MOST_FACES` faces without an end.
     """
     field, marcher = layers.field, None
     if field is not None and field.medium is not None:
@@ -118,7 +118,9 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
     end = np.full(x.size, int(End.MISSED), dtype=np.int8)
     share[rays["ray"]] = first
     pieces: list[dict[str, Any]] = []
-    for _ in range(MOST_FACES + _strides(layers)):
+    # more strides than a ray has that goes the length of the window four times
+    strides = 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
+    for _ in range(MOST_FACES + strides):
         if not rays["ray"].size:
             break
         face = _advance(layers, rays, pieces) if marcher is None else _march(layers, marcher, rays, pieces)
@@ -141,20 +143,15 @@ def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: 
 _GOES_ON = -1
 
 
-def _strides(layers: Layers) -> int:
-    """More strides than a ray has that goes the length of the window four times."""
-    return 0 if layers.field is None else int(4.0 * (layers.leg + layers.shell) / layers.field.stride)
-
-
 def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]]) -> np.ndarray:
-    """Go straight on to the next face, or by a stride where the index changes; returns the faces that are met."""
+    """Go straight to the next face, or by one stride if the index varies; returns the faces that are met."""
     far, face = _next_face(layers, rays)
     strength, field = np.ones(far.size), layers.field
     if field is not None:
         far = np.where(rays["film"], np.minimum(far, field.stride), far)
         strength = field.kick(rays, 0.5 * far, layers.resin_at(rays["x"], rays["y"]))
         way, face = _next_face(layers, rays)
-        # A way that ends a hair before a face ends at it.
+        # A path that ends slightly before a face ends at it.
         face = np.where(rays["film"] & (way > far * (1.0 + 1e-9) + 1e-12), NONE, face)
         far = np.where(face == NONE, far, way)
     pieces.append(_piece(rays, far, layers.polarization))
@@ -166,7 +163,7 @@ def _advance(layers: Layers, rays: dict[str, Any], pieces: list[dict[str, Any]])
 
 
 def _march(layers: Layers, marcher: FilmMarcher, rays: dict[str, Any], pieces: list[dict[str, Any]]) -> np.ndarray:
-    """`_advance` on a device, from face to face; out of the film light goes straight."""
+    """`_advance` on a device, from face to face; outside the film light travels straight."""
     far, face = _next_face(layers, rays)
     outside = ~rays["film"]
     _move(rays, np.where(outside, far, 0.0))
@@ -176,12 +173,12 @@ def _march(layers: Layers, marcher: FilmMarcher, rays: dict[str, Any], pieces: l
 
 
 def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> dict[str, Any]:
-    """Rays just behind the outermost face; those that miss it or are totally reflected are left out."""
+    """Rays just behind the outermost face, without those that miss it or are totally reflected."""
     radius, along = layers.shell, x * dx + y * dy
     square = radius**2 - (x * dy - y * dx) ** 2
     to_circle = -along - np.sqrt(np.maximum(square, 0.0))
     front = (square >= 0) & (y + to_circle * dy <= 0)
-    # Only rays that lean inwards meet a leg from outside.
+    # Only rays inclined inwards meet a straight run from outside.
     side = -np.sign(dx)
     to_plane = np.divide(side * radius - x, dx, out=np.full(x.shape, np.inf), where=dx != 0)
     back = ~front & np.isfinite(to_plane) & (y + to_plane * dy > 0) & (y + to_plane * dy < layers.leg)
@@ -202,7 +199,7 @@ def _entered(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats) -> di
 
 
 def _next_face(layers: Layers, rays: dict[str, Any]) -> tuple[Floats, np.ndarray]:
-    """Way [mm] to the next face, and which it is; the end of the curved film is a face that does nothing."""
+    """Distance [mm] to the next face, and which face it is; the end of the curved film is a face without effect."""
     film, side, dx, dy = rays["film"], rays["side"], rays["dx"], rays["dy"]
     low, high = np.where(film, layers.inner, layers.outer), np.where(film, layers.outer, layers.shell)
     curved = side == 0
@@ -223,7 +220,7 @@ def _next_face(layers: Layers, rays: dict[str, Any]) -> tuple[Floats, np.ndarray
 
 
 def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
-    """Change the rays at the faces they have come to; returns how each ends, or `_GOES_ON`."""
+    """Change the rays at the faces that they have reached; returns how each ends, or `_GOES_ON`."""
     film, curved = rays["film"], rays["side"] == 0
     fate = np.full(face.size, _GOES_ON, dtype=np.int8)
     fate[face == FINISH] = End.LEG
@@ -249,7 +246,7 @@ def _meet(layers: Layers, rays: dict[str, Any], face: np.ndarray) -> np.ndarray:
 
 
 def _through(layers: Layers, rays: dict[str, Any], roller: np.ndarray) -> np.ndarray:
-    """Take rays through a clear roller, and the bath behind it, back into the film; returns those that never come."""
+    """Take rays through a clear roller, and the bath behind it, back into the film; returns those that never return."""
     chosen = np.flatnonzero(roller)
     inside = {name: value[chosen].copy() for name, value in rays.items()}
     core, bath = (np.full(chosen.size, index) for index in (layers.core, layers.bath))
@@ -310,7 +307,7 @@ def _reflect(rays: dict[str, Any], where: np.ndarray) -> None:
 
 
 def _refract(rays: dict[str, Any], before: Floats, after: Floats, where: np.ndarray) -> np.ndarray:
-    """Cross a face with Snell's law and Fresnel's loss; returns which rays did, the others are totally reflected."""
+    """Cross a face with Snell's law and Fresnel's loss; without the totally reflected rays."""
     nx, ny = _normals(rays)
     facing = rays["dx"] * nx + rays["dy"] * ny
     ratio, cosine = before / after, np.minimum(np.abs(facing), 1.0)

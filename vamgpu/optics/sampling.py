@@ -12,13 +12,13 @@ from vamgpu.operators.ray_table import OpenAir
 from vamgpu.schema.quantities import Length, measured
 
 MOVED = 4.0
-"""Pixels that a point of the part may move from one angle to the next. A boat of 165 pixels' radius has the same window
-one pixel from its surface, +0.12, with 180 angles, from one to the next of which its rim moves by 5.8 pixels, as with
-1,080; with 120 angles (8.6 pixels) +0.115, with 90 +0.08."""
+"""Largest number of pixels by which a point of the part may move from one angle to the next. A boat with a radius of
+165 pixels has the same window one pixel from its surface, +0.12, with 180 angles (its rim moves by 5.8 pixels per step)
+as with 1,080; it has +0.115 with 120 angles (8.6 pixels), and +0.08 with 90."""
 RESTING = 0.5
-"""Least share of a step that counts, for a container that rests while a frame is lit."""
+"""Smallest share of a step that is assumed, for a container that rests while a frame is lit."""
 WHOLE = 60
-"""Divisor of the number of angles: steps are whole fractions of a degree, and transforms over angles are fast."""
+"""Divisor of the number of angles: steps are then whole fractions of a degree, and transforms over angles are fast."""
 COARSER = 1.02
 """Ratio of the widths of a voxel and a pixel in the resin above which voxels count as wider."""
 
@@ -36,7 +36,7 @@ def resin_pixel(beam: Beam, vessel: Any = None) -> tuple[float, float]:
     Raises:
         BadInput: The light does not reach the axis.
     """
-    light = getattr(vessel, "plane", vessel) or OpenAir()  # rising light has a vessel for its plane
+    light = getattr(vessel, "plane", vessel) or OpenAir()  # for rising light, the plane is the vessel
     middle = float(light.illuminate(np.zeros(1), np.zeros(1))[0][0])
     edges = light.chords(middle + 0.5 * beam.pitch * np.array([-1.0, 1.0])).p
     rows: Any = getattr(vessel, "rows", None)  # a number if a vessel is graded, otherwise a map of rows
@@ -57,9 +57,9 @@ def more_angles(motion: Turntable, width: float, radius: float) -> int:
 def enough_angles(beam: Beam, vessel: Any, radius: float | str, lit_share: float = 1.0) -> int:
     """Number of even angles of a turn at which no point of a part moves farther than four pixels.
 
-    The distance that counts is that by which the farthest point moves while a frame is lit, or half of its distance to
-    the next angle if that is more, relative to the width of a pixel in the resin. Patterns that are optimized with the
-    motion in the operator need no more: see `MOVED`.
+    The relevant distance is that by which the farthest point moves while a frame is lit, or, if that is more, half of
+    its distance to the next angle, relative to the width of a pixel in the resin. Patterns optimized with the motion in
+    the operator do not need more angles: see `MOVED`.
 
     Args:
         beam: The pixels.
@@ -83,7 +83,7 @@ def _whole(angles: float) -> int:
 
 
 def sampling_notes(operator: Any, radius: float) -> tuple[str, ...]:
-    """Sentences on voxels or angles too coarse for the pixels of an operator and a part of a radius [mm]."""
+    """Sentences about voxels or angles too coarse for an operator's pixels and a part of a radius [mm]."""
     grid, motion, beam = operator.grid, operator.motion, operator.beam
     if not (isinstance(grid, Grid) and isinstance(motion, Turntable)):
         return ()
@@ -101,6 +101,6 @@ def sampling_notes(operator: Any, radius: float) -> tuple[str, ...]:
         found.append(
             f"{motion.angles} angles are few for a part of {radius:.3g} mm about the axis: it moves by "
             f"{1e3 * radius * float(motion.steps.max()):.4g} µm from one to the next, and pixels are "
-            f"{1e3 * width:.3g} µm wide in the resin; {enough} angles do, or wider pixels"
+            f"{1e3 * width:.3g} µm wide in the resin; use {enough} angles, or wider pixels"
         )
     return tuple(found)

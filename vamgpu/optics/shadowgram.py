@@ -1,4 +1,4 @@
-"""The view of a camera behind a print: cured resin bends light, and where rays crowd the image is bright."""
+"""The view of a camera behind a print: cured resin bends light, and the image is bright where rays are dense."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from vamgpu.schema import check
 from vamgpu.schema.quantities import Length, Place, Positive
 
 MARGIN = 2
-"""Pixels by which the light is wider than the camera, so that its rim is lit like its middle."""
+"""Pixels by which the light is wider than the camera; its rim is then lit like its middle."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """A camera behind a telecentric lens, centered on the axis; lengths as in the resin. Raises `BadInput`."""
 
-    # pixels: across (X) and up (z).  pitch: of a pixel [mm].  focus: distance of the focal plane behind the axis [mm];
-    # if it is at the print, the shadow vanishes.  aperture: sine of the steepest ray that the lens accepts.
+    # pixels: across (X) and up (z). pitch: of a pixel [mm]. focus: distance of the focal plane behind the axis [mm]; at
+    # the print itself, the shadow vanishes. aperture: sine of the steepest ray that the lens accepts.
 
     pixels: tuple[int, int]
     pitch: Length
@@ -41,9 +41,9 @@ class Camera:
 class Shadowgram:
     """A camera image (pixels across, pixels up), relative to that without a print, and its rays."""
 
-    # light: all light sent, in pixels without a print.  lost: light that missed the camera or its aperture: image.sum()
-    # + lost = light.  start: X and z of the rays in front of the print [mm], (rays, 2).  deflection: dX/dY and dz/dY
-    # behind it, (rays, 2).
+    # light: all light sent, in pixels of an image without a print. lost: light that missed the camera or its aperture:
+    # image.sum() + lost = light. start: X and z of the rays in front of the print [mm], (rays, 2). deflection: dX/dY
+    # and dz/dY behind it, (rays, 2).
 
     image: Floats
     light: float
@@ -53,7 +53,7 @@ class Shadowgram:
 
 
 def cured_index(cured: ArrayLike, grid: Grid, resin_index: float, contrast: float) -> GridField:
-    """The index resin_index + contrast × cured [x, y, z]; of fewer than 4 slices, their mean. Raises `BadInput`."""
+    """The index resin_index + contrast × cured [x, y, z]; < 4 slices are averaged. Raises `BadInput`."""
     values = np.asarray(cured, np.float64)
     if values.shape != grid.shape:
         raise ShapeMismatch(f"the cured field has shape {values.shape}, the grid {grid.shape}; make them equal")
@@ -68,12 +68,12 @@ def shadowgram(
 ) -> Shadowgram:  # fmt: skip
     """The shadow of a print that turns in resin of one index, lit by parallel light.
 
-    Parallel rays enter the largest upright cylinder inside the grid, are marched through it, run straight to the plane
-    the camera is focused on, and share their light between the pixels around. Rays beside the cylinder pass.
+    Parallel rays enter the largest upright cylinder inside the grid and are marched through it. They then travel to the
+    plane of the camera's focus and divide their light among the pixels around. Rays beside the cylinder are unchanged.
 
     Args:
-        field: Index in the print's own frame; resin_index at the cylinder's border.
-        camera: The camera; for a field of only x and y, give it one row of pixels.
+        field: Index in the print's own frame; at the cylinder's border it must be resin_index.
+        camera: The camera; for a field of only x and y, use a camera with one row of pixels.
         resin_index: Refractive index around the cylinder.
         pose: Angle θ of the print [rad].
         rays: Rays per pixel and axis.
@@ -81,7 +81,7 @@ def shadowgram(
         device: A name or a device.
 
     Returns:
-        The image and the rays it is made of.
+        The image, and the rays that form it.
 
     Raises:
         BadInput: An argument is of another type or out of its range.
@@ -110,7 +110,7 @@ def shadowgram(
 
 
 def _before(start: Floats, radius: float, pose: float) -> Floats:
-    """Where rays meet the cylinder, or pass its middle, in the print's frame."""
+    """Positions where rays meet the cylinder, or pass its middle, in the print's frame."""
     along = -np.sqrt(np.maximum((radius - start[:, 0]) * (radius + start[:, 0]), 0.0))
     c, s = np.cos(pose), np.sin(pose)
     return np.stack([-start[:, 0] * s - along * c, start[:, 0] * c - along * s, start[:, 1]], axis=1)
@@ -129,14 +129,14 @@ def _seen(start: Floats, place: Floats, direction: Floats, camera: Camera, pose:
 
 
 def _shared(at: Floats, pixels: tuple[int, int]) -> Floats:
-    """Rays per pixel, each shared between three pixels along each axis by quadratic B-splines, which have no kink."""
+    """Rays per pixel. Each is divided among three pixels along each axis by quadratic B-splines, which are smooth."""
     total = np.zeros(pixels)
     shares = []
     for axis, count in enumerate(pixels):
         position = at[:, axis] + 0.5 * (count - 1)
         near = np.floor(position + 0.5).astype(np.int64)
         f = position - near
-        if count == 1:  # one row takes all the light that meets it
+        if count == 1:  # a single row collects all light that meets it
             shares.append([(near, np.ones_like(f))])
             continue
         weights = (0.5 * (0.5 - f) ** 2, 0.75 - f**2, 0.5 * (0.5 + f) ** 2)

@@ -1,4 +1,4 @@
-"""A square bath with flat windows, which stands still while a round vial turns in it."""
+"""A square bath with flat windows, which does not turn, with a round vial that turns in it."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickn
 
 @dataclass(frozen=True)
 class SquareBath(Vessel):
-    """A round vial that turns in a square bath of liquid; the bath stands still, and light enters by one flat window.
+    """A round vial that turns in a fixed square bath of liquid; light enters through one flat window.
 
-    The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window: at right
-    angles it continues straight; a window tilted by τ turns it by τ − asin(sin τ · front_index / liquid index) and
-    makes it narrower. Both faces of the window have Fresnel's loss, window and liquid absorb. Light through another
-    side is
-    ignored: the beam must not be wider than the window.
+    The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window. At normal
+    incidence it continues straight; a window tilted by τ turns it by τ − asin(sin τ · front_index / liquid index) and
+    makes it narrower. Both faces of the window have Fresnel's loss; window and liquid absorb. Light through the other
+    sides is ignored: the beam must not be wider than the window.
 
-    This is not for a square vial that turns with the part: its light enters through two faces at once, so two rays meet
-    in most points, which differ at every angle. `TracedProjection` traces them, with the index of the square as
-    ``CoRotatingMedium(index=…)``. For a square vat full of resin that stands still use `Vat`.
+    This class is not for a square vial that turns with the part: its light enters through two faces at once, and two
+    rays meet in most points, which differ at every angle. `TracedProjection` traces such rays, with the index of the
+    square as ``CoRotatingMedium(index=…)``. For a square vat full of resin that does not turn, use `Vat`.
 
     Args:
         vessel: the round vial; its bath_index is that of the liquid.
@@ -70,7 +69,7 @@ class SquareBath(Vessel):
         if abs(np.sin(self.tilt)) * self.front_index >= least:
             raise BadInput(
                 f"the window is tilted by {np.degrees(self.tilt):g}° in front of an index of {least:g}; expected less "
-                f"than {np.degrees(np.arcsin(min(least / self.front_index, 1.0))):.4g}°, beyond which all is reflected"
+                f"than {np.degrees(np.arcsin(min(least / self.front_index, 1.0))):.4g}°, above which all is reflected"
             )
 
     @property
@@ -125,7 +124,7 @@ class SquareBath(Vessel):
 
     @cached_property
     def _window(self) -> tuple[float, float]:
-        """First and last column [mm] that enters by the window and leaves it within the bath."""
+        """First and last column [mm] that enters through the window and leaves it within the bath."""
         (front, wall, _), (sine, sine_wall, _) = self._cosines, self._sines
         half, slope = 0.5 * self.width, self.wall * sine_wall / wall
         outer = front * half, (half + self.wall) * sine  # u = outer x · cos + (half + wall) · sin
@@ -152,7 +151,7 @@ class SquareBath(Vessel):
         return replace(self.vessel, polarization="s"), replace(self.vessel, polarization="p")
 
     def _share(self, u: Floats, q: Floats) -> Floats:
-        """The share of the vial's light at q that window and liquid pass; s stays s and p stays p at all faces."""
+        """The share of the vial's light at q that window and liquid transmit; s stays s and p stays p at all faces."""
         shares, kind = self._faces, self.vessel.polarization
         if kind != "none" or self.tilt == 0.0:
             left = np.full_like(q, shares["sp".index(kind)] if kind != "none" else shares.mean())
@@ -172,7 +171,7 @@ class SquareBath(Vessel):
         start, radius = place * sine - half * cosine, self.vessel.radius
         return np.maximum(-np.sqrt(np.maximum((radius - q) * (radius + q), 0.0)) - start, 0.0)
 
-    # ---- what projectors ask ----------------------------------------------------------------------------------------
+    # ---- for projectors ---------------------------------------------------------------------------------------------
     def chords(self, u: ArrayLike) -> Chords:
         offsets = as_offsets("u", u)
         q = self._across(offsets)
@@ -204,7 +203,7 @@ class SquareBath(Vessel):
             TargetTooLarge: The radius exceeds the printable radius.
 
         Warns:
-            OpticsWarning: Vial, window or liquid leave less than 0.8 of the light.
+            OpticsWarning: Vial, window or liquid transmit less than 0.8 of the light.
         """
         self.vessel.check_fits(radius)
         if radius > self.lit_radius:
@@ -216,7 +215,7 @@ class SquareBath(Vessel):
         left = float(self._share(np.array([-offset / slope]), np.zeros(1))[0])
         if left < LOW_TRANSMITTANCE:
             warnings.warn(
-                f"window and liquid leave {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; use a longer "
+                f"window and liquid transmit {left:.3g} of the light, less than {LOW_TRANSMITTANCE:g}; use a longer "
                 "exposure, or a clearer liquid",
                 OpticsWarning,
                 stacklevel=2,

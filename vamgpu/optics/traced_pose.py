@@ -1,8 +1,8 @@
-"""One pose, traced: between which places of the beam the light lies that crosses a voxel of the laboratory.
+"""Traced light of one angle: the range of beam offsets whose light crosses a voxel of the fixed frame.
 
-Along a row Y = const of the laboratory the rays' places X(u) rise and fall where caustics fold the light. Each stretch
-between two folds is a branch and is inverted by itself, held at its ends; so all light between two rays is in one voxel
-or its neighbor, and a voxel on a caustic gets what there is, however dense the rays.
+Along a row Y = const of the fixed frame, the rays' positions X(u) rise and fall where caustics fold the light. Each
+stretch between two folds is a branch, which is inverted separately and held constant at its ends. All light between two
+rays is then in one voxel or its neighbor, and a voxel on a caustic gets all of its light, however dense the rays.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from vamgpu.optics.traced_rays import Rays
 
 @dataclass(frozen=True, eq=False)
 class TracedPose:
-    """The table that a kernel looks up."""
+    """The table that a kernel reads."""
 
     # table: [branch, across, along, 4]: offsets [mm] of the first and the last light that crosses the voxel, its
-    # absorbed share [1/mm], and a zero; samples ``spacing`` [mm] apart about the axis.  single: radius [mm] within
-    # which the first branch is all there is.
+    # absorbed share [1/mm], and a zero; samples ``spacing`` [mm] apart about the axis. single: radius [mm] within which
+    # only the first branch has light.
 
     table: Floats
     spacing: float
@@ -30,8 +30,8 @@ class TracedPose:
 
 
 def trace_pose(rays: Rays, width: float, radius: float, spacing: float) -> TracedPose:
-    """Tabulate rays of one pose for voxels of a width [mm], within a radius [mm], at samples of a spacing [mm]."""
-    # A voxel counts as a box across the ray, as wide as itself: a square's shadow has that variance in every direction.
+    """Tabulate rays of one angle for voxels of a width [mm], within a radius [mm], at samples of a spacing [mm]."""
+    # A voxel counts as a box across the ray, as wide as itself: a square's shadow has that variance in all directions.
     half = ceil(radius / spacing) + 1
     place: Floats = np.arange(-half, half + 1.0) * spacing
     middle = int(np.argmin(np.abs(rays.cross(0.0).across)))
@@ -47,7 +47,7 @@ def trace_pose(rays: Rays, width: float, radius: float, spacing: float) -> Trace
 
 
 class _Row:
-    """The branches along one row of the laboratory; ray ``middle`` is on the one through the axis."""
+    """The branches along one row of the fixed frame; ray ``middle`` is on the branch through the axis."""
 
     def __init__(self, rays: Rays, middle: int, along: float, place: Floats, width: float) -> None:
         self.u, self.place, self.width = rays.u, place, width
@@ -68,7 +68,7 @@ class _Row:
         return len(self.ends) - 2 - self.center
 
     def branch(self, number: int) -> Floats:
-        """First and last offset, and the share, at every place of the row: (3, places)."""
+        """First and last offset, and the share, at every position of the row: (3, positions)."""
         index = self.center + number
         if not 0 <= index < len(self.ends) - 1:
             end = self.u[0 if index < 0 else -1]

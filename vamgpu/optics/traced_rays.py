@@ -1,6 +1,6 @@
-"""Rays traced through what the resin stands in, row by row of the laboratory: where they are, how steep, how bright.
+"""Rays traced through the media around the resin, row by row of the fixed frame: position, slope and irradiance.
 
-Proofs are made of these. Nothing here asks for the ray through a point, as solvers do; see `vamgpu.optics.traced_pose`.
+Proofs use them. Solvers need the ray through a given point, proofs do not; see `vamgpu.optics.traced_pose`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vamgpu.optics.square_bath import SquareBath
 from vamgpu.optics.vial import Vial
 
 RAYS = 1025
-"""Traced over the light of one pose: between neighbors 0.04 mm apart a straight line is right to 5e-5 mm."""
+"""Number of rays across the light of one angle: between rays 0.04 mm apart, a straight line is right to 5e-5 mm."""
 BISECTIONS = 50
 
 
@@ -33,7 +33,7 @@ class Crossing(NamedTuple):
 
 
 class Rays(Protocol):
-    """Rays of one pose in order of their columns.
+    """Rays of one angle in order of their columns.
 
     u: offsets of the columns [mm], ascending.  transmittance: power that reaches the resin.
     """
@@ -70,7 +70,7 @@ class StraightRays:
 
 @dataclass(frozen=True, eq=False)
 class BentRays:
-    """Rays that bend in the resin, in steps: places and path [mm], arrays (rays, steps), along ever larger."""
+    """Rays that bend in the resin, in steps: positions and path [mm], arrays (rays, steps), with rising ``along``."""
 
     u: Floats
     transmittance: Floats
@@ -92,7 +92,7 @@ class BentRays:
 
 @dataclass(frozen=True, eq=False)
 class ShadedRays:
-    """Rays of which a rod takes its share."""
+    """Rays from which a rod takes its share."""
 
     inner: Rays
     rod: Occluded
@@ -117,14 +117,14 @@ class ShadedRays:
         return rays._replace(share=np.where((beside < rod.radius) & behind, rod.transmittance, 1.0) * rays.share)
 
     def _sine(self, cosine: Floats, along: float) -> Floats:
-        """Signed sine of the rays' turn: the sign by where they go."""
+        """Signed sine of the rays' turn; the sign follows from their direction."""
         drift = self.inner.cross(along + 1e-3).across - self.inner.cross(along).across
         return -np.sign(drift) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
 
 
 # ---- how the rays of a vessel are traced ---------------------------------------------------------------------------
 def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
-    """Rays of one pose, from columns within ``reach`` [mm] of the middle. Raises `BadInput` if none enters resin."""
+    """Rays of one angle, from columns within ``reach`` [mm] of the middle. Raises `BadInput` if none enters resin."""
     if vessel is None:
         u = np.linspace(-reach, reach, rays)
         return StraightRays(u, np.ones(rays), u, np.ones(rays), np.zeros(rays), np.zeros(rays), 0.0)
@@ -146,7 +146,7 @@ def traced_rays(vessel: Vessel | None, reach: float, rays: int = RAYS) -> Rays:
 
 
 def trace_vial(vessel: Vial | SquareBath, u: Floats) -> tuple[Floats, Floats]:
-    """Places [mm] and unit headings (rays, 2) behind a vial's inner face of rays at offsets u [mm], by Snell's law."""
+    """Positions [mm] and unit headings (rays, 2) behind a vial's inner face of rays at u [mm], by Snell's law."""
     vial = vessel if isinstance(vessel, Vial) else vessel.vessel
     place = np.stack([u, np.full_like(u, -2.0 * vial.radius)], axis=1)
     heading = np.broadcast_to([0.0, 1.0], place.shape)
@@ -167,7 +167,7 @@ def trace_vial(vessel: Vial | SquareBath, u: Floats) -> tuple[Floats, Floats]:
 
 
 def _offsets(vessel: Vessel, reach: float, rays: int) -> Floats:
-    """Offsets [mm] of rays that reach the resin, closer towards both ends, where refraction is steep."""
+    """Offsets [mm] of rays that reach the resin, closer together towards both ends, where refraction is steep."""
     coarse = np.linspace(-reach, reach, 4097)
     lit = np.flatnonzero(vessel.chords(coarse).transmittance > 0)
     if not lit.size:
@@ -187,14 +187,14 @@ def _end(vessel: Vessel, inner: float, outer: float) -> float:
 
 
 def _bent(vial: GradedVial) -> BentRays:
-    """The marched rays of a vial whose resin bends them; its own table of them is inverted nowhere here."""
+    """The marched rays of a vial whose resin bends them; the vial's own table is not inverted here."""
     sheet: Any = vial.sheet
     u = vial._column(np.arange(vial.rays, dtype=float))[0]
     return BentRays(u, vial.chords(u).transmittance, sheet.across, sheet.along, sheet.path, vial.absorption)
 
 
 def resin_radius(vessel: Any) -> float:
-    """Radius [mm] of the resin that turns freely: to the inner wall; infinite in open air."""
+    """Radius [mm] of the resin that turns freely: the inner wall; infinite in open air."""
     if vessel is None:
         return float("inf")
     for name in ("inner_radius", "printable_radius"):

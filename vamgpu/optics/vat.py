@@ -18,11 +18,11 @@ from vamgpu.schema.quantities import Absorption, Index, Length
 
 @dataclass(frozen=True)
 class Vat(Vessel):
-    """A square or rectangular vat, lit at right angles through a flat window, that stands still while the part turns.
+    """A square or rectangular vat with a flat window, lit at right angles, that does not turn while the part turns.
 
     The resin fills the vat or, if a radius is given, a round vessel in the middle of a clear liquid of the same index.
-    Rays are straight along +Y of the laboratory frame (see `Vial`): the chord of column u is X = u. The indices only
-    set the loss at the two faces of the window; if all are equal, the default, there is no loss.
+    Rays are straight along +Y of the fixed frame (see `Vial`): the chord of column u is X = u. The indices only set the
+    loss at the two faces of the window; if all are equal, as by default, there is no loss.
 
     Args:
         width: Inner width of the vat across the beam [mm].
@@ -33,7 +33,7 @@ class Vat(Vessel):
         wall_index: Refractive index of the window.
         bath_index: Refractive index in front of the window.
         polarization: Polarization of the light, as for `Vial`; it has no effect, because s and p light lose the same at
-            right angles.
+            normal incidence.
 
     Raises:
         BadInput: A value is out of its range, or the round volume exceeds the vat.
@@ -72,7 +72,7 @@ class Vat(Vessel):
 
     @property
     def printable_radius(self) -> float:
-        """Radius of the round volume of resin, or of the circle that turns freely inside the vat [mm]."""
+        """Radius of the round volume of resin, or of the largest circle inside the vat [mm]."""
         return self._inscribed if self.radius is None else self.radius
 
     @property
@@ -126,15 +126,13 @@ class Vat(Vessel):
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(
-                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this "
-                f"vat is {self.printable_radius:.4g} mm; scale or center the target, or use a "
-                "larger vat"
+                f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vat is "
+                f"{self.printable_radius:.4g} mm; scale or center the target, or use a larger vat"
             )
         if self.window_transmittance < LOW_TRANSMITTANCE:
             warnings.warn(
-                f"the window transmits {self.window_transmittance:.3g} of the light at every radius up to "
-                f"the target's {radius:.4g} mm, less than {LOW_TRANSMITTANCE:g}; allow a longer exposure or "
-                "coat the window",
+                f"the window transmits {self.window_transmittance:.3g} of the light at every radius up to the "
+                f"target's {radius:.4g} mm, less than {LOW_TRANSMITTANCE:g}; use a longer exposure or coat the window",
                 OpticsWarning,
                 stacklevel=2,
             )

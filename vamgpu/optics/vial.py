@@ -20,7 +20,7 @@ from vamgpu.optics.raymap import first_columns
 from vamgpu.schema import check, write
 from vamgpu.schema.quantities import Absorption, Index, Thickness, VesselRadius
 
-# On the caustics outside the printable radius the density has no bound; a point there is at most this much denser.
+# On the caustics outside the printable radius the density is unbounded; it is limited to this value there.
 LARGEST_DENSITY = 100.0
 PICTURE = 110
 """Pixels along the side of the picture of a vial."""
@@ -30,13 +30,13 @@ PICTURE = 110
 class Vial(Vessel):
     """A round vial of resin with a clear wall; light refracts at the outer and at the inner face of the wall.
 
-    Laboratory frame: a voxel at (x, y) seen at the angle θ lies at X = y·cos θ − x·sin θ, the direction in which the
-    beam's columns are counted, and Y = −(x·cos θ + y·sin θ), along which light travels. A column at offset u in the
-    bath becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. If the resin is denser than the bath, the
+    Fixed frame: at the angle θ, a voxel at (x, y) lies at X = y·cos θ − x·sin θ, the direction in which the beam's
+    columns are counted, and Y = −(x·cos θ + y·sin θ), along which light travels. A column at offset u in the bath
+    becomes the chord X·cos d + Y·sin d = u · bath_index / resin_index. If the resin is denser than the bath, the
     deviation d(u) has the sign of u and rays converge: the chord's direction (−sin d, cos d) leans towards the axis.
 
-    Layers by Snell's invariant index · distance from the axis, Fresnel loss at both faces of the wall, Beer-Lambert
-    absorption in the resin from the inner face on.
+    Layers follow Snell's invariant index · distance from the axis, with Fresnel loss at both faces of the wall and
+    Beer-Lambert absorption in the resin from the inner face on.
 
     Args:
         radius: Outer radius [mm].
@@ -49,7 +49,7 @@ class Vial(Vessel):
             across it. Unpolarized light has the mean of the s and p losses over all faces (`transmittance`).
 
     Raises:
-        BadInput: A value is out of its range, or the wall leaves no room for resin.
+        BadInput: A value is out of its range, or the wall leaves no space for resin.
     """
 
     radius: VesselRadius
@@ -107,7 +107,7 @@ class Vial(Vessel):
 
     @property
     def lit_radius(self) -> float:
-        """Radius that light reaches at every angle [mm]: less than printable_radius if the wall reflects totally."""
+        """Radius that light reaches at every angle [mm]; less than printable_radius if the wall reflects totally."""
         return min(self.printable_radius, self.aperture * self.bath_index / self.resin_index)
 
     def transmitted(self, u: Floats) -> Floats:
@@ -139,13 +139,13 @@ class Vial(Vessel):
     def illuminate(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, Floats]:
         """The ray through each point: the inverse of the ray map.
 
-        Columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along it, are the density: rays
-        that converge grow denser downstream. Inside the printable radius one ray comes to each point. Outside it two or
-        three may meet: the one of smallest |u| is returned, on the point's side of the axis.
+        The density is the number of columns per mm across the chord, 1 / |p'(u) − t·d'(u)| at the signed length t along
+        it: converging rays grow denser downstream. Inside the printable radius, one ray passes through each point.
+        Outside it, two or three may meet; the one with the smallest |u| is returned, on the point's side of the axis.
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,), broadcast with ``across``.
 
         Returns:
             Columns u [mm], (...,), and weights [1/mm], (...,), as for `Vessel`, both finite everywhere.
@@ -159,11 +159,11 @@ class Vial(Vessel):
         return columns, weight
 
     def columns(self, across: ArrayLike, along: ArrayLike) -> Floats:
-        """The ray through each point, as `illuminate` finds it, without its weight: in half of the time.
+        """The ray through each point, as `illuminate` finds it, without its weight; this takes half of the time.
 
         Args:
-            across: Laboratory X [mm], (...,).
-            along: Laboratory Y [mm], (...,), broadcast with ``across``.
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,), broadcast with ``across``.
 
         Returns:
             Columns u [mm], (...,).
@@ -174,10 +174,10 @@ class Vial(Vessel):
         return self._columns(across, along)[0]
 
     def _columns(self, across: ArrayLike, along: ArrayLike) -> tuple[Floats, np.ndarray, Floats, Floats, Floats]:
-        """Columns of points, which of these lie in the resin, where, and how far columns are apart there."""
+        """Columns of points, which of these lie in the resin, their positions, and the spacing of columns there."""
         points_x, points_y = np.broadcast_arrays(as_offsets("across", across), as_offsets("along", along))
         inside = points_x**2 + points_y**2 < self.inner_radius**2
-        u = np.asarray(np.copysign(self.aperture, points_x))  # a single point too can be written to
+        u = np.asarray(np.copysign(self.aperture, points_x))  # makes a single point writable, too
         x, y = points_x[inside], points_y[inside]
         u[inside], spacing = first_columns(self.faces, self.aperture, self.bath_index / self.resin_index, x, y)
         return u, inside, x, y, spacing
@@ -210,8 +210,8 @@ class Vial(Vessel):
             raise TargetTooLarge(
                 f"the target reaches {radius:.4g} mm from the axis, but the printable radius of this vial is "
                 f"{self.printable_radius:.4g} mm, the smaller of its inner radius {self.inner_radius:.4g} mm and "
-                f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; "
-                "scale or center the target, use a wider vial, or bring the bath's index closer to the resin's"
+                f"{self.radius:.4g} mm * {self.bath_index:g} / {self.resin_index:g}; scale or center the target, use "
+                "a wider vial, or bring the bath's index closer to the resin's"
             )
         if radius > self.lit_radius:
             raise TargetTooLarge(
@@ -223,9 +223,9 @@ class Vial(Vessel):
         dim = self._radius_of_low_transmittance(radius)
         if dim is not None:
             warnings.warn(
-                f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than "
-                f"{LOW_TRANSMITTANCE:g} of the light, and the target reaches {radius:.4g} mm; "
-                "expect dimmer edges, or bring the bath's index closer to the resin's",
+                f"beyond {dim:.3g} mm from the axis the faces of the vial transmit less than {LOW_TRANSMITTANCE:g} of "
+                f"the light, but the target reaches {radius:.4g} mm; expect dimmer edges, or bring the bath's index "
+                "closer to the resin's",
                 OpticsWarning,
                 stacklevel=2,
             )

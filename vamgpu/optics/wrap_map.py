@@ -1,7 +1,7 @@
-"""The two domains of a web: wrapped about its roller, where light is straight, and flat, where it is printed.
+"""The two domains of a web: wrapped about its roller, where light travels straight, and flat, where it is printed.
 
-Wrapped, the axis of the roller is (0, 0), light travels towards +y, and a place of the curved film is
-(r·sinφ, −r·cosφ) with |φ| ≤ 90°; at both ends a straight leg follows, towards +y. Flat, it is (l, rho).
+In the wrapped domain, the axis is (0, 0) and light travels towards +y. A point of the curved film is (r·sinφ, −r·cosφ)
+with |φ| ≤ 90°; at both ends a straight run follows, towards +y. In the flat domain, a point is (l, rho).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from vamgpu.schema.quantities import Length, Thickness
 class WrapMap:
     """Wrapped (x, y) ↔ flat (l, rho), Toombs et al., Fig. 2A. Raises `BadInput`."""
 
-    # l runs along the line that bending neither stretches nor shortens: l = middle + neutral·φ on the roller and mm by
-    # mm along the legs; rho is the distance from the roller's side of the film.  inner, outer: radii of the film's
-    # faces [mm].  neutral: radius of the neutral line [mm].  leg: length of each straight leg [mm].
+    # l runs along the line that bending neither stretches nor shortens: l = middle + neutral·φ on the roller, and the
+    # length itself along the straight runs; rho is the distance from the roller's side of the film. inner, outer: radii
+    # of the film's faces [mm]. neutral: radius of the neutral line [mm]. leg: length of each straight run [mm].
 
     inner: Length
     outer: Length
@@ -46,16 +46,16 @@ class WrapMap:
 
     @property
     def length(self) -> float:
-        """Length [mm] of the flat window: both legs and the curved film."""
+        """Length [mm] of the flat window: both straight runs and the curved film."""
         return self.arc + 2.0 * self.leg
 
     @property
     def middle(self) -> float:
-        """l [mm] of the place nearest the light."""
+        """l [mm] of the point nearest the light."""
         return 0.5 * self.length
 
     def wrapped(self, l: ArrayLike, rho: ArrayLike) -> tuple[Floats, Floats]:  # noqa: E741 - the web's axis
-        """x, y [mm] of flat places l, rho [mm], any shapes that broadcast."""
+        """x, y [mm] of flat positions l, rho [mm], any shapes that broadcast."""
         along, depth = np.broadcast_arrays(as_offsets("l", l) - self.middle, as_offsets("rho", rho))
         phi = np.clip(along / self.neutral, -0.5 * pi, 0.5 * pi)
         beyond = np.maximum(np.abs(along) - 0.5 * self.arc, 0.0)
@@ -63,24 +63,24 @@ class WrapMap:
         return radius * np.sin(phi), beyond - radius * np.cos(phi)
 
     def flat(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-        """l, rho [mm] of wrapped places x, y [mm], any shapes that broadcast; the inverse of `wrapped`."""
+        """l, rho [mm] of wrapped positions x, y [mm], any shapes that broadcast; the inverse of `wrapped`."""
         across, down = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
         front = np.minimum(down, 0.0)
         along = self.neutral * np.arctan2(across, -front) + np.copysign(np.maximum(down, 0.0), across)
         return self.middle + along, np.hypot(across, front) - self.inner
 
     def inside(self, x: ArrayLike, y: ArrayLike) -> np.ndarray:
-        """Boolean: the wrapped places that lie in the film or its legs."""
+        """Boolean: whether wrapped positions lie in the film or its straight runs."""
         _, rho = self.flat(x, y)
         return (rho >= 0) & (rho <= self.outer - self.inner) & (np.asarray(y) <= self.leg)
 
     def jacobian(self, l: ArrayLike, rho: ArrayLike) -> Floats:  # noqa: E741 - the web's axis
-        """Wrapped over flat area, and flat over wrapped energy density, at flat places: r/neutral; 1 in the legs."""
+        """Ratio of wrapped to flat area, and of flat to wrapped dose, at flat positions: r/neutral; straight: 1."""
         along, depth = np.broadcast_arrays(as_offsets("l", l) - self.middle, as_offsets("rho", rho))
         return np.where(np.abs(along) <= 0.5 * self.arc, (self.inner + depth) / self.neutral, 1.0)
 
     def path(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """β = √(r_o² − x²) + y [mm]: way of unrefracted light to wrapped places (S11); NaN outside the film."""
+        """β = √(r_o² − x²) + y [mm]: path of unrefracted light to wrapped positions (S11); NaN outside the film."""
         across, down = np.broadcast_arrays(as_offsets("x", x), as_offsets("y", y))
         beta = np.sqrt(np.maximum(self.outer**2 - across**2, 0.0)) + down
         return np.where(self.inside(across, down), beta, np.nan)

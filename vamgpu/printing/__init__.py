@@ -1,1 +1,1 @@
-"""Frames of plans, and the light of frames: packing, exporting, job folders."""
+"""Frames: packing them from plans, computing their light, exporting them, and job folders."""

@@ -18,9 +18,9 @@ from vamgpu.metrics.thin_regions import IN_THE_PART
 class Outer:
     """The greatest dose beside, above and below the judged cylinder, a pixel or more from the part.
 
-    dose: on one voxel, in units of Aᵀ(light).  place: its center x, y, z [mm].  width: width of the voxel [mm]: the
-    part's, or wider beyond the corners of the grid if the resin reaches much farther.  radius: greatest distance from
-    the axis that was searched [mm]: to the inner wall, otherwise to the corners of the grid.
+    dose: on one voxel, in units of Aᵀ(light). place: its center x, y, z [mm]. width: width of the voxel [mm]: that of
+    the part's voxels, or wider beyond the corners of the grid if the resin reaches much farther. radius: greatest
+    distance from the axis that was searched [mm]: the inner wall, or else the corners of the grid.
     """
 
     dose: float
@@ -72,7 +72,7 @@ def greatest_beyond(
     grid: Grid, radius: float, dose: DeviceArray, axes: tuple[np.ndarray, ...], width: float,
     best: Outer | None = None, around: Around | None = None,
 ) -> Outer | None:  # fmt: skip
-    """The greatest dose that the scores do not judge, and that is not around the part."""
+    """The greatest dose that the scores do not judge, except around the part."""
     # radius [mm]; dose [x, y, z]; axes [mm]; width [mm]
     x, y, z = axes
     distance = np.hypot(x[:, None], y[None, :])

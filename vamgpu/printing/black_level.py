@@ -1,4 +1,4 @@
-"""Why there is no light: in a plan that is to be packed, or where frames that were packed are to print."""
+"""The reason why there is no light: in a plan before packing, or in frames that should print."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def no_light(plan: Any, settings: Placement) -> NoLight:
         )
     if low < 0.0:
         return NoLight(
-            f"the plan's light reaches from {low:.3g} to {high:.3g}, and mirrors take no light away; expected some "
-            "above 0: clip it as the methods do, or keep its two signs apart as two colors"
+            f"the plan's light reaches from {low:.3g} to {high:.3g}, but mirrors cannot show negative light; expected "
+            "some above 0: clip it as the methods do, or show its two signs as two colors"
         )
     operator = getattr(plan, "operator", None)
     if operator is not None and not _lights_anything(operator, light):
         return NoLight(
-            "the plan is dark everywhere, and so is the grid under light from every column: the columns of the beam "
-            "miss it, or the resin absorbs all light before; widen the beam, or use less absorber"
+            "the plan is dark everywhere, and no column lights the grid: the columns of the beam miss it, or the "
+            "resin absorbs all light before it; widen the beam, or use less absorber"
         )
     method, steps = getattr(plan, "method", None), len(getattr(plan, "history", ()))
     name = getattr(method, "name", type(method).__name__)
-    who = f"{name} found no light in {steps} iterations" if steps else "whatever made it found no light"
+    who = f"{name} found no light in {steps} iterations" if steps else "its method found no light"
     return NoLight(
-        f"the plan is dark everywhere though its columns reach the grid: {who}; expected some light above 0: look "
-        "whether the target is empty if it was solved for, then try another method"
+        f"the plan is dark everywhere, although its columns reach the grid: {who}; expected some light above 0: check "
+        "that the target is not empty, then try another method"
     )
 
 
@@ -51,14 +51,14 @@ def check_dose(light: DeviceArray, parts: Parts) -> None:
         return
     if extent(light, lower=-inf, upper=inf)[1] > 0.0:
         raise NoLight(
-            "the frames have light, but none of it meets the cylinder that is judged: it passes beside it or is "
-            "absorbed before; expected a dose above 0 there: check the shift, the beam's width and the absorption"
+            "the frames have light, but none of it reaches the judged cylinder: it passes beside it or is absorbed "
+            "before; expected a dose above 0 there: check the shift, the beam's width and the absorption"
         )
-    raise NoLight("every frame is dark; expected light above 0: pack a plan that has some, at a smaller scale")
+    raise NoLight("every frame is dark; expected light above 0: pack a plan that has light, or use a smaller scale")
 
 
 def _lights_anything(operator: Any, like: DeviceArray) -> bool:
-    """Whether even light gives any dose."""
+    """Whether uniform light gives any dose."""
     even = like.device.empty(like.shape)
     like.device.launch(linear, a=0.0, x=like, b=0.0, y=like, floor=1.0, out=even)
     return extent(operator.T(even), lower=-inf, upper=inf)[1] > 0.0

@@ -40,7 +40,7 @@ class BodyDose:
 
 
 def judged_parts(dose: DeviceArray, fraction: DeviceArray, limits: Limits | None) -> Parts:
-    """A dose relative to the limits of its voxels, and their classes: the input of scores."""
+    """A dose relative to the limits of its voxels, and the classes of the voxels: the input of scores."""
     # dose [x, y, z]; fraction [x, y, z]
     if limits is None:
         return Parts(dose, fraction)

@@ -1,4 +1,4 @@
-"""Causes of a print's faults, as far as they can be checked: too few angles, an unfinished run, narrow features."""
+"""Causes of a print's faults that can be checked: too few angles, an unfinished run, narrow features."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ BOUNDED = "no patterns do much better here: use smaller pixels, or a larger part
 THIN = "thicken features thinner than two pixels, or use smaller pixels"
 NARROW = "widen gaps narrower than two pixels, or use smaller pixels"
 REACHED = 0.98
-"""Share of the widest window above which no other patterns do much better."""
+"""Share of the widest window; if a plan exceeds it, no other patterns do much better."""
 TAIL, STILL = 0.25, 0.02
-"""Final fraction of a run, and the relative drop in loss over it above which a run is still improving."""
+"""The last fraction of a run, and the relative drop in loss during it above which the run is still improving."""
 LOST = 0.05
-"""Share of lost wall area above which the distance of 95 % of the surface shows it."""
+"""Share of lost wall area above which the distance of 95 % of the surface shows the loss."""
 
 
 class Causes:
@@ -43,7 +43,7 @@ class Causes:
         self.proof, self.judgement = proof, judgement
 
     def body(self, kind: str, number: int) -> str:
-        """Remedy for changes of a kind; features are narrow if moving the surface by a pixel makes the same changes."""
+        """Remedy for one kind of change; features are narrow if a surface moved by a pixel makes the same changes."""
         found = []
         explained = 0
         for moved, remedy in zip(self._surfaces_moved, (THIN, NARROW), strict=True):
@@ -92,7 +92,7 @@ class Causes:
 
     @cached_property
     def _surfaces_moved(self) -> tuple[BodyChanges, BodyChanges]:
-        """Bodies that change if the surface moves a pixel inward, and outward."""
+        """Bodies that change if the surface moves inward by a pixel, and those that change if it moves outward."""
         grid, flat = self.proof.operator.grid, self.proof.operator.beam.flat
         reach = min(self.judgement.pixel / grid.pitch, LARGEST_REACH - 3.0)
         depth, _ = padded_depth(self.proof.target.numpy(), reach, flat)

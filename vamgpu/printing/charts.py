@@ -23,7 +23,7 @@ ABSCISSA = {
     "evaluations": "projector evaluations",
     "iteration": "iteration",
 }
-"""Fields of a history for the horizontal axis, best first, and their labels."""
+"""Fields of a history that can be the horizontal axis, best first, and their labels."""
 ORDINATE = {"loss": "loss", "window": "strict window"}
 
 
@@ -67,7 +67,7 @@ def slices_chart(slices: SliceScores, z: np.ndarray, *, wide: bool = False) -> s
 
 
 def tolerance_chart(found: ToleranceWindow, pixel: float) -> str:
-    """The window against the tolerance [µm], a pixel [mm] marked, and the share of the part that it judges."""
+    """The window against the tolerance [µm], with a pixel [mm] marked, and the share of the part that it judges."""
     distance, window, marked = 1e3 * found.distance, found.window, 1e3 * pixel
     at_pixel = found.at(pixel) if marked <= distance[-1] else np.nan
 
@@ -110,7 +110,7 @@ def convergence_chart(history: Sequence[Any]) -> str | None:
 
 
 def pareto_chart(points: Sequence[Any]) -> str:
-    """Window and mean dose outside over inside, against the exposure time [s]."""
+    """Window, and ratio of mean dose outside to that inside, against the exposure time [s]."""
     table = columns(points)
 
     def draw(*axes: Any) -> None:

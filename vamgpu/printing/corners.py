@@ -16,14 +16,14 @@ from vamgpu.printing.simulate import ShownLight
 
 
 def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerances) -> CornerDoses:
-    """Doses of frames at every corner, for arguments as of `simulate`. Raises `ToleranceError`, `BadInput`."""
-    # From rays traced for each corner if its operator is a `Projection`, otherwise from the operator itself.
+    """Doses of frames at every corner; arguments as for `simulate`. Raises `ToleranceError`, `BadInput`."""
+    # Rays are traced for each corner if its operator is a `Projection`; otherwise the operator itself is used.
     A = direct(A)
     fraction, light = on_device(A, target), frames.irradiance(A.device)
     limits = getattr(target, "limits", None)
     reach = A.grid.inscribed_radius / A.grid.pitch * (1.0 + 1e-6)
     found: dict[Corner, tuple[float, float, float]] = {}
-    told = []
+    doses = []
     for corner in tolerances.corners():
         if corner.optics not in found:
             operator = at(A, corner)
@@ -32,5 +32,5 @@ def prove_corners(A: Any, frames: ShownLight, target: Any, tolerances: Tolerance
             parts = judged_parts(dose, fraction, limits)
             found[corner.optics] = window(parts.dose, parts.target, reach)
         least, leak, greatest = (value * (1.0 + corner.dose) for value in found[corner.optics])
-        told.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
-    return CornerDoses(tuple(told))
+        doses.append(CornerDose(str(corner), least, leak if leak > -inf else 0.0, greatest))
+    return CornerDoses(tuple(doses))

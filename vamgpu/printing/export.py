@@ -1,4 +1,4 @@
-"""Frames as images and videos for other programs; lossless except for videos that any player decodes."""
+"""Frames as images and videos for other programs; lossless, except videos that any player decodes."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ BLOCK = 1 << 25
 
 @dataclass(frozen=True)
 class Canvas:
-    """The image for a projector, and the position of the frames on it; the rest is black.
+    """The image of a projector, and the position of the frames on it; the rest is black.
 
     Args:
         size: Columns and rows; None for those of the frames.
-        offset: Columns to the right and rows upwards from the middle of the canvas to that of the frames.
+        offset: Columns to the right and rows upwards by which the middle of the frames is off that of the canvas.
         rotation: Rotation of the frames, counterclockwise [deg]. Quarter turns keep every level; others interpolate the
             light (not the levels) linearly between neighboring pixels.
         flip_r: Mirror the frames left to right, in addition to their own flip.
@@ -66,7 +66,7 @@ class Canvas:
         object.__setattr__(self, "offset", (right, up))
 
     def images(self, frames: Frames) -> Iterator[np.ndarray]:
-        """The images, uint8 [row, column], of ``repeats`` turns. Raises `BadInput`, `ShapeMismatch`."""
+        """The images of ``repeats`` turns, uint8 [row, column]. Raises `BadInput`, `ShapeMismatch`."""
         each = max(BLOCK // max(frames.shape[1] * frames.shape[2], 1), 1)
         for _ in range(self.repeats):
             for first in range(0, frames.shape[0], each):
@@ -80,7 +80,7 @@ class Canvas:
             return np.rot90(levels, round(self.rotation / 90))
         if frames.bits == 1:
             raise BadInput(f"frames of 1 bit are rotated by {self.rotation:g}°; expected a multiple of 90°, because "
-                           "a mirror is only on or off: export 8 bits")  # fmt: skip
+                           "mirrors are only on or off: export 8 bits")  # fmt: skip
         from scipy.ndimage import rotate
 
         light = np.pad(frames.gray(levels) - frames.gray.black, 1)  # so that no pixel at the rim is lost
@@ -96,7 +96,7 @@ class Canvas:
         if top < 0 or left < 0 or top + levels.shape[0] > rows or left + levels.shape[1] > columns:
             raise BadInput(
                 f"frames of {levels.shape[1]} × {levels.shape[0]} pixels, {self.offset} off the middle, do not fit a "
-                f"canvas of {columns} × {rows}; expected all of them on it: use a smaller offset or a larger canvas"
+                f"canvas of {columns} × {rows}; expected all on the canvas: use a smaller offset or a larger canvas"
             )
         canvas = np.zeros((rows, columns), np.uint8)
         canvas[top : top + levels.shape[0], left : left + levels.shape[1]] = levels
@@ -170,12 +170,12 @@ class _Shown:
         """Metadata of the images, for `vam import`."""
         beside: dict[str, Any] = {} if self.canvas is None else {"canvas": self.canvas}
         if self.frames.flat_field is not None:
-            beside["flat_field"] = "made up for in the levels, and kept nowhere here"
+            beside["flat_field"] = "compensated in the levels, and not kept here"
         return plain({**describe(self.frames), **beside})
 
 
 def _on_threads(act: Callable[[tuple[int, np.ndarray]], Any], shown: _Shown) -> Iterator[Any]:
-    """Results for numbers and images, in their order, by as many threads as there are cores."""
+    """Results for numbers and images, in order, computed by as many threads as there are cores."""
     with ThreadPoolExecutor(threads()) as pool:
         begun: deque[Future[Any]] = deque()
         for numbered in enumerate(shown.images):
@@ -258,13 +258,13 @@ def _mp4(shown: _Shown, draft: Path) -> None:
 
 
 FULL_RANGE, LIMITED_RANGE = 2, 1
-"""FFmpeg's numbers for pixel values from 0 to 255, and from 16 to 235; without the first players stretch the others."""
+"""FFmpeg's names for pixel values from 0 to 255, and from 16 to 235; without the first, players stretch the values."""
 LOW, HIGH = 16, 235
 
 
 @dataclass(frozen=True)
 class _Film:
-    """A way to encode. even: what sizes are made a multiple of; 0 for any."""
+    """A way to encode. even: sizes are multiples of this number; 0 for any size."""
 
     pixels: str
     range: int
@@ -272,7 +272,7 @@ class _Film:
     options: dict[str, str]
 
     def frame(self, levels: np.ndarray) -> Any:
-        """A picture as the encoder takes it."""
+        """A picture in the encoder's format."""
         import av
 
         if self.range == FULL_RANGE:

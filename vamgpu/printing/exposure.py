@@ -19,7 +19,7 @@ USUAL = 40.0
 
 @dataclass(frozen=True)
 class ExposureTimes:
-    """Predicted times [s] for a projector and a resin that adds up all dose."""
+    """Predicted times [s] for a projector and a resin that sums all dose."""
 
     # overcure_onset: until the first voxel outside is solid; later than ``complete`` if the strict window is positive.
 
@@ -49,7 +49,7 @@ UNITS = {
 DAY = 86_400.0
 """Longest exposure [s] that is accepted: tomographic prints take seconds to minutes."""
 ODD = 10.0
-"""Least mW/mm² and mJ/mm³ that suggest a wrong unit: 1 W/cm², 10 J/cm³."""
+"""Smallest mW/mm² and mJ/mm³ that suggest a wrong unit: 1 W/cm², 10 J/cm³."""
 
 
 def expose(
@@ -63,20 +63,20 @@ def expose(
     absorption: float | str | None = None,
 ) -> ExposureTimes:
     """Times of a print whose angles share the exposure, evenly or by their dwell, turn after turn."""
-    # scores: of Aᵀ(light). sent: Σ light · time of its angle over the mean. full: light of a full-on pixel. irradiance:
+    # scores: of Aᵀ(light). sent: Σ light · (time of its angle / mean time). full: light of a full-on pixel. irradiance:
     # that pixel's [mW/mm²]. critical_dose: [mJ/mm³]; both also as text with units. absorption: as for `dose_unit`.
-    irradiance, wanted = _given("irradiance", irradiance), _given("critical_dose", critical_dose)
+    irradiance, critical = _given("irradiance", irradiance), _given("critical_dose", critical_dose)
     unit = irradiance / positive("light of a full-on pixel", full)
     rate = dose_unit(A, 1.0 / A.motion.angles, unit=unit, absorption=absorption)
     if scores.threshold <= 0:
         raise BadInput("the frames send no light into the part; pack another plan")
-    seconds = wanted / (scores.threshold * rate)
+    seconds = critical / (scores.threshold * rate)
     found = ExposureTimes(
         irradiance=irradiance,
-        critical_dose=wanted,
+        critical_dose=critical,
         seconds=seconds,
-        complete=_until(wanted, scores.least_in * rate),
-        overcure_onset=_until(wanted, scores.greatest_out * rate),
+        complete=_until(critical, scores.least_in * rate),
+        overcure_onset=_until(critical, scores.greatest_out * rate),
         energy=sent * unit * A.beam.pixel_area * seconds / A.motion.angles,
     )
     if seconds > DAY:
@@ -108,5 +108,5 @@ def _given(name: str, value: float | str) -> float:
     return number
 
 
-def _until(wanted: float, rate: float) -> float:
-    return wanted / rate if rate > 0 else float("inf")
+def _until(critical: float, rate: float) -> float:
+    return critical / rate if rate > 0 else float("inf")

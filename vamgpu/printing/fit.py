@@ -1,10 +1,10 @@
-"""Frames of which each pixel is chosen by the dose that all of them make together.
+"""Frames whose pixels are chosen by the dose of all frames together.
 
-Rounding, and carrying errors on, keep each pixel's own light; a voxel sums that of all angles. Pixels of 8 bits are
-rounded first, and then some go one level up or down at a time. Light of 1 bit is driven to its two ends first, where it
-can be split (`TwoLevels`). Then pixels of a few angles at a time are flipped. Both are done where that brings the dose
-nearer to a window: direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992) 96), by the voxels that
-miss it, with a dose for the eye.
+Rounding and error diffusion preserve the light of each pixel; but a voxel sums the light of all angles. 8-bit pixels
+are rounded first; then some move up or down by one level at a time. 1-bit patterns are first driven to their two
+levels, if possible (`TwoLevels`). Then the pixels of a few angles at a time are flipped. Both steps keep the changes
+that bring the dose nearer to a window. This is direct binary search (M. Analoui, J. P. Allebach, Proc. SPIE 1666 (1992)
+96), with dose in place of the eye and the voxels that miss the window as its measure.
 """
 
 from __future__ import annotations
@@ -33,42 +33,42 @@ from vamgpu.operators.reductions import dot, extent, total, window
 from vamgpu.printing.frames import Frames
 
 FULL_ON = (8.0, 4.0, 2.0, 1.0)
-"""Irradiance of full-on pixels to try where light is flipped alone, over its mean, weighted by itself. Less of it than
-the brightest pixel has lights more pixels, each by less, but light above it is lost: a boat keeps most at 6, a cross at
-2."""
+"""Irradiances of a full-on pixel to try if pixels are only flipped, relative to the mean weighted by itself. A lower
+irradiance than the brightest pixel lights more pixels, but clips the light above it: a boat has its best window at 6, a
+cross at 2."""
 LIT = 0.1
-"""Share of pixels that would be on with the first irradiance that is tried where light settles."""
+"""Share of pixels that would be on at the first irradiance that is tried for two-level patterns."""
 AHEAD = 0.01
-"""Dose that either side of a window is to gain in the next sweep, over the peak."""
+"""Dose by which either side of a window should improve in the next sweep, relative to the peak."""
 SWEEPS = 8
-"""Rounds in which every pixel is asked; one for frames that go no further."""
+"""Rounds in which every pixel is considered; one for frames that do not improve further."""
 TOGETHER = 3
 """Angles, a third of a turn apart, whose pixels are flipped together: their rays meet in few voxels."""
 THIRDS = 3
 """Neighbors that light the same voxels are flipped one after another."""
 NO_FLOOR = -1e30
 MOST_ROUNDS, SPENT = 12, 0.1
-"""Most rounds for pixels of 8 bits, at an evaluation and a half each, and the share of the evaluations of
-their plan that this may take."""
+"""Greatest number of rounds for 8-bit pixels, at one and a half evaluations each, and the largest share of the
+evaluations of their plan."""
 CHANCE = 0.05
-"""Share of the greatest gain from which a pixel is stepped; at 0.3 pixels that meet in voxels go too far together."""
+"""Share of the greatest gain above which a pixel moves; at 0.3, pixels of the same voxels overshoot together."""
 SMALL = 3e-4
-"""Dose by which these are priced, over the peak: about what a level of one pixel gives. At 3e-3 light of two
-thresholds, which leaves all voxels near theirs, gains nothing."""
+"""Dose that weights these gains, over the peak: about the dose of one level of one pixel. At 3e-3, patterns of two
+thresholds gain nothing, because they leave all voxels near their thresholds."""
 
 Packed = Callable[[DeviceArray, float | None, str], Frames]
 """Frames of light, by the irradiance of a full-on pixel (None: that of `pack`) and a name of `DITHERS`."""
 
 
 def check_fit(bits: int, shift: tuple[float, float]) -> None:
-    """Raise `BadInput` unless pixels of ``bits``, moved by ``shift``, can be chosen by their dose."""
+    """Raise `BadInput` if pixels of ``bits``, moved by ``shift``, cannot be chosen by their dose."""
     if bits == 1 and any(moved % 1 for moved in shift):
         raise BadInput(f'dither="fit" got shift={shift}; expected whole pixels: use those, 8 bits, or '
                        'dither="error-diffusion"')  # fmt: skip
 
 
 def check_dose(operator: Any, target: Any, bits: int = 1) -> None:
-    """Raise `BadInput` unless pixels can be chosen by the dose that an operator makes for a target."""
+    """Raise `BadInput` if pixels cannot be chosen by the dose that an operator makes for a target."""
     other = 'use dither="error-diffusion"'
     if bits == 1 and not isinstance(direct(operator), Projection):
         raise BadInput(f'dither="fit" got light of {operator!r}; expected that of a Projection or a RingProjection: '
@@ -93,8 +93,8 @@ def rounds_of(plan: Any) -> int:
 
 def stepped(plan: Any, frames: Frames, packed: Callable[[DeviceArray], Frames], rounds: int) -> tuple[Any, ...]:
     """Frames of 8 bits whose dose has nearly the window of the plan."""
-    # In each round some pixels get a level more or less, if voxels that miss the window of the plan then come nearer to
-    # it; these pixels are spread evenly. It uses the plan's own operator, of any type.
+    # In each round some pixels move by one level if this brings voxels that miss the plan's window nearer to it; the
+    # pixels are spread evenly. It uses the plan's own operator, of any type.
     A, device, asked = plan.operator, plan.sinogram.device, plan.sinogram
     fit = _Fit(A, on_device(A, plan.target), asked)
     prices = {name: device.empty(A.domain.shape) for name in ("brighter", "darker")}
@@ -133,15 +133,15 @@ def fitted(plan: Any, packed: Packed, scale: float | None) -> tuple[Frames, floa
     rounded = packed(light, scale, "round")
     plain = fit.window_of(rounded)
     if plain >= window:
-        warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, and pixels chosen by dose "
-                      f"keep {window:+.3f}; the frames are rounded: use more angles, or 8 bits",
+        warnings.warn(f"at {frames.shape[0]} angles rounding keeps a window of {plain:+.3f}, and pixels chosen by "
+                      f"dose keep {window:+.3f}; the frames are rounded: use more angles, or 8 bits",
                       PackWarning, stacklevel=5)  # fmt: skip
         return rounded, plain
     return packed(lit, frames.scale, "round"), window
 
 
 def _settled(fit: _Fit, operator: Any, packed: Packed, scale: float | None) -> Frames | None:
-    """Frames whose light was driven to its ends; None if it cannot be, or the device lacks the memory."""
+    """Frames whose patterns were driven to two levels; None if this fails, or the device lacks the memory."""
     try:
         found = _Settled(fit, TwoLevels(operator, fit.target, fit.light), packed)
         return found.best(scale) if found.levels.possible else None
@@ -150,7 +150,7 @@ def _settled(fit: _Fit, operator: Any, packed: Packed, scale: float | None) -> F
 
 
 def _alike(frames: Frames, value: int) -> np.ndarray:
-    """Light of frames whose bytes are all alike, [1, r, z]."""
+    """Light of frames whose bytes are all equal, [1, r, z]."""
     _, rows, width = frames.images.shape
     images = frames.device.upload(np.full((1, rows, width), value, np.uint8), table=True)
     return replace(frames, images=images, motion=None, packed=None).irradiance(frames.device).numpy()
@@ -158,16 +158,16 @@ def _alike(frames: Frames, value: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Settled:
-    """Frames whose light was driven to its ends."""
+    """Frames whose patterns were driven to two levels."""
 
     fit: _Fit
     levels: TwoLevels
     packed: Packed
 
     def best(self, full: float | None) -> Frames:
-        """Those of the widest window."""
-        # Without ``full``, what a full-on pixel shows is doubled or halved for as long as that gains. It is not
-        # brighter than the brightest of the light, so that the print takes about as long at most.
+        """The frames with the widest window."""
+        # Without ``full``, the light of a full-on pixel is doubled or halved while the window improves. It stays at or
+        # below the brightest pixel of the patterns; the print then takes about as long at most.
         if full is not None:
             return self.at(full)[1]
         most = extent(self.fit.light)[1]
@@ -195,9 +195,9 @@ class _Settled:
 
 @dataclass(frozen=True)
 class _Fit:
-    """The aim of a fit: the part, and the window of the plan's light or one ``ahead`` of the frames'."""
+    """The goal of a fit: the part, and the window of the plan's patterns or one ``ahead`` of that of the frames."""
 
-    A: Any  # a Projection, where pixels are flipped
+    A: Any  # a Projection, if pixels are flipped
     target: DeviceArray
     light: DeviceArray
     ahead: float | None = None
@@ -222,14 +222,14 @@ class _Fit:
 
     @cached_property
     def share(self) -> float:
-        """Usual dose of a voxel by a pixel that lights it: Σ A² / Σ A, by a random sign for every voxel."""
+        """Typical dose that a pixel gives a voxel that it lights: Σ A² / Σ A, from random signs of the voxels."""
         A, signs = self.poses[0], 2 * np.random.default_rng(0).integers(0, 2, self.A.grid.shape, np.int8) - 1
         lit = self.A.device.upload(np.abs(self.side.numpy()))
         shadow = A(self.A.device.upload((signs * lit.numpy()).astype(np.float32)))
         return dot(shadow, shadow) / total(A(lit))
 
     def aimed_at(self, dose: DeviceArray) -> dict[str, float]:
-        """The aim for a dose: the plan's window, or one a little wider than it has."""
+        """The goal for a dose: the plan's window, or one slightly wider than that of the dose."""
         if self.ahead is None:
             return self.goal
         least, leak, most = self._extremes(dose)
@@ -249,7 +249,7 @@ class _Fit:
         return least, max(leak, 0.0), greatest
 
     def flipped(self, begun: Sequence[Frames]) -> tuple[Frames, DeviceArray, float]:
-        """Those of some frames that gain most, the light of their pixels once flipped, and its strict window."""
+        """The pixels of some frames that gain most, their light after the flip, and its strict window."""
         orders = np.random.default_rng(0).permuted(np.tile(np.arange(len(self.poses)), (SWEEPS, 1)), axis=1)
         run = max((_Flips(self, frames).swept(orders[0]) for frames in begun), key=lambda each: each.best)
         for order in orders[1:]:
@@ -280,11 +280,11 @@ class _Flips:
         self._judge()
 
     def _raised(self, lit: np.ndarray) -> np.ndarray:
-        """Light that lit pixels have more than dark ones."""
+        """Light of lit pixels minus that of dark ones."""
         return (lit * self.step).astype(np.float32)
 
     def swept(self, order: np.ndarray) -> _Flips:
-        """Consider every pixel once, by groups of angles in an order."""
+        """Consider every pixel once, by groups of angles in some order."""
         fit, launch = self.fit, self.device.launch
         prices = {name: self.device.empty(fit.A.domain.shape) for name in ("brighter", "darker")}
         usual = float(self.step[self.step > 0.0].mean()) * fit.share
@@ -302,7 +302,7 @@ class _Flips:
         return self
 
     def _judge(self) -> None:
-        """The dose of the pixels as they are, in which no changes have been summed up; keep the light of the best."""
+        """The dose of the current pixels, computed anew without accumulated changes; keep the best patterns."""
         light = np.empty(self.fit.light.shape, np.float32)
         for group, raised in enumerate(self.light):
             light[group :: len(self.light)] = self.black + raised.numpy()

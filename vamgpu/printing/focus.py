@@ -1,7 +1,7 @@
 """Frames for a focus that follows a roller: each column of a pattern is shown while the lens focuses on its film.
 
-The film's middle is at depth −√(r²−x²) from the roller's axis, against the light. A pattern is divided by columns into
-one frame for each focus plane of the lens; these are shown one after the other at each angle.
+The film's middle is at depth −√(r²−x²) from the roller's axis, against the light. The columns of a pattern are divided
+among one frame for each focus plane; these frames are shown one after another at each angle.
 
 Source: J. Toombs et al., "Roll-to-roll tomographic volumetric additive manufacturing", Fig. 4 and sections S4 and S14.
 """
@@ -31,7 +31,7 @@ class FocusMasks:
     Args:
         columns, pitch: Columns of the beam, and their pitch [mm].
         midline: Radius [mm] of the film's middle about the roller's axis.
-        planes: Depths [mm] of the focus planes along the light from the axis, rising, so the outermost is first.
+        planes: Depths [mm] of the focus planes along the light from the axis, rising; the outermost comes first.
 
     Raises:
         BadInput: A value is out of its range.
@@ -100,7 +100,7 @@ class FocusMasks:
         return midline_depth(x, self.midline)
 
     def bin(self, x: ArrayLike) -> np.ndarray:
-        """Find the plane nearest to the film's middle, the outer one of two at the same distance.
+        """Find the plane nearest to the film's middle; of two at the same distance, the outer one.
 
         Args:
             x: Offsets from the axis [mm], (...).
@@ -127,7 +127,7 @@ class FocusMasks:
         return np.abs(self.depth(self.x) - np.array(self.planes)[self.bin(self.x)])
 
     def of_frames(self, frames: Frames) -> np.ndarray:
-        """Columns of a frame that each plane shows, including flips and shift.
+        """Columns of a frame that each plane shows, after flips and shift.
 
         Args:
             frames: The frames.
@@ -158,10 +158,10 @@ def bins_needed(beam: Beam, radius: float, thickness: float, defocus: float) -> 
 
 
 def split(shown: Fields, masks: FocusMasks) -> tuple[Fields, ...]:
-    """One set of frames, or of light, for each focus plane; their sum is ``shown`` to the last bit."""
+    """One set of frames, or of patterns, for each focus plane; their sum equals ``shown`` to the last bit."""
     # shown: `Frames`; light [angle, r, z] on a device or in NumPy; or the bytes of 8-bit frames, uint8 [angle, row,
-    # column], neither flipped nor shifted. Everything stays where it is. A dark mirror of frames still gives the gray
-    # curve's black level, in every bin.
+    # column], neither flipped nor shifted. Nothing is moved. A dark mirror still gives the gray curve's black level, in
+    # every bin.
     if isinstance(shown, Frames):
         return tuple(_frames(shown, mask) for mask in masks.of_frames(shown))
     frames = isinstance(shown, np.ndarray) and shown.dtype == np.uint8
@@ -176,8 +176,8 @@ def split(shown: Fields, masks: FocusMasks) -> tuple[Fields, ...]:
 
 
 def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:
-    """The plane that every slot shows, int (angles, bins), in the order in which they are shown."""
-    # turning: every other angle in reverse order, so that the lens moves one time less an angle and never flies back.
+    """The plane of every slot, int (angles, bins), in the order in which planes are shown."""
+    # turning: reverse the order at every other angle, which saves a move of the lens per angle and the long way back.
     angles, bins = counts("angles and bins", (angles, bins), 2)
     order = np.tile(np.arange(bins), (angles, 1))
     if turning:
@@ -186,7 +186,7 @@ def slots(angles: int, bins: int, *, turning: bool = True) -> np.ndarray:
 
 
 def _groups(depth: np.ndarray, half: float) -> list[np.ndarray]:
-    """Rising depths in as few runs as possible, none longer than 2·half."""
+    """Rising depths in as few groups as possible, none wider than 2·half."""
     groups: list[np.ndarray] = []
     while depth.size:
         last = int(np.searchsorted(depth, depth[0] + 2.0 * half, side="right"))

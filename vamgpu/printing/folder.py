@@ -1,4 +1,4 @@
-"""Frames in job folders: everything `simulate` and a projector need, and its origin."""
+"""Frames in job folders: everything that `simulate` and a projector need, and the origin of the frames."""
 
 from __future__ import annotations
 
@@ -30,13 +30,12 @@ def save_frames(
     overwrite: bool = False,
 ) -> Folder:
     """Write frames to a job folder: Zarr arrays, one chunk per frame, and ``manifest.json``."""
-    # Frames of a plan are stored as its patterns, float32, and the packing settings, so that a calibrated machine can
-    # pack the patterns itself. Other frames are stored as bytes.
-    # inputs: settings of the job, kept in the manifest; by default geometry, target and record of the frames' plan.
-    # arrays: further arrays to store. details: of those.
+    # Frames of a plan are stored as its float32 patterns and the packing settings: a calibrated machine can then pack
+    # the patterns itself. Other frames are stored as bytes. inputs: settings of the job, kept in the manifest; by
+    # default geometry, target and record of the frames' plan. arrays: further arrays to store. details: of those.
     plan, own = frames.plan, {}
     known: dict[str, Any] = {}
-    told: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
+    record: dict[str, Any] = {"saved": "frames", "frames": describe(frames)}
     if plan is None:
         columns = "column" if frames.bits == 8 else "byte"
         entries = {"frames": Entry(frames.images, ("angle", "row", columns))}
@@ -50,7 +49,7 @@ def save_frames(
         if isinstance(plan, Plan):
             noun, own_arrays = method_described(plan.method)
             entries |= own_arrays
-            told["plan"] = {
+            record["plan"] = {
                 "method": noun, "evaluations": plan.evaluations, "best_iteration": plan.best_iteration,
                 "target_name": plan.target_name,
             }  # fmt: skip
@@ -58,12 +57,12 @@ def save_frames(
         entries["flat_field"] = Entry(frames.flat_field, ("row", "column"))
     taken = set(entries) & set(arrays or {})
     if taken:
-        raise BadInput(f"the names {', '.join(sorted(taken))} are the frames' own; name the other arrays differently")
+        raise BadInput(f"the names {', '.join(sorted(taken))} are those of the frames' own arrays; choose other names")
     return write_folder(
         path,
         {**own, **entries, **(arrays or {})},
         inputs={**known, **(inputs or {})},
-        details={**told, **(details or {})},
+        details={**record, **(details or {})},
         device=f"{frames.device.name} ({frames.device.description})",
         overwrite=overwrite,
     )
@@ -81,7 +80,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
     packed = stored.dtype == "uint8"
     try:
         details = folder.manifest.details["frames"]
-        poses = details.get("turntable")  # folders of earlier versions do not say
+        poses = details.get("turntable")  # folders of earlier versions do not record it
         motion = None if poses is None else turntable_from(poses)
         settings, gray, known = Placement(), GrayCurve.linear(), {"bits": 8}
         if packed or "bits" in details:

@@ -1,4 +1,4 @@
-"""Frames: the bytes for a projector, and the light that its mirrors make from them."""
+"""Frames: the bytes for a projector, and the light that its mirrors make of them."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class Frames:
             )
         if self.motion is not None and self.shape[0] % self.motion.angles:
             raise ShapeMismatch(
-                f"{self.shape[0]} frames are for {self.motion} angles; expected a frame for each, or for each in "
-                "every tile: pack the light of the same turntable"
+                f"{self.shape[0]} frames are for {self.motion} angles; expected one frame for each angle, or for each "
+                "angle of every tile: pack the light of the same turntable"
             )
         if self.flat_field is not None:
             object.__setattr__(self, "flat_field", flattened(self.flat_field, self.shape[1:]))
@@ -97,7 +97,7 @@ class Frames:
     def plan(self) -> Any:
         """The plan that was packed, or its light and operator; None for frames of bytes or changed bytes.
 
-        It holds the patterns for a job folder, from which frames for another machine are packed.
+        It holds the patterns for a job folder; frames for another machine are packed from them.
         """
         return self.packed[1] if self.packed is not None and self.packed[0] is self.images else None
 
@@ -144,8 +144,8 @@ class Frames:
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write a job folder for `vamgpu.load` and ``vam print``.
 
-        Frames of a plan are stored as its patterns, with the plan's operator and target, so that ``vam prove`` accepts
-        the folder and each machine packs its own frames; other frames are stored as bytes.
+        Frames of a plan are stored as its patterns, with the plan's operator and target. ``vam prove`` then accepts the
+        folder, and each machine packs its own frames. Other frames are stored as bytes.
 
         Args:
             path: The folder.
@@ -157,7 +157,7 @@ class Frames:
         Raises:
             StorageError: The path exists, or cannot be written.
         """
-        # a circle: folders make frames
+        # avoids a circular import: folders make frames
         from vamgpu.printing.folder import save_frames
 
         return save_frames(path, self, overwrite=overwrite).path
@@ -165,8 +165,8 @@ class Frames:
     def irradiance(self, device: str | Device | None = None) -> DeviceArray:
         """Compute the light that reaches the beam's pixels, only from the bytes and the projector's properties.
 
-        The shift is undone as on the machine: a pixel across several beam pixels shares its light among them, and beam
-        pixels beyond the frame stay completely dark.
+        The shift is undone as on the machine: a pixel that covers several beam pixels shares its light among them, and
+        beam pixels beyond the frame stay completely dark.
 
         Args:
             device: Device of the result; by default that of the bytes.
@@ -223,17 +223,17 @@ def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     try:
         flat = np.asarray(flat_field, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"the flat field is no array of numbers: {error}; expected brightness [row, column]") from error
+        raise BadInput(f"the flat field is no numeric array: {error}; expected brightness [row, column]") from error
     if flat.shape != shape:
         raise ShapeMismatch(f"the flat field has shape {flat.shape}; expected {shape} = [row, column] of the frames")
     if not np.isfinite(flat).all() or flat.min() <= 0:
         raise BadInput(
-            f"the flat field goes from {flat.min():g} to {flat.max():g}; expected finite brightness > 0: "
-            "give dead mirrors that of the dimmest one that works"
+            f"the flat field goes from {flat.min():g} to {flat.max():g}; expected finite brightness > 0: give dead "
+            "mirrors the value of the dimmest one that works"
         )
     return flat / flat.max()
 
 
 def flat_table(device: Device, flat_field: np.ndarray | None) -> DeviceArray:
-    """The flat field on a device; a table of a single 1 if all mirrors are alike."""
+    """The flat field on a device; a table with a single 1 if all mirrors are equally bright."""
     return device.table(np.ones((1, 1)) if flat_field is None else flat_field)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Self
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Self
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.metrics.line import Line
-from vamgpu.printing.proof import Proof
-from vamgpu.printing.simulate import ShownLight, simulate
-from vamgpu.targets.target import Target
+
+if TYPE_CHECKING:
+    from vamgpu.printing.proof import Proof
 
 WITHIN = 0.01
-"""Share by which a dose may deviate if the proof does not print."""
+"""Share by which a dose may deviate from the proved one if the proof does not print."""
 MOST = 1e3
 """The greatest latitude that is reported."""
 
@@ -24,23 +24,25 @@ class ProvedDose:
     """The exposure of a proof."""
 
     seconds: float  # exposure until resin at the threshold is solid, all angles together [s]
-    irradiance: float  # of a full-on pixel during that exposure [mW/mm²]
+    irradiance: float  # irradiance of a full-on pixel during that exposure [mW/mm²]
     scale: float  # light of a full-on pixel, in the plan's units
-    # least, most: doses, relative to the proved one, between which it prints, see `Verdict.latitude`; 1 ± `WITHIN` if
-    # it does not print
+    # least and greatest dose, relative to the proved one, at which it prints (`Verdict.latitude`); 1 ± `WITHIN` if it
+    # does not print
     least: float
     most: float
     right: bool  # whether it prints at the proved dose
+    faults: str = ""  # what is wrong if it does not
 
     @classmethod
     def of(cls, proof: Proof) -> Self:
-        """The exposure of a proof. Raises `BadInput` if it has no times."""
+        """The exposure of a proof. Raises `BadInput` if the proof has no times."""
         if proof.exposure is None:
             raise BadInput(f"the proof of {proof.name!r} has no times; expected irradiance and critical_dose: prove "
                            "the frames with both")  # fmt: skip
         verdict, times = proof.verdict, proof.exposure
         least, most = verdict.latitude if verdict.prints else (1.0 - WITHIN, 1.0 + WITHIN)
-        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints)
+        faults = "; ".join(fault.said for fault in verdict.faults)
+        return cls(times.seconds, times.irradiance, proof.frames.scale, least, min(most, MOST), verdict.prints, faults)
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,14 @@ class GivenDose:
     proved: ProvedDose
     share: float  # the dose, relative to the proved one
     turns: int
-    seconds: float  # from the beginning to the last light [s]
-    lit: float = 1.0  # share of the light that the rig could give in these turns; 1 is not dimmed
-    drive: bool = False  # whether the drive of the light was dimmed; otherwise the time that frames are lit
+    seconds: float  # from the first light to the last [s]
+    lit: float = 1.0  # share of the rig's full light in these turns; 1 is not dimmed
+    drive: bool = False  # whether the drive of the lamp was dimmed; otherwise frames are lit for a shorter time
     asked: bool = False  # whether the user chose the number of turns
 
     @classmethod
     def read(cls, kept: Mapping[str, Any] | None) -> Self | None:
-        """The dose in a run's folder, as `plain` wrote it; None for none. Raises `StorageError`."""
+        """The dose in a run's folder, as `plain` wrote it; None if it has none. Raises `StorageError`."""
         if kept is None:
             return None
         try:
@@ -81,7 +83,7 @@ class GivenDose:
 
     @property
     def whole(self) -> bool:
-        """Whether the exposure is as long as the verdict requires."""
+        """Whether the exposure is as long as a good verdict requires."""
         return self.share >= self.proved.least
 
     def __str__(self) -> str:
@@ -94,12 +96,12 @@ class GivenDose:
         if not self.proved.right:
             if self.keeps:
                 return "the proof does not print, and neither does this dose"
-            return "the proof does not print, and this dose differs from it"
+            return "the proof does not print, and this dose differs from the proved one"
         if self.keeps:
             return f"within {low} to {high}, where everything two pixels or more from the surface prints correctly"
         if self.share < self.proved.least:
-            return f"below {low}, so some of the part stays liquid"
-        return f"above {high}, so resin beside the part gets solid"
+            return f"below {low}: some of the part stays liquid"
+        return f"above {high}: resin beside the part solidifies"
 
     def lines(self) -> tuple[Line, ...]:
         """Turns, seconds and dose for reports."""
@@ -115,24 +117,12 @@ class GivenDose:
 
     @property
     def dimming(self) -> str:
-        """The scale of the light, and the dose without it."""
+        """The dimming of the light, and the dose without it."""
         share = f"{100 * self.lit:.1f} %"
-        what = f"the light has {share} of its drive" if self.drive else f"frames are lit {share} of their time"
+        what = f"the lamp has {share} of its drive" if self.drive else f"frames are lit for {share} of their time"
         return f"{what}; otherwise {counted(self.turns)} would give {self.share / self.lit:.3f} of the dose"
 
 
 def counted(turns: int) -> str:
     """A number of turns in words."""
     return f"{turns} turn{'s' * (turns != 1)}"
-
-
-def prove_given(known: Proof, frames: ShownLight, dose: GivenDose | None) -> Proof:
-    """Prove the frames that a print showed, at the dose that it gave."""
-    whole = Target.from_array(known.target.numpy(), known.operator.grid.pitch, known.name)
-    target = replace(whole, solid=known.solid, limits=known.limits)
-    threshold = None if dose is None else known.scores.threshold / dose.share
-    proof = simulate(known.operator, frames, target, threshold=threshold)
-    if dose is None:
-        return proof
-    got = proof.scores.total_in / known.scores.total_in
-    return replace(proof, given=replace(dose, share=dose.share * got))

@@ -21,8 +21,8 @@ class GrayCurve:
 
     Args:
         levels: Measured gray levels, rising from 0 to 255.
-        intensity: Light at each, in any unit, never falling; kept relative to that of level 255. Light at level 0 is
-            the black level and may exceed zero: mirrors never close completely.
+        intensity: Light at each level, in any unit, never falling; stored relative to that of level 255. The light at
+            level 0 is the black level, which may exceed zero because mirrors never close completely.
 
     Raises:
         BadInput: A value is out of its range.
@@ -59,7 +59,7 @@ class GrayCurve:
 
     @classmethod
     def linear(cls, black: float = 0.0) -> GrayCurve:
-        """Make a curve of light in proportion to the level.
+        """Make a curve whose light is proportional to the level.
 
         Args:
             black: Black level, a share of full-on.
@@ -77,7 +77,7 @@ class GrayCurve:
         """Make the curve black + (1 − black)·(level / 255)^exponent.
 
         Args:
-            exponent: Exponent, above 0.
+            exponent: Exponent of the curve, above 0.
             black: Black level, a share of full-on.
 
         Returns:
@@ -147,7 +147,7 @@ class GrayCurve:
         return np.interp(level, self.levels, self.intensity)
 
     def inverse(self, light: Any) -> np.ndarray:
-        """Find the whole level whose light is nearest, the lower of two.
+        """Find the whole level whose light is nearest; of two equally near, the lower one.
 
         Args:
             light: Relative light (...), any shape.
@@ -159,16 +159,16 @@ class GrayCurve:
         return np.searchsorted(0.5 * (curve[1:] + curve[:-1]), np.clip(light, 0.0, 1.0), side="left").astype(np.uint8)
 
     def table(self, bits: int) -> np.ndarray:
-        """Light of every value of a pixel.
+        """Light of every possible value of a pixel.
 
         Args:
-            bits: 1, off or on, or 8, a gray level.
+            bits: 1 (off or on) or 8 (a gray level).
 
         Returns:
             Relative light, float64 (values,).
 
         Raises:
-            BadInput: The bits are others.
+            BadInput: ``bits`` is another number.
         """
         if bits not in (1, 8):
             raise BadInput(f"bits is {bits!r}; expected 1 or 8")

@@ -1,9 +1,9 @@
-"""Frames exposed apart from the operator that solved for them: other rays, other tables, another grid.
+"""Exposure of frames that is independent of the solver's operator: other rays, other tables, another grid.
 
-Voxels are so fine that they resolve the light of a column, at most half as wide as the part's, and one is centered on
-the axis; they reach out to the inner wall. Their light comes from traced rays, of which several may meet where caustics
-fold them, and turns by the arc of its frame while that is lit. Resin above and below the grid is exposed on the part's
-voxels as far as there is light. Nothing here is read from a solver's operator but its geometry.
+Its voxels are fine enough to resolve the light of a column: at most half as wide as the part's, one centered on the
+axis, and reaching out to the inner wall. Their light comes from traced rays, several of which may meet at one point
+where caustics fold them. It turns over the arc of its frame while the frame is lit. Resin above and below the grid is
+exposed on the part's voxels, as far as light reaches. Of the solver's operator only the geometry is used.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ MEMORY = 1 << 29
 BETWEEN = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
 """Interpolates midway between samples, exactly for polynomials of degree 5."""
 A_PIXEL = 2.0
-"""Fewest fine voxels along the width of a column in the resin, to begin with, where the part's are the mean of them."""
+"""Smallest number of fine voxels across a column in the resin at the start, if the part's voxels are their mean."""
 AGREED = 1e-3
-"""Share of the greatest dose to which the next finer voxels have to agree."""
+"""Change of the dose, as a share of the greatest, at which refinement of the voxels stops."""
 TRIES = 4
-"""Refinements at most: without a point spread, light has edges that no voxel resolves."""
+"""Greatest number of refinements: without a point spread, light has edges that no voxel resolves."""
 HARDEST = 4
-"""Slices that are compared: the brightest of as many equal parts of the height."""
+"""Number of slices to compare: the brightest one in each of as many equal parts of the height."""
 BEND = 0.02
-"""Columns' widths that a path may bend at the corners of the grid in what counts as straight while a frame is lit: then
-the dose is right to 1e-3 of the greatest."""
+"""Column widths by which a path may bend at the corners of the grid and still count as straight while a frame is lit:
+the dose is then right to 1e-3 of the greatest."""
 EDGE = 3
-"""Fine voxels beyond a grid's corner that the means over its voxels may ask for."""
+"""Fine voxels beyond a grid's corner that the means over its voxels may need."""
 LANES = 64
-"""Slices that tables are padded to: no device has wider vectors."""
+"""Tables are padded to a multiple of this number of slices: no device has wider vectors."""
 SAMPLES = 128, 256
-"""Fewest and most samples of a table of one pose from the axis to the wall, else one a part voxel. With 128 the dose
-inside the printable radius is right to 7e-4, and beyond it, where caustics are, to 3 % (256: 1 %) voxel by voxel."""
+"""Fewest and most samples, from the axis to the wall, of a table of one angle; in between, one per part voxel. With
+128, the dose is right to 7e-4 inside the printable radius, and to 3 % (256: 1 %) per voxel at caustics beyond it."""
 STRAIGHT = 4
-"""Samples of a table of straight light, which is linear between them."""
+"""Samples of a table of straight light; light is linear between them."""
 FAR = 2.0
-"""If resin reaches this many times as far as the corners of the grid, voxels beyond the corners are wider."""
+"""If resin reaches this many times as far as the corners of the grid, wider voxels are used beyond the corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +74,19 @@ class FineSlab:
 class IndependentExposure:
     """The light of a projection's pixels in the resin, from independent rays."""
 
-    # A: gives the geometry: grid, beam, motion and vessel; its tables are not used.
+    # A: gives the geometry (grid, beam, motion and vessel); its tables are not used.
 
     grid: Grid
     beam: Beam
-    motion: Turntable  # the arcs of the light, the projection's by default
+    motion: Turntable  # the arcs of the light; by default those of the projection
     vessel: Vessel | None
     device: Device
-    # fine voxels along an edge of a part voxel, at least 2; a part voxel is their mean. By default enough for `A_PIXEL`
-    # of them across the narrowest column in the resin. See `agreed`
+    # fine voxels along an edge of a part voxel, at least 2; a part voxel is their mean. By default, enough for
+    # `A_PIXEL` of them across the narrowest column in the resin. See `agreed`
     finer: int
     pitch: float
-    # bytes that the arrays of some slices may take. At least the slices that the device keeps together (at most 64)
-    # are exposed at a time
+    # bytes that the arrays of some slices may take. At least the slices that the device keeps together (at most 64) are
+    # exposed at a time
     memory: int
     agrees: float | None
     """Change of the dose on the next finer voxels, relative to the greatest dose; None before `agreed`."""
@@ -104,7 +104,7 @@ class IndependentExposure:
         self._discs: dict[tuple[float, float], _Disc] = {}
 
     def agreed(self, light: DeviceArray) -> IndependentExposure:
-        """The same on voxels so fine that the next finer ones change the dose of some light by at most `AGREED`."""
+        """The same on voxels so fine that finer ones change the dose of a given light by at most `AGREED`."""
         # light [angle, r, z]
         z, lit, judge = self._hardest(light), self.grid.cylinder(), self
         dose = judge._at(light, z)
@@ -136,12 +136,12 @@ class IndependentExposure:
         disc = self._disc(self.pitch, self.grid.inscribed_radius + 2.0 * self.grid.pitch)
         return self._averaged(disc, self._expose(disc, light, z, self.grid.pitch), self.grid).numpy()
 
-    # ---- what is asked ----------------------------------------------------------------------------------------------
+    # ---- doses ------------------------------------------------------------------------------------------------------
     def fine(self, light: DeviceArray, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
         """The dose of light on voxels that are at most half as wide as the part's and as a column in the resin."""
-        # Slab by slab from the lowest z. A beam of a single row stands for a print that is the same at every height:
-        # there all fine voxels of a slice get the mean over it, and no voxel lies on its faces.
-        # light [angle, r, z]; reach [mm]; above: of the grid, and below it [mm]
+        # Slabs are in order, from the lowest z. A beam of a single row represents a print that is the same at every
+        # height: all fine voxels of a slice get the slice's mean, and no voxel lies on its faces. light [angle, r, z];
+        # reach [mm]; above: height above and depth below the grid [mm]
         far, slices = self.radius if reach is None else positive("reach [mm]", reach), self.grid.shape[2]
         disc = self._disc(self.grid.pitch / self.halves, min(far, self.radius))
         if self.beam.flat:
@@ -160,8 +160,8 @@ class IndependentExposure:
     def averaged(
         self, light: DeviceArray, progress: Callable[[float], None] = lambda share: None, part: Around | None = None
     ) -> tuple[DeviceArray, Outer | None]:
-        """The dose on the part's own voxels, the mean of the fine ones, and the greatest beyond but around a part."""
-        # Along z the mean over a slice is that of its parts, whatever they are, so it is taken in one step.
+        """The dose on the part's own voxels, as means of the fine ones, and the greatest dose away from the part."""
+        # Along z, the mean over a slice does not depend on its division; it is computed in one step.
         # light [angle, r, z]; returns [x, y, z]
         far, pitch, disc = self._is_far, self.grid.pitch, self._near
         around = self.grid if far else self._around
@@ -210,7 +210,7 @@ class IndependentExposure:
 
     @cached_property
     def column(self) -> float:
-        """Least width of a column in the resin that is judged [mm]."""
+        """Width of the narrowest judged column in the resin [mm]."""
         across = self._rays.cross(0.0).across
         widths = np.abs(np.diff(across) / np.diff(self._rays.u))[np.abs(across[1:]) <= self.grid.inscribed_radius]
         return self.beam.pitch * float(widths.min(initial=1.0))
@@ -226,11 +226,11 @@ class IndependentExposure:
 
     @cached_property
     def _near(self) -> _Disc:
-        """The fine voxels that the part's own are the mean of."""
+        """The fine voxels whose means are the part's own voxels."""
         return self._disc(self.pitch, self.corner if self._is_far else self.radius)
 
     def _above_and_below(self, light: DeviceArray) -> np.ndarray:
-        """Slices [mm] beyond the grid that rows with any light reach; none where one row stands for every height."""
+        """Slices [mm] beyond the grid that rows with any light reach; none if one row represents every height."""
         lit = np.flatnonzero(extremes(Parts.whole(light), per_slice=True).greatest[:, IN] > 0)
         if self.beam.flat or not lit.size:
             return np.zeros(0)
@@ -240,7 +240,7 @@ class IndependentExposure:
         return self.grid.axes()[2][0] + k[(k < 0) | (k >= self.grid.shape[2])] * self.grid.pitch
 
     def _farther(self, light: DeviceArray, z: np.ndarray, outer: Outer | None, greatest: Any) -> Outer | None:
-        """`Outer` out to the wall, on voxels so wide that the whole vessel has no more than the grid has fine ones."""
+        """`Outer` out to the wall, on voxels wide enough that the vessel has no more than the grid has fine ones."""
         width = self.grid.pitch * ceil(0.5 * self.radius / self.corner)
         disc = self._disc(width, self.radius)
         for part in self._slabs(disc, z.size):
@@ -252,12 +252,12 @@ class IndependentExposure:
     @cached_property
     def _rays(self) -> Rays:
         reach = self._spread.reach(self.beam)
-        # The few samples of straight light are joined by straight lines: they must not end where the beam does.
+        # Straight light has few samples, joined by straight lines: they must not end where the beam ends.
         return traced_rays(self.vessel, max(reach, 4.0 * self.corner) if self.vessel is None else reach)
 
     @cached_property
     def _tables(self) -> dict[str, Any]:
-        """Shares of a column's light in bins, and the poses."""
+        """Shares of a column's light in bins, and the angles."""
         columns = column_shares(self._spread, self.beam, self._rays)
         return {
             "first": self.device.table(columns.first, "int32"),
@@ -267,7 +267,7 @@ class IndependentExposure:
 
     @property
     def _arcs(self) -> np.ndarray:
-        """Cosine, sine, time and half a turn of arcs so short that what they move is on a straight line."""
+        """Cosine, sine, time and half turn of arcs that are short enough for straight motion."""
         poses = self.motion.poses
         times, arcs = (np.asarray(getattr(self.motion, name, or_else * np.ones_like(poses)))
                        for name, or_else in (("times", 1.0), ("arcs", 0.0)))  # fmt: skip
@@ -290,7 +290,7 @@ class IndependentExposure:
         return self._discs[width, radius]
 
     def _in_bins(self, traced: TracedPose, width: float) -> np.ndarray:
-        """A voxel's bins, and its share such that even light of 1 gives voxel volume / pixel area, as Aᵀ does."""
+        """A voxel's bins, and its share, scaled as in Aᵀ: uniform light of 1 gives voxel volume / pixel area."""
         bins, beam = self._spread.bins, self.beam
         table = traced.table.copy()
         table[..., :2] = (table[..., :2] / beam.pitch + 0.5 * beam.pixels[0] + self._spread.beyond) * bins
@@ -299,8 +299,8 @@ class IndependentExposure:
 
     # ---- slabs ------------------------------------------------------------------------------------------------------
     def _slabs(self, disc: _Disc, slices: int) -> Iterator[slice]:
-        """Parts of the slices, as many in each, whose arrays fit the memory and whose layout is that of the whole."""
-        # The last may go on beyond the slices.
+        """Parts of the slices, of equal number, whose arrays fit the memory and whose layout is that of the whole."""
+        # The last part may extend beyond the slices.
         each = self.motion.angles * (self.beam.pixels[0] + self._tables["first"].shape[0]) + 2 * disc.axis.size**2
         each *= self.device.real.itemsize
         lanes = self.device.lanes_for(slices) or 1
@@ -311,7 +311,7 @@ class IndependentExposure:
             yield slice(first, first + count)
 
     def _expose(self, disc: _Disc, light: DeviceArray, z: np.ndarray, height: float) -> DeviceArray:
-        """Dose [x, y, z] of a disc's voxels at some z, the mean over ``height`` about each."""
+        """Dose [x, y, z] of a disc's voxels at given z, averaged over ``height`` about each z."""
         tables, device, (angles, columns, _) = self._tables, self.device, light.shape
         rows = row_shares(self._spread, self.beam, z, height, LANES)
         spread = device.empty((angles, columns, z.size))
@@ -325,21 +325,21 @@ class IndependentExposure:
         return dose
 
     def _averaged(self, disc: _Disc, fine: DeviceArray, around: Grid) -> DeviceArray:
-        """Mean of a disc's voxels over those of a grid, of as many slices."""
+        """Mean of a disc's voxels over those of a grid with the same slices."""
         volume = self.device.empty((*around.shape[:2], fine.shape[2]))
         self._average(disc, fine, volume, 0)
         return volume
 
     def _average(self, disc: _Disc, fine: DeviceArray, volume: DeviceArray, first: int) -> None:
-        """Mean of a disc's voxels over the part's about the axis, into slices of ``volume`` from ``first``."""
+        """Mean of a disc's voxels over the part's about the axis, written to slices of ``volume`` from ``first`` on."""
         corners, taps = zip(*(self._mean_of(n, disc) for n in volume.shape[:2]), strict=True)
         given = {"taps": self.device.table(np.stack(taps)), "corner_x": corners[0], "corner_y": corners[1]}
         self.device.launch(average_voxels, fine=fine, finer=self.finer, **given, first=first, volume=volume)
 
     def _mean_of(self, count: int, disc: _Disc) -> tuple[int, np.ndarray]:
-        """The first fine voxel and the weights of the mean over the first of so many of the part's about the axis."""
-        # The mean is what the running integral of the fine ones gains between its faces, where it is interpolated if
-        # these are in the middle of fine ones.
+        """The first fine voxel, and the weights of the mean over the first of ``count`` part voxels about the axis."""
+        # The mean is the difference of the running integral of the fine voxels between its faces; if these lie in the
+        # middle of fine voxels, the integral is interpolated.
         finer = self.finer
         split = BETWEEN if count * finer % 2 == 0 else np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
         return disc.half - (count * finer + 4) // 2, np.convolve(split, np.full(finer, 1.0 / finer))
@@ -356,7 +356,7 @@ class IndependentExposure:
     # ---- beyond the judged cylinder ---------------------------------------------------------------------------------
     @cached_property
     def _around(self) -> Grid:
-        """The part's grid with as many more voxels as it takes to the wall."""
+        """The part's grid, extended by whole voxels to the wall."""
         more = (ceil(max(self.radius / self.grid.pitch - 0.5 * n, 0.0)) for n in self.grid.shape[:2])
         nx, ny = (n + 2 * m for n, m in zip(self.grid.shape[:2], more, strict=True))
         return Grid((nx, ny, self.grid.shape[2]), self.grid.pitch)
@@ -364,7 +364,7 @@ class IndependentExposure:
 
 @dataclass(frozen=True, eq=False)
 class _Disc:
-    """Voxels ``width`` [mm] wide about the axis, ``half`` to either side, and what a launch says of one pose."""
+    """Voxels ``width`` [mm] wide about the axis, ``half`` to either side, and the launch arguments of one angle."""
 
     width: float
     half: int
@@ -378,7 +378,7 @@ class _Disc:
 
 
 def _gathered(bins: np.ndarray, weights: np.ndarray, count: int) -> Any:
-    """Weights of so many bins in the light of voxels, (voxels, count)."""
+    """Weights of ``count`` bins in the light of voxels, (voxels, count)."""
     from scipy.sparse import csr_array
 
     voxel = np.repeat(np.arange(len(bins)), bins.shape[1])

@@ -32,23 +32,23 @@ if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
 
 FINEST = 5
-"""Greatest number of voxels along an edge of the part's at which depths come from its mesh."""
+"""Greatest number of sampled voxels along an edge for which depths come from the part's mesh."""
 DEEP = 2.0
-"""Pixels from the surface: wrong resin farther than this is a fault. Nearer, light cannot make the dose jump."""
+"""Pixels from the surface beyond which wrong resin is a fault; closer, light cannot make the dose jump."""
 WHOLE = 2**28
-"""Greatest number of fine voxels whose surface is judged; above, it is that of the part's own voxels."""
+"""Greatest number of fine voxels whose surface is judged; above it, the surface of the part's own voxels is judged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A proved print, judged by more than its strict window.
+    """A proved print, judged by more criteria than its strict window.
 
     Attributes:
         over_tolerance: W from 0 to two voxels or pixels, on voxels at most half as wide as the part's and as a pixel in
             the resin.
         surface: comparison of the print's surface with the mesh.
-        pixel: least width of a column in the resin [mm]; a voxel of the part if there are no rays.
-        off: computes the table.
+        pixel: width of the narrowest column in the resin [mm]; a voxel of the part if there are no rays.
+        off: computes the table of errors.
         not_judged: what was not judged, one sentence each.
     """
 
@@ -65,11 +65,11 @@ class Judgement:
 
     @cached_property
     def table(self) -> ToleranceTable:
-        """The same frames on machines with small errors; five to ten projector evaluations on first use."""
+        """The same frames on machines with small errors; the first use takes five to ten projector evaluations."""
         return self.off()
 
     def lines(self) -> tuple[Line, ...]:
-        """The windows at half a pixel, one and two pixels, as far as known, and the surface with its bodies."""
+        """The windows at half a pixel, one and two pixels, if known, and the surface with its bodies."""
         found, known = [], float(self.over_tolerance.distance[-1]) * (1.0 + 1e-9)
         for number, name in ((0.5, "½ pixel"), (1.0, "1 pixel"), (2.0, "2 pixels")):
             if number * self.pixel <= known:
@@ -80,8 +80,8 @@ class Judgement:
 
 
 def judged(proof: Proof) -> Judgement:
-    """Judge a proof by the light of its frames, exposed once more on finer voxels."""
-    # Where a proof knows no finer dose than that of the part's own voxels, all is found on those. Costs about six
+    """Judge a proof by the light of its frames, exposed again on finer voxels."""
+    # If a proof knows no finer dose than that of the part's own voxels, those are judged. Costs about six
     # projector evaluations for the finer dose, and some seconds of a processor for the surface.
     A, at = proof.operator, proof.scores.threshold
     radius, voxels, finer, pixel = A.grid.inscribed_radius, prod(A.grid.shape), 1, A.grid.pitch
@@ -134,7 +134,7 @@ def _surface(proof: Proof, slabs: list[Any] | None, pixel: float) -> SurfaceJudg
 
 
 def refined(dose: np.ndarray, pitch: float, width: float) -> tuple[np.ndarray, float]:
-    """A dose on voxels of at most a width, by linear interpolation: narrow holes close on wide voxels."""
+    """A dose on voxels of at most a given width, by linear interpolation, because narrow holes close on wide voxels."""
     finer = pitch / width
     if finer < 1.1 or dose.size * finer**3 > WHOLE:
         return dose, pitch
@@ -151,7 +151,7 @@ def _asked(proof: Proof, slab: FineSlab) -> FineSlab:
 
 
 def _where_asked(proof: Proof, depth: Depth) -> Depth:
-    """A depth that is NaN at points without limits."""
+    """A depth, set to NaN at points without limits."""
     assert proof.limits is not None
     judged = proof.limits.at(proof.limits.scale, proof.operator.grid.pitch)
 

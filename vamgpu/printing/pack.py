@@ -11,7 +11,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.device import Device
 from vamgpu.deprecated import named_arguments
 from vamgpu.errors import BadInput, PackWarning, ToleranceWarning
 from vamgpu.geometry import Turntable, positive
@@ -31,12 +30,12 @@ from vamgpu.printing.placement import FIT, Placement
 SPARED, HOT = 0.99999, 2.0
 """Quantile of the lit pixels, and the default limit of a pixel's brightness relative to it."""
 ROUNDS = (21, 11, 1)
-"""Bits dropped in each round of the search for a quantile: ten a round, from the sign of a float32 down."""
+"""Bits that each round of the search for a quantile resolves: ten a round, from the sign of a float32 down."""
 FEW = 120
 """Angles up to which 1-bit error diffusion is compared with rounding. Measured on a disk, a bar and a random plane: up
-to 12 angles rounding can give the better dose, from 16 on diffusion did every time."""
+to 12 angles, rounding can give the better dose; from 16 angles on, diffusion always did."""
 FAINTEST, BRIGHTEST = 1e-30, 1e30
-"""Light of a full-on pixel between which float32 divides by it without loss."""
+"""Range of the light of a full-on pixel within which float32 divides by it without loss."""
 
 
 class Patterns(Protocol):
@@ -89,18 +88,18 @@ def pack(
         flat_field: Relative brightness [row, column] of full-on mirrors, compensated up to full-on.
         flip_r, flip_z: Whether columns and rows are mirrored.
         shift: Columns and rows [pixels] by which frames are moved; light shifted over an edge is lost.
-        quantile: A full-on pixel shows this quantile of the lit pixels, and brighter ones are clipped to it, at least
-            one of the plan's; 1 clips none. None shows the brightest pixel, or twice the quantile 0.99999 if that is
-            less, so that an outlier does not dim the print. Not used with ``scale``.
+        quantile: Quantile of the lit pixels that a full-on pixel shows; at least one of the plan's pixels shows it, and
+            brighter ones are clipped to it. 1 clips none. None shows the brightest pixel, or twice the quantile 0.99999
+            if that is less; an outlier then does not dim the print. Not used with ``scale``.
         dither: "round" to the nearest level, or "error-diffusion", which adds a pixel's error to the next angle in the
             order of the scan, for angles of equal dwell. Frames of 1 bit at `FEW` angles or fewer are rounded instead,
-            with a `PackWarning`, if their dose is then closer to that of the patterns, up to a factor. "fit" chooses
-            pixels by the dose of all of them. For 8 bits some pixels go a level up or down if that restores the window
-            of the plan, up to twelve times, each for one and a half evaluations. For 1 bit it keeps the widest window
-            that it finds, and also finds the brightness of a full-on pixel if neither ``quantile`` nor ``scale`` sets
-            it: for plans of a vial, moved by whole pixels. The frames' ``plan`` then has the patterns that they are
-            rounded from, and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion",
-            or "round" for angles of unequal dwell; for 8 bits "fit" for plans whose target has no bodies and no
+            with a `PackWarning`, if the rounded dose is closer to that of the patterns, up to a factor. "fit" chooses
+            each pixel by the dose of all pixels. For 8 bits, some pixels move up or down by one level if that restores
+            the window of the plan, in up to twelve rounds of one and a half evaluations each. For 1 bit it returns the
+            widest window found, and the brightness of a full-on pixel if neither ``quantile`` nor ``scale`` sets it; it
+            needs a plan of a vial, moved by whole pixels. The ``plan`` of the frames then has the unrounded patterns
+            and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion", or
+            "round" for angles of unequal dwell. For 8 bits "fit" for plans whose target has no bodies and no
             tolerances, within a tenth of their evaluations, otherwise "round".
         scale: Irradiance of a full-on pixel, instead of the quantile.
 
@@ -115,7 +114,7 @@ def pack(
     """
     if isinstance(bits, bool) or bits not in (1, 8):
         raise BadInput(f"bits is {bits!r}; expected 1 or 8")
-    known = light is not None or isinstance(plan, Plan)  # what the dose of all light is
+    known = light is not None or isinstance(plan, Plan)  # what the dose of all the light is
     plan = _patterns(plan, light, target)
     light = _light(plan)
     rounds = rounds_of(plan) if dither is None and bits == 8 else MOST_ROUNDS
@@ -132,7 +131,7 @@ def pack(
     shared = {"sinogram": light, "flat": flat_table(light.device, flat), **settings.arguments()}
     again = _packing(bits, curve, flat, settings)
     if dither == FIT and bits == 1:
-        shown = _quantile(plan, settings, shared)  # tells of light there is none of
+        shown = _quantile(plan, settings, shared)  # explains why there is no light
         return _fitted(plan, again, settings, shown if scale is None and quantile is not None else scale)
     full = _full(positive("scale", scale) if scale is not None else _quantile(plan, settings, shared))
     carry = float(np.diff(curve.table(bits)).max()) if dither == "error-diffusion" else 0.0
@@ -150,7 +149,7 @@ def pack(
 
 
 def _full(full: float) -> float:
-    """The light of a full-on pixel, if float32 can divide by it. Raises `BadInput`."""
+    """The light of a full-on pixel, checked to be in the range in which float32 can divide by it. Raises `BadInput`."""
     if not FAINTEST <= full <= BRIGHTEST:
         raise BadInput(
             f"a full-on pixel is {full:.3g}; expected {FAINTEST:g} to {BRIGHTEST:g}, within which float32 divides: "
@@ -166,7 +165,7 @@ def _turntable(plan: Patterns) -> Turntable | None:
 
 
 def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: dict[str, Any]) -> DeviceArray:
-    """Levels of light whose nearest of ``steps`` are shown, on the light's device."""
+    """Levels of light, rounded to the nearest of ``steps``, on the light's device."""
     device, (angles, columns, rows) = shared["sinogram"].device, shared["sinogram"].shape
     bounds = np.append(0.5 * (steps[1:] + steps[:-1]), np.full(257 - steps.size, NEVER))
     images = device.empty((angles, rows, columns), np.uint8, table=True)
@@ -176,7 +175,7 @@ def _quantized(steps: np.ndarray, bits: int, full: float, carry: float, shared: 
 
 
 def _packing(bits: int, gray: GrayCurve, flat: np.ndarray | None, place: Placement) -> Callable[..., Frames]:
-    """A function that packs other patterns, or a plan, in the same way, with its own full-on pixel and dither."""
+    """A function that packs other patterns, or a plan, in the same way, each with its own full-on pixel and dither."""
 
     def packed(light: Patterns | DeviceArray, full: float | None, dither: str) -> Frames:
         return pack(
@@ -215,7 +214,7 @@ def check_dither(
     carried = dither == "error-diffusion" or (dither == FIT and bits == 1)
     if carried and isinstance(motion, Turntable) and motion.dwell is not None:
         raise BadInput(
-            f"{dither} got {motion} angles; expected angles that are lit equally long, because each angle "
+            f"{dither} got angles of {motion}; expected angles that are lit equally long, because each angle "
             'corrects the error of the one before: use dither="round"'
         )
     if dither == FIT:
@@ -224,7 +223,7 @@ def check_dither(
 
 
 def _best_bits(plan: Patterns, shift: tuple[float, float], known: bool) -> str:
-    """The dither of 1 bit that keeps most of the dose; known: whether light is all there is."""
+    """The dither of 1 bit that preserves the dose best; known: whether only light is known."""
     operator, shift = plan.operator, Placement(shift=shift).shift
     for dither in (FIT, "error-diffusion") if known else ("error-diffusion",):
         try:
@@ -241,19 +240,19 @@ def repack(
 ) -> Frames:  # fmt: skip
     """Pack the patterns of frames for another machine: with its gray curve, its flat field and its axis.
 
-    The patterns are those of the plan that the frames were packed from. If it is unknown, they are computed from the
-    bytes and their settings, so nothing is corrected twice, and rounded once more: by at most half the step between two
-    levels of the new curve.
+    The patterns are those of the plan that the frames were packed from. If the plan is unknown, the patterns are
+    computed from the bytes and their settings, and nothing is corrected twice; they are rounded once more, by at most
+    half the step between two levels of the new curve.
 
     Args:
         frames: Frames of any machine.
         gray: Light of the new machine's levels; None keeps that of the frames.
         flat_field: Relative brightness [row, column] of its full-on mirrors, of the frames' shape; None keeps that of
-            the frames. All mirrors are dimmed to the dimmest one, so that no light is clipped: ``scale``, the
-            irradiance of a full-on mirror, grows by the same factor.
-        shift: Columns and rows [pixels] by which frames are moved, instead of the frames' own; None keeps it.
+            the frames. All mirrors are dimmed to the dimmest one, and no light is clipped: ``scale``, the irradiance of
+            a full-on mirror, grows by the same factor.
+        shift: Columns and rows [pixels] by which frames are moved, in place of the frames' own shift; None keeps that.
         moves: Further columns [frame, row] by which each row of each frame is moved, for a vial with runout; None moves
-            none. Fractions of a column share the light of both neighbors, as with ``shift``.
+            none. Fractions of a column are divided between both neighbors, as with ``shift``.
 
     Returns:
         Frames of the same bits, angles and flips, on the same device.
@@ -264,7 +263,8 @@ def repack(
     """
     settings = frames.settings if shift is None else replace(frames.settings, shift=shift)
     flat = frames.flat_field if flat_field is None else flattened(flat_field, frames.shape[1:])
-    light = frames.irradiance() if frames.plan is None else _on(frames.device, frames.plan.sinogram)
+    light = frames.irradiance() if frames.plan is None else frames.plan.sinogram
+    light = light if light.device is frames.device else frames.device.upload(light.numpy())
     if moves is not None:
         light = light.device.upload(_moved(light.numpy(), np.asarray(moves, np.float64), settings))
     dimmest = 1.0 if flat_field is None or flat is None else float(flat.min())
@@ -276,13 +276,8 @@ def repack(
     return replace(made, settings=settings, motion=frames.motion, packed=packed)
 
 
-def _on(device: Device, light: DeviceArray) -> DeviceArray:
-    """Light on a device."""
-    return light if light.device is device else device.upload(light.numpy())
-
-
 def _moved(light: np.ndarray, moves: np.ndarray, settings: Placement) -> np.ndarray:
-    """Light [angle, r, z] whose rows are moved along r by columns [angle, row] of frames, in linear interpolation."""
+    """Light [angle, r, z] whose rows are moved along r by columns [angle, row] of frames, with linear interpolation."""
     angles, columns, rows = light.shape
     if moves.shape != (angles, rows) or not np.isfinite(moves).all():
         raise BadInput(f"moves has shape {moves.shape}; expected finite columns [frame, row] of {(angles, rows)}")
@@ -315,11 +310,11 @@ def _better(plan: Patterns, diffused: Frames, rounded: Frames) -> Frames:
 
 def _miss(plan: Patterns, frames: Frames) -> float:
     """Sine of the angle between the frames' dose and that of the plan; 0 if they are proportional."""
-    # A factor does not count, since the time of exposure makes up for it. 1 for frames that are dark.
+    # A factor does not matter, because the exposure time compensates for it. 1 for dark frames.
     A: Any = plan.operator
-    wanted, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
-    lengths = dot(wanted, wanted) * dot(shown, shown)
-    return sqrt(max(0.0, 1.0 - dot(wanted, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
+    planned, shown = A.T(plan.sinogram), A.T(frames.irradiance(plan.sinogram.device))
+    lengths = dot(planned, planned) * dot(shown, shown)
+    return sqrt(max(0.0, 1.0 - dot(planned, shown) ** 2 / lengths)) if lengths > 0.0 else 1.0
 
 
 def _folded(images: DeviceArray) -> DeviceArray:
@@ -335,14 +330,14 @@ def _patterns(plan: Any, light: Any, target: Any) -> Patterns:
     operator = hasattr(plan, "range") and hasattr(plan, "T")
     if light is None:
         if operator or hasattr(plan, "__array__"):
-            raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or light [angle, r, z] "
-                           "beside the operator: vam.pack(A, light)")  # fmt: skip
+            raise BadInput(f"got only a {type(plan).__name__}; expected a plan of optimize(), or the operator and "
+                           "light [angle, r, z]: vam.pack(A, light)")  # fmt: skip
         if target is not None:
-            raise BadInput("got a target with a plan, which has its own; expected it beside an operator and light")
+            raise BadInput("got a target with a plan, which has its own; expected one only with an operator and light")
         return plan
     if not operator:
-        raise BadInput(f"got light beside a {type(plan).__name__}; expected the operator that makes dose of it: "
-                       "vam.pack(A, light)")  # fmt: skip
+        raise BadInput(f"got light with a {type(plan).__name__}; expected it with the operator that makes dose from "
+                       "it: vam.pack(A, light)")  # fmt: skip
     if target is not None:
         require(plan.domain, target, "the target")
     return Solved(copied(own_light(plan, light, "the light")), plan, target)
@@ -359,7 +354,7 @@ def _light(plan: Patterns) -> DeviceArray:
 
 
 def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
-    """Light of one pixel by its rank, to the last bit but one of a float32."""
+    """Light of one pixel by its rank, exact to the last bit but one of a float32."""
     device, prefix, left = shared["sinogram"].device, 0, 0
     for drop in ROUNDS:
         counter = device.table(np.zeros(BINS), "int32")
@@ -377,7 +372,7 @@ def ranked(shared: dict[str, Any], rank: Callable[[np.ndarray], int]) -> float:
 
 
 def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> float:
-    """A quantile of the lit pixels; without one, the brightest unless it is an outlier."""
+    """A quantile of the lit pixels; by default the brightest, unless it is an outlier."""
 
     def found(quantile: float) -> float:
         return ranked(shared, lambda counts: _rank(counts, quantile, shared))
@@ -389,10 +384,10 @@ def _quantile(plan: Patterns, settings: Placement, shared: dict[str, Any]) -> fl
 
 
 def _rank(counts: np.ndarray, quantile: float, shared: dict[str, Any]) -> int:
-    """Which lit pixel to take, counted from the dimmest as 1; ``counts`` are those of the first round."""
+    """Rank of the lit pixel to use, where the dimmest is 1; ``counts`` are those of the first round."""
     if counts[1020:].any():
         raise BadInput(f"the plan's sinogram holds {counts[1020:].sum()} pixels that are not finite; solve it again")
     lit = int(counts.sum())
-    hot = (1 + (shared["part_r"] > 0)) * (1 + (shared["part_z"] > 0))  # frame pixels that one of the plan's lies on
+    hot = (1 + (shared["part_r"] > 0)) * (1 + (shared["part_z"] > 0))  # frame pixels that a pixel of the plan covers
     spared = max(ceil((1.0 - quantile) * lit), hot) if quantile < 1 else 0
     return max(1, lit - spared)

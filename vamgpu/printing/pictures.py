@@ -1,4 +1,4 @@
-"""Pictures of volumes and sinograms as data addresses."""
+"""Pictures of volumes and sinograms as data URLs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from vamgpu.reports.chart import colored, picture
 from vamgpu.reports.page import Image
 
 SLICES = 64
-"""Slices of the viewer at most."""
+"""Greatest number of slices in the viewer."""
 
 EDGE = 192
-"""Edge [px] of a slice of the viewer at most."""
+"""Greatest edge of a slice in the viewer [px]."""
 
 HIT, MISSING, EXCESS, OUTSIDE = 1, 2, 3, 4
-"""Verdicts on a voxel; 0 is one rightly left unprinted."""
+"""Verdicts on a voxel; 0 is a voxel that is correctly unprinted."""
 
 COLORS = np.array([[246, 247, 249], [176, 190, 208], [214, 58, 73], [240, 150, 32], [255, 255, 255]], np.uint8)
 """Color of each verdict."""
@@ -30,14 +30,14 @@ def ramp(name: str) -> list[int]:
 
 def verdicts(target: np.ndarray, printed: np.ndarray, cylinder: np.ndarray, level: float = 0.5) -> np.ndarray:
     """uint8 [x, y, z]: right, `HIT`, `MISSING`, `EXCESS`, or `OUTSIDE` the judged cylinder [x, y]."""
-    wanted = target >= level
-    verdict = np.where(wanted, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
+    expected = target >= level
+    verdict = np.where(expected, np.where(printed, HIT, MISSING), np.where(printed, EXCESS, 0)).astype(np.uint8)
     verdict[~cylinder] = OUTSIDE
     return verdict
 
 
 def upright(plane: np.ndarray) -> np.ndarray:
-    """A plane [horizontal, vertical] as picture rows, the vertical axis pointing up."""
+    """A plane [horizontal, vertical] as rows of a picture; the vertical axis points up."""
     return plane.T[::-1]
 
 
@@ -58,7 +58,7 @@ def sheet(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float
 
 
 def viewer(sheet: dict[str, Any], heights: list[float], first: int) -> dict[str, Any]:
-    """Data of the page's slices: their image, their z [mm], and which to show first."""
+    """Data of the page's slices: their image, their z [mm], and the slice to show first."""
     return {"sheet": sheet, "heights": heights, "first": first, "heat": ramp("magma"), "colors": COLORS.tolist()}
 
 
@@ -67,10 +67,10 @@ def cuts(dose: np.ndarray, target: np.ndarray, verdict: np.ndarray, peak: float)
     found = []
     for axis, name in ((0, "x = 0"), (1, "y = 0")):
         middle = dose.shape[axis] // 2
-        wanted, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
+        expected, given, verdict_here = (upright(np.take(a, middle, axis)) for a in (target, dose, verdict))
         found.append(
             [
-                Image(picture(247 - (np.clip(wanted, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
+                Image(picture(247 - (np.clip(expected, 0, 1) * 191).astype(np.uint8)), f"target, {name}"),
                 Image(picture(colored(given / (peak or 1.0), "magma")), f"dose, {name}, upright"),
                 Image(picture(COLORS[verdict_here]), f"printed, {name}"),
             ]

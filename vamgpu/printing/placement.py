@@ -17,13 +17,13 @@ class Placement:
     """Settings of a packing."""
 
     # flip_r, flip_z: mirror the frames left-right, top-bottom, for optics that mirror them back. shift: (dr, dz) in
-    # pixels, whole or not, by which light is moved towards larger r and z before flips, for a projector whose image
-    # lies that much short of the axis.
+    # pixels, whole or not, by which light is moved towards larger r and z before flips; for a projector whose image is
+    # off the axis by that amount.
 
     flip_r: bool = False
     flip_z: bool = False
     shift: tuple[float, float] = (0.0, 0.0)
-    quantile: float | None = None  # of the lit pixels, the share a full-on pixel reaches; None if none was given
+    quantile: float | None = None  # quantile of the lit pixels that a full-on pixel shows; None if not given
     dither: str = "round"  # of `DITHERS`
 
     def __post_init__(self) -> None:
@@ -37,7 +37,7 @@ class Placement:
             raise BadInput(f"dither is {self.dither!r}; expected {', '.join(map(repr, DITHERS))}")
 
     def arguments(self) -> dict[str, Any]:
-        """Kernel arguments: whole pixels, parts of one, and mirrored or not."""
+        """Kernel arguments: whole pixels, fractions of one, and flips."""
         dr, dz = self.shift
         return {
             "shift_r": floor(dr),

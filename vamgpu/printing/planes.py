@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import Turntable
+from vamgpu.geometry import PlaneTime, Turntable
 from vamgpu.metrics import score
 from vamgpu.metrics.line import Line
 from vamgpu.operators.projection import Projection
@@ -23,20 +23,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PlaneTime:
-    """Time of a bit plane, in shares of the step from frame to frame; 0 is when the container is at its angle."""
-
-    bit: int  # of the levels, 0 the lowest
-    begin: float  # of its light
-    width: float  # how long it is lit
-
-
-@dataclass(frozen=True)
 class PlaneDose:
     """The print by bit planes, each at the angles at which it is lit."""
 
     window: float  # the strict one
-    off: float  # greatest difference to the dose of frames that are lit evenly, over the peak
+    off: float  # greatest difference from the dose of frames that are lit evenly, over the peak
 
     def line(self) -> Line:
         """The window as a line of a proof."""
@@ -69,7 +60,8 @@ def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
         raise BadInput(f"got planes {[(plane.bit, plane.width) for plane in planes]}; expected each of the bits 0 to "
                        "7, lit for longer than 0")  # fmt: skip
     light = A.device.upload(_light(frames, A, planes))
-    judge = IndependentExposure(A, motion=_arcs(A.motion, planes), finer=_finer(proof))
+    finer = None if proof.width is None else round(proof.operator.grid.pitch / proof.width)
+    judge = IndependentExposure(A, motion=_arcs(A.motion, planes), finer=finer)
     dose = A.device.empty(A.grid.shape)
     for _ in judge.onto(light, dose):
         pass
@@ -77,10 +69,6 @@ def prove_planes(proof: Proof, planes: Sequence[PlaneTime]) -> PlaneDose:
     scores = score(held.dose, held.target, threshold=proof.scores.threshold)
     off = np.abs(dose.numpy() - proof.dose.numpy())[A.grid.cylinder()].max() / (proof.scores.peak or 1.0)
     return PlaneDose(scores.window, float(off))
-
-
-def _finer(proof: Proof) -> int | None:
-    return None if proof.width is None else round(proof.operator.grid.pitch / proof.width)
 
 
 def _arcs(motion: Turntable, planes: Sequence[PlaneTime]) -> Any:
@@ -91,7 +79,7 @@ def _arcs(motion: Turntable, planes: Sequence[PlaneTime]) -> Any:
 
 
 def _light(frames: Frames, A: Projection, planes: Sequence[PlaneTime]) -> np.ndarray:
-    """Light [plane and angle, r, z] of every plane: of the frame's own, the part that its bit has in the levels."""
+    """Light [plane and angle, r, z] of every plane: the share of the frame's light that this bit contributes."""
     whole, levels = frames.irradiance(A.device).numpy(), frames.images.numpy()
     parts: dict[int, np.ndarray] = {}
     for bit in range(8):
@@ -99,7 +87,7 @@ def _light(frames: Frames, A: Projection, planes: Sequence[PlaneTime]) -> np.nda
         parts[bit] = replace(frames, images=some, gray=GrayCurve.linear(), packed=None).irradiance(A.device).numpy()
     total = np.sum(list(parts.values()), axis=0)
     share = np.divide(whole, total, out=np.zeros_like(whole), where=total > 0)
-    dark = np.where(total > 0, 0.0, whole)  # mirrors that never close wholly
+    dark = np.where(total > 0, 0.0, whole)  # mirrors never close completely
     time = {bit: sum(plane.width for plane in planes if plane.bit == bit) for bit in range(8)}
     every = sum(time.values())
     return np.concatenate([

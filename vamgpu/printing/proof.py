@@ -51,27 +51,27 @@ class Proof:
         name: name of the target.
         target: fractions [x, y, z] on the device.
         dose: dose on the part's own voxels [x, y, z], in units of Aᵀ(light), that is light × mm; on the device.
-        scores: the proved scores: of the whole volume, from that dose.
+        scores: the proved scores of the whole volume, from that dose.
         slices: scores of every slice at the volume's scale and threshold.
-        light_efficiency: energy absorbed in the part over the optical energy sent, or the mean length [mm] of rays
-            inside the part if nothing is absorbed.
+        light_efficiency: energy absorbed in the part over the optical energy sent; if nothing is absorbed, the mean
+            length [mm] of rays inside the part.
         mean_brightness: mean light of all pixels over that of a full-on one.
-        claimed: the same scores, predicted from Aᵀ(light) of the operator itself.
+        claimed: the scores predicted from Aᵀ(light) of the operator itself.
         outer: the greatest dose beside, above and below the judged cylinder; None if no resin is there. The operator's
             own dose covers only its grid.
-        independent: whether the dose comes from rays traced independently of the operator, on finer voxels; otherwise
-            it is the operator's own.
-        width: width of the voxels that the dose is averaged from [mm].
+        independent: whether the dose comes from rays traced independently of the operator, on finer voxels; if not, the
+            dose is the operator's own.
+        width: width of the fine voxels whose means are the dose [mm].
         agrees: change of the dose on the next finer voxels, relative to the peak; None if not computed.
         exposure: predicted times, if irradiance and critical dose were given.
         solid: the mesh that the target was made from, in the same place; None for an array or a folder.
-        limits: limits of single voxels, by which `scores` and `slices` judge them; None if the part just prints.
-        bound: upper bound of the window for any patterns, from the operator's own dose, at all corners if tolerances
+        limits: limits of single voxels, by which `scores` and `slices` judge them; None for a single threshold.
+        bound: upper bound of the window of any patterns, from the operator's own dose, at all corners if tolerances
             were given; None if not computed.
         corners: doses of the frames at every corner of tolerances; None if not computed.
         planes: dose of the bit planes, each at the angles at which a rig shows it; None if not computed.
         given: the dose that a run gave, relative to the proved one; None for a proof of frames.
-        history: records of the run that found the patterns, as in `Plan`; empty if none were kept.
+        history: records of the run that found the patterns, as in `Plan`; empty if none were recorded.
     """
 
     operator: Projection
@@ -124,7 +124,7 @@ class Proof:
 
     @cached_property
     def idle_light(self) -> float:
-        """Share of the light that is sent by pixels whose rays never meet the part; takes one forward projection."""
+        """Share of the light sent by pixels whose rays never meet the part; takes one forward projection."""
         light = self.frames.irradiance(self.operator.device)
         return idle_light(self.operator, light, lit_pixels(self.operator, self.target))
 
@@ -135,12 +135,12 @@ class Proof:
 
     @property
     def outer_share(self) -> float:
-        """The greatest dose beyond the judged cylinder over the threshold; 1 or more prints. 0 if none is known."""
+        """The greatest dose beyond the judged cylinder over the threshold; at 1, resin there prints. 0: unknown."""
         return self.outer.dose / (self.solid_from or 1.0) if self.outer else 0.0
 
     @property
     def solid_from(self) -> float:
-        """Least dose that makes resin solid: the threshold, or less if a body prints at less."""
+        """Least dose that makes resin solid: the threshold, or less if a body prints with less."""
         return self.scores.threshold * (self.limits.void if self.limits else 1.0)
 
     @cached_property
@@ -162,19 +162,19 @@ class Proof:
         See `IndependentExposure.fine`.
 
         Args:
-            reach: Farthest from the axis [mm]; the inner wall by default. Only the judged cylinder,
-                ``operator.grid.inscribed_radius``, takes a fraction of the time.
-            above: Height above the grid, and depth below it [mm].
+            reach: Farthest from the axis [mm]; the inner wall by default. With only the judged cylinder,
+                ``operator.grid.inscribed_radius``, it takes a fraction of the time.
+            above: Height above the grid and depth below it that are included [mm].
 
         Returns:
             Slabs from the bottom up, one at a time.
 
         Raises:
-            BadInput: The dose is the operator's own, so there is no finer one.
+            BadInput: The dose is the operator's own, and there is no finer one.
         """
         if not self.independent:
             raise BadInput(
-                f"{type(self.operator).__name__} has no independent ray tracer, so there is no dose on finer voxels; "
+                f"{type(self.operator).__name__} has no independent ray tracer and therefore no dose on finer voxels; "
                 "prove a Projection, or read Proof.dose"
             )
         light = self.frames.irradiance(self.operator.device)
@@ -182,7 +182,7 @@ class Proof:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """The print judged below the voxel, see its `lines`. Computed on first use: about ten projector evaluations."""
+        """The print judged below the voxel size, see its `lines`; its first use takes about ten evaluations."""
         return judged(self)
 
     @cached_property
@@ -202,12 +202,12 @@ class Proof:
 
     @property
     def all_correct(self) -> bool:
-        """Whether it prints, according to independent rays."""
+        """Whether the part prints, according to independent rays."""
         return self.independent and self.verdict.prints
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether it prints, and what is wrong if it does not; needs `judgement`."""
+        """Whether the part prints, and what is wrong if it does not; needs `judgement`."""
         return verdict_of(self, self.judgement)
 
     @property
@@ -216,11 +216,11 @@ class Proof:
         return outside_over_inside(self.dose, self.parts.target)
 
     def printed(self) -> np.ndarray:
-        """Boolean [x, y, z]: voxels that get solid, only within the inscribed cylinder."""
+        """Boolean [x, y, z]: voxels that solidify; only within the inscribed cylinder."""
         return (self.dose.numpy() >= self.solid_from) & self.operator.grid.cylinder()[:, :, None]
 
     def histogram(self, bins: int = 256) -> Histogram:
-        """Voxels (out of, in) the part per bin of dose, from 0 to the greatest.
+        """Number of voxels per bin of dose, from 0 to the greatest: outside the part, and inside.
 
         Args:
             bins: Number of bins.
@@ -235,9 +235,9 @@ class Proof:
         s, w = self.scores, self.scores.windows
         share = "share of the light that the part absorbs; the rest is absorbed elsewhere or leaves the resin"
         share = share if absorbs(self.operator) else "mean path of light inside the part: nothing is absorbed"
-        idle = "share of the light that is sent by pixels whose rays never meet the part"
+        idle = "share of the light sent by pixels whose rays never meet the part"
         bright = "mean over all pixels and angles / a full-on pixel, regardless of where the light goes"
-        outside = "mean dose of judged voxels outside the part / mean dose in it; at 1 the void gets as much"
+        outside = "mean dose of judged voxels outside the part / mean dose in it; at 1 both get the same"
         found = [
             Line("process window, strict", f"{w.strict:+.4f}", "(least dose in the part − greatest outside) / peak"),
             *_judged(self),
@@ -250,7 +250,7 @@ class Proof:
             Line("process window, one-sided", f"{w.one_sided:+.4f}", "least dose in the part − 99 % quantile outside"),
             Line("IoU", f"{s.iou:.5f}", "intersection over union at the best threshold"),
             Line("VER", f"{s.error_rate:.3e}", "voxels on the wrong side of that threshold"),
-            Line("overlap", f"{s.overlap_rate:.3e}", "voxels outside that get at least the least dose inside"),
+            Line("overlap", f"{s.overlap_rate:.3e}", "voxels outside whose dose is at least the least dose inside"),
             Line("IPDR", f"{s.dose_range:.4f}", "range of the dose in the part / peak"),
             Line("threshold", f"{s.threshold / (s.peak or 1.0):.4f}", "least dose that prints / peak"),
             Line("wrong voxels", f"{s.missing:,} + {s.excess:,}", "missing in the part + excess outside"),
@@ -278,7 +278,7 @@ class Proof:
             BadInput: A folder cannot describe the operator, or the frames are those of a run.
             StorageError: The path exists, or cannot be written.
         """
-        # a circle: it makes proofs
+        # avoids a circular import: it makes proofs
         from vamgpu.printing.proof_folder import save_proof
 
         return save_proof(self, path, overwrite=overwrite)
@@ -297,7 +297,7 @@ class Proof:
         Raises:
             StorageError: The page cannot be written.
         """
-        # a circle: reports take `efficiency`
+        # avoids a circular import: reports take `efficiency`
         from vamgpu.printing.report import write_report
 
         return write_report(self, path, plan, judgement)
@@ -320,10 +320,10 @@ def _cornered(proof: Proof) -> Iterator[Line]:
     """The windows at the corners of tolerances, if they are known."""
     if proof.corners is None:
         return
-    told, count = proof.corners, len(proof.corners.corners)
-    held = f"least in the part at {told.darkest.name}, most outside at {told.leakiest.name}"
-    yield Line("process window, tolerances", f"{told.window:+.4f}", f"one threshold for {count} corners; {held}")
-    for number, corner in enumerate(told.corners):
+    doses, count = proof.corners, len(proof.corners.corners)
+    held = f"least in the part at {doses.darkest.name}, most outside at {doses.leakiest.name}"
+    yield Line("process window, tolerances", f"{doses.window:+.4f}", f"one threshold for {count} corners; {held}")
+    for number, corner in enumerate(doses.corners):
         yield Line(f"window, corner {number}", f"{corner.window:+.4f}", f"{corner.name}; with its own threshold")
 
 
@@ -352,11 +352,11 @@ def _judged(proof: Proof) -> Iterator[Line]:
 
 
 def _not_judged(proof: Proof) -> Iterator[Line]:
-    """Lines on parts that no score counts; none if everything is judged."""
+    """Lines about features of the part that no score counts; none if everything is judged."""
     if proof.unjudged:
         yield Line("not judged", f"{proof.unjudged.volume:.3g} mm³", proof.unjudged.reason())
     if proof.unjudged_voxels:
-        where = "voxels of the part outside the cylinder that every angle lights; use a wider grid"
+        where = "voxels of the part outside the cylinder that light reaches at every angle; use a wider grid"
         yield Line("part beyond the cylinder", f"{proof.unjudged_voxels:,}", where)
 
 

@@ -1,4 +1,4 @@
-"""Proofs in job folders: the dose beside the frames, and the numbers that were made of it."""
+"""Proofs in job folders: the dose beside the frames, and the numbers computed from it."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ RECORDS: dict[str, type[Any]] = {
 """Records that hold the numbers of a proof."""
 FIELDS = ("scores", "slices", "light_efficiency", "mean_brightness", "claimed", "outer", "independent", "exposure",
           "width", "agrees", "given")  # fmt: skip
-"""Those of a proof that its manifest holds."""
+"""Records of a proof that its manifest must hold."""
 LATER = ("width", "agrees", "given")
-"""Those that manifests of 0.3 lack."""
+"""Records that manifests of 0.3 may lack."""
 
 
 def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -55,13 +55,13 @@ def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Pa
 
 
 def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
-    """The proof that `Proof.save` wrote, as it was: nothing is simulated again."""
+    """The proof as `Proof.save` wrote it; nothing is simulated again."""
     folder, place = Folder.open(path), open_device(device)
     A = operator_from(folder, place)
     target = target_from(folder, A.grid, place) if isinstance(getattr(A, "grid", None), Grid) else None
     try:
         said = folder.manifest.details["proof"]
-        if "part_share" in said:  # as it was called before 0.3, when the mean brightness was called light efficiency
+        if "part_share" in said:  # its name before 0.3, when the mean brightness was called light efficiency
             said = said | {"light_efficiency": said["part_share"], "mean_brightness": said["light_efficiency"]}
         numbers: dict[str, Any] = {name: _read(said[name]) for name in FIELDS if name in said or name not in LATER}
         if target is None or not isinstance(numbers["scores"], Scores):
@@ -89,7 +89,7 @@ def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:
 
 
 def _written(value: Any) -> Any:
-    """A record in plain values; numbers that JSON lacks are text."""
+    """A record as plain values; numbers that JSON lacks become text."""
     if is_dataclass(value):
         return {"of": type(value).__name__} | {one.name: _written(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, np.ndarray):
@@ -100,7 +100,7 @@ def _written(value: Any) -> Any:
 
 
 def _read(value: Any) -> Any:
-    """The value that `_written` wrote. Raises `KeyError`, `TypeError`, `ValueError` for others."""
+    """The value that `_written` wrote. Raises `KeyError`, `TypeError`, `ValueError` for malformed values."""
     if isinstance(value, list):
         return tuple(map(_read, value))
     if isinstance(value, str):

@@ -25,7 +25,7 @@ from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Pa
 BYTES_A_VOXEL = 1800
 """Memory of a report per voxel of the part; 1.75 kB was measured at 128³."""
 GAMMA = 2.2
-"""Patterns are shown to the power of its inverse, because their mean is a fortieth of their peak."""
+"""Patterns are shown to the power of its inverse, because their mean is only a fortieth of their peak."""
 PACKAGES = ("numpy", "pyopencl", "warp-lang", "scikit-image", "trimesh")
 MEASURES = (CAL, OBJECT_SPACE, THRESHOLDS)
 """Sources of the scores: dose as a sum of projections; window, VER and IPDR; light efficiency."""
@@ -62,7 +62,7 @@ def page_of(proof: Proof, plan: Any = None, judgement: Judgement | None = None) 
             Card("Printed part", SurfaceView(f"{1e3 * deviation:.3g}"), note=_surface_note(proof)),
             Card("Slices", Slices(), Legend(),
                  *(Images(cut, "trio upright") for cut in pictures.cuts(dose, asked, printed, scores.peak))),
-            Card("Dose in and out of the part", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
+            Card("Dose inside and outside", Chart(charts.histogram_chart(proof.histogram(), scores)), wide=True),
             *_slice_by_slice(proof, plan),
             *_light(proof),
             *_corners(proof, plan),
@@ -89,21 +89,21 @@ def _slice_by_slice(proof: Proof, plan: Any) -> Iterator[Card]:
 
 
 def _corners(proof: Proof, plan: Any) -> Iterator[Card]:
-    """The window at every corner of tolerances: as proved, otherwise as planned."""
-    told, kept = proof.corners, getattr(plan, "corners", None)
+    """The window at every corner of tolerances: proved if known, otherwise planned."""
+    doses, kept = proof.corners, getattr(plan, "corners", None)
     note = "Proved from the frames"
-    if told is None and kept:
-        told = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
+    if doses is None and kept:
+        doses = kept if isinstance(kept, CornerDoses) else CornerDoses(tuple(CornerDose(**dict(one)) for one in kept))
         note = "Computed by the solver, before packing"
-    if told is None:
+    if doses is None:
         return
-    rows = [("all corners, one threshold", f"{told.window:+.4f}")]
+    rows = [("all corners, one threshold", f"{doses.window:+.4f}")]
     rows += [
         (corner.name, f"{corner.window:+.4f}; part ≥ {corner.least / top:.3f}, outside ≤ {corner.leak / top:.3f}")
-        for top in (max(max(corner.greatest for corner in told.corners), 1e-30),)
-        for corner in told.corners
+        for top in (max(max(corner.greatest for corner in doses.corners), 1e-30),)
+        for corner in doses.corners
     ]
-    yield Card("At its tolerances", Table(rows), note=f"{note}: {told.statement()}. Doses are shares of the greatest.")
+    yield Card("At its tolerances", Table(rows), note=f"{note}: {doses.statement()}. Doses are shares of the maximum.")
 
 
 def _pareto(plan: Any) -> Iterator[Card]:
@@ -124,9 +124,9 @@ def _light(proof: Proof) -> Iterator[Card]:
 
 
 def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarray) -> tuple[dict[str, Any], float]:
-    """Data that the page's script draws, and the deviation [mm] at the ends of its color scale."""
+    """Data for the page's script, and the deviation [mm] at the ends of its color scale."""
     pitch, cylinder = proof.operator.grid.pitch, proof.operator.grid.cylinder()
-    wanted = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
+    expected = surface.iso_surface(proof.target.numpy(), 0.5, pitch)
     printed = surface.iso_surface(np.where(cylinder[:, :, None], dose, 0.0), proof.solid_from, pitch)
     outer = surface.NOTHING
     if proof.outer is not None and proof.outer_share >= 1.0:
@@ -135,17 +135,12 @@ def _drawn(proof: Proof, dose: np.ndarray, target: np.ndarray, verdict: np.ndarr
     sheet = pictures.sheet(dose, target, verdict, proof.scores.peak)
     z = proof.operator.grid.axes()[2]
     heights = [float(z[k]) for k in sheet["slices"]]
-    slices = pictures.viewer(sheet, heights, _fullest(proof, sheet["slices"]))
-    return surface.viewer(wanted, printed, pitch, outer) | slices, pitch
-
-
-def _fullest(proof: Proof, slices: list[int]) -> int:
-    """Which of the chosen slices to show first: the one with most of the part."""
-    return int(np.argmax(proof.slices.in_voxels[slices]))
+    slices = pictures.viewer(sheet, heights, int(np.argmax(proof.slices.in_voxels[sheet["slices"]])))
+    return surface.viewer(expected, printed, pitch, outer) | slices, pitch
 
 
 def _tiles(proof: Proof) -> list[Figure]:
-    """Scores and the use of the light, each with its meaning."""
+    """Scores and the use of light, each with its meaning."""
     scores = proof.scores
     part = "of the light sent is absorbed in the part" if absorbs(proof.operator) else "mean path of light in the part"
     outside = f"{proof.outside_over_inside:.3f}"
@@ -162,7 +157,7 @@ def _tiles(proof: Proof) -> list[Figure]:
 
 
 def _power(value: float) -> str:
-    """A share in percent, short."""
+    """A share in percent, with two digits."""
     return "0" if value == 0 else f"{100 * value:.2g} %"
 
 
@@ -182,7 +177,7 @@ def _stray_note(proof: Proof) -> str:
 
 
 def _asked(proof: Proof) -> np.ndarray:
-    """The target as it is shown [x, y, z]: gray bodies that need more dose are darker."""
+    """The target as shown [x, y, z]: gray bodies that need more dose are darker."""
     target, limits = proof.target.numpy(), proof.limits
     if limits is None:
         return target
@@ -211,13 +206,13 @@ def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:
         ran = getattr(plan, "ran", "")
         rows += [("optimized in", f"{seconds:.3g} s{' by ' if ran else ''}{ran}")] if seconds else []
         window = getattr(plan, "window", None)
-        known = window is not None and getattr(plan, "history", True)  # unknown for patterns made elsewhere
+        known = window is not None and getattr(plan, "history", True)  # unknown for patterns from elsewhere
         rows += [("window before packing", f"{window:+.4f}")] if known else []
         bound = getattr(plan, "bound", None)
         on = getattr(bound, "on", getattr(plan, "bound_on", ""))
         bound = getattr(bound, "value", bound)
-        told = f" on {on}" if on else ""
-        rows += [("upper bound of the window", f"{bound:+.4f}{told}, from the solver")] if bound is not None else []
+        where = f" on {on}" if on else ""
+        rows += [("upper bound of the window", f"{bound:+.4f}{where}, from the solver")] if bound is not None else []
         rows += [("note", note) for note in getattr(plan, "notes", ())]
     return rows
 

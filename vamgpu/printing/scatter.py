@@ -1,4 +1,4 @@
-"""Automatic exposure: the light goes out when the resin scatters as much as a calibrated print does."""
+"""Automatic exposure: the light goes off when the resin scatters as much as a calibrated print does."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class ScatterReading:
 
     seconds: float  # when it was taken
     density: float  # gray levels per voxel of the part above the first frame
-    stop: bool  # that the light should be out by now
+    stop: bool  # whether the light should be off by now
 
 
 @dataclass
 class ScatterStop:
-    """Scatter density S(t) = ΣI(t)/V − ΣI(0)/V of camera frames, and when it reaches a threshold.
+    """Scatter density S(t) = ΣI(t)/V − ΣI(0)/V of camera frames, and the time when it reaches a threshold.
 
-    Eq. 1 of the automatic exposure paper; V counts voxels of the part, so thresholds hold for one voxel size and one
-    camera.  voxels: V, the sum of a target's fractions.  threshold: [gray levels/voxel].  steady: frames in a row that
-    must reach it, against a flash.  The first frame is the background, taken before the light comes on: what scatters
-    then (dust, dark counts, used resin) does not count.  Raises `BadInput`.
+    Eq. 1 of the automatic exposure paper. V counts voxels of the part; a threshold therefore holds for one voxel size
+    and one camera. voxels: V, the sum of a target's fractions. threshold: [gray levels/voxel]. steady: number of
+    consecutive frames that must reach it, to ignore a flash. The first frame is the background, taken before the light
+    goes on; its scatter (dust, dark counts, used resin) is subtracted. Raises `BadInput`.
     """
 
     voxels: float
@@ -48,10 +48,10 @@ class ScatterStop:
             raise BadInput(f"steady is {self.steady!r}; expected at least 1 frame")
 
     def see(self, seconds: float, image: npt.NDArray[np.generic]) -> ScatterReading:
-        """Take in one frame [row, column] in gray levels, the first one before the light. Raises `BadInput`."""
+        """Add one frame [row, column] in gray levels; the first is taken before the light. Raises `BadInput`."""
         total = self._total(image)
         if self.readings and seconds <= self.readings[-1].seconds:
-            raise BadInput(f"a frame at {seconds:g} s after one at {self.readings[-1].seconds:g} s; expected one later")
+            raise BadInput(f"a frame at {seconds:g} s follows {self.readings[-1].seconds:g} s; expected rising times")
         if not self.readings:
             self._background, self._shape = total, image.shape
         density = (total - self._background) / self.voxels
@@ -63,7 +63,7 @@ class ScatterStop:
 
     @property
     def stopped(self) -> float | None:
-        """Time of the frame [s] that said stop; None before."""
+        """Time [s] of the frame at which the light should go off; None before."""
         return next((reading.seconds for reading in self.readings if reading.stop), None)
 
     @property
@@ -79,7 +79,7 @@ class ScatterStop:
         return before.seconds + share * (after.seconds - before.seconds)
 
     def watch(self, frames: Iterable[tuple[float, npt.NDArray[np.generic]]]) -> float | None:
-        """Take in (seconds, image) until the stop, and return its time; None if frames end first."""
+        """Add (seconds, image) until the stop, and return its time; None if the frames end first."""
         for seconds, image in frames:
             if self.see(seconds, image).stop:
                 break
@@ -87,7 +87,7 @@ class ScatterStop:
 
     def _total(self, image: npt.NDArray[np.generic]) -> float:
         if image.ndim != 2 or (self._shape and image.shape != self._shape):
-            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, one camera's")
+            raise BadInput(f"a frame has shape {image.shape}; expected {self._shape or '[row, column]'}, as for others")
         total = float(image.sum(dtype=np.float64))
         if not np.isfinite(total):
             raise BadInput("a frame holds values that are not finite; expected gray levels")

@@ -19,14 +19,14 @@ class Scenario:
     name: str
     unit: str  # of the amounts: "pixel", or "%"
     amounts: tuple[float, ...]  # amounts in the table, in pixels or as a share
-    farthest: float  # amount up to which the first wrong voxel is searched for
-    # the operator of a machine that is off by an amount; raises `BadInput` where that means nothing. None if the
-    # dose is only scaled
+    farthest: float  # largest amount up to which the first wrong voxel is searched for
+    # the operator of a machine with an error of this amount; raises `BadInput` if the error does not apply. None if
+    # only the dose is scaled
     off: Callable[[Projection, float], Projection] | None
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """Directions: -1 where amounts below 0 exist, and 1."""
+        """Signs of the amounts: -1 if negative amounts exist, and 1."""
         return (-1, 1) if min(self.amounts) < 0 else (1,)
 
     def written(self, amount: float, digits: int = 3) -> str:
@@ -36,12 +36,12 @@ class Scenario:
 
 
 def softer(A: Projection, pixels: float) -> Projection:
-    """The same light through a lens whose point spread is wider by a number of pixels (added to its σ)."""
+    """The same light through a lens whose point spread is wider by a number of pixels (added to σ)."""
     return _varied(A, replace(A.beam, spread=(A.beam.sigma + pixels) * A.beam.pitch), A.vessel)
 
 
 def displaced(A: Projection, pixels: float) -> Projection:
-    """The axis of rotation beside the middle of the columns, by a number of pixels towards +r. Raises `BadInput`."""
+    """The axis of rotation, moved off the middle of the columns by a number of pixels towards +r. Raises `BadInput`."""
     return _varied(A, A.beam, _displaced(A.vessel, pixels * A.beam.pitch))
 
 
@@ -55,7 +55,7 @@ def _displaced(vessel: Any, offset: float) -> Misaligned:
 
 
 def clouded(A: Projection, share: float) -> Projection:
-    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` if nothing is absorbed."""
+    """Resin that absorbs more or less than it should, by a share. Raises `BadInput` if the resin absorbs nothing."""
     return _varied(A, A.beam, _clouded(A.vessel, share))
 
 
@@ -66,7 +66,7 @@ def _clouded(vessel: Any, share: float) -> Any:
 
 
 def clouded_and_displaced(A: Projection, share: float, pixels: float) -> Projection:
-    """`clouded` and `displaced`, with tables made once; A itself where both are 0. Raises `BadInput` as they do."""
+    """`clouded` and `displaced` with tables computed once; A itself for amounts of 0. Raises `BadInput` as they do."""
     vessel = _clouded(A.vessel, share) if share else A.vessel
     vessel = _displaced(vessel, pixels * A.beam.pitch) if pixels else vessel
     return A if vessel is A.vessel else _varied(A, A.beam, vessel)

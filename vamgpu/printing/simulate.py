@@ -1,4 +1,4 @@
-"""Simulation of a print from nothing but the projector's frames."""
+"""Simulation of a print from only the projector's frames."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from vamgpu.targets.target import Target
 
 
 class ShownLight(Protocol):
-    """Frames as the simulation sees them: bytes and gray curve turned into light."""
+    """Frames in the form that the simulation uses: bytes and gray curve turned into light."""
 
     @property
     def scale(self) -> float:
@@ -60,11 +60,11 @@ def simulate(
 ) -> Proof:
     """Expose frames and judge the dose by a target; whole arrays stay on the device of ``A``.
 
-    The dose does not come from ``A``: independent rays, which turn while a frame is lit, expose finer voxels out to the
-    inner wall (see `IndependentExposure`), and each voxel of the part is their mean. These voxels are refined until the
-    dose changes by less than 1e-3. Resin above and below the grid is exposed as far as light reaches. The proof also
-    has the scores predicted by ``A``, as claimed. Operators other than `Projection` have no independent rays and judge
-    themselves on their own grid; the proof then says so, and is never all correct.
+    The dose does not come from ``A``. Independent rays, which turn while a frame is lit, expose finer voxels out to the
+    inner wall (see `IndependentExposure`); the dose of a part voxel is the mean of its fine voxels. These voxels are
+    refined until the dose changes by less than 1e-3. Resin above and below the grid is exposed as far as light reaches.
+    The proof also has the scores that ``A`` predicts, as ``claimed``. Operators other than `Projection` have no
+    independent rays and judge themselves on their own grid; the proof then states this and is never all correct.
 
     Args:
         A: the operator that the frames were solved with; for one on rings, its ``direct``.
@@ -76,7 +76,7 @@ def simulate(
         absorption: absorption of the resin [1/mm], needed for times if ``A`` absorbs no light; a number or text.
         threshold: least dose of a printed voxel, in units of Aᵀ(light); by default the one with the best overlap.
         coarse: use the dose of ``A`` itself, which is faster: on voxels of at most three quarters of a pixel, and
-            beyond the grid in cells of two voxels; nothing is proved.
+            beyond the grid in cells of two voxels. Nothing is proved.
         progress: a function that gets the share of the rays that are done.
 
     Returns:
@@ -90,8 +90,8 @@ def simulate(
         DeviceError: an array of another device.
 
     Warns:
-        OpticsWarning: some of the target is beyond the judged cylinder, or irradiance or critical dose is a number too
-            great for these units.
+        OpticsWarning: part of the target is beyond the judged cylinder, or irradiance or critical dose is too great a
+            number for these units.
     """
     A = direct(A)
     assert not isinstance(A, RingProjection)
@@ -142,7 +142,7 @@ def _scored(
 
 
 def _as_fine_as_light(A: Any, target: Any) -> tuple[Projection, Target] | None:
-    """A projector on the voxels of the optimization, and the target on them; None if they are the part's own."""
+    """A projector on the voxels of the optimization, and the target on them; None if they are the part's own voxels."""
     grid = fine_grid(A)
     if grid is None or grid.pitch >= A.grid.pitch or getattr(target, "limits", None) is not None:
         return None
@@ -160,8 +160,8 @@ def _light(A: Projection, frames: ShownLight) -> DeviceArray:
     require(A.range, light, "the frames' light")
     motion = getattr(frames, "motion", None)
     if motion is not None and getattr(motion, "stepped", motion) != getattr(A.motion, "stepped", A.motion):
-        raise BadInput(f"the frames are for {motion!r}, the projection has {A.motion!r}; expected the same angles: "
-                       "simulate with the turntable that the frames were packed for")  # fmt: skip
+        raise BadInput(f"the frames are for {motion!r}, but the projection has {A.motion!r}; expected the same "
+                       "angles: simulate with the turntable for which the frames were packed")  # fmt: skip
     return light
 
 
@@ -184,8 +184,8 @@ class _Itself:
         progress: Callable[[float], None],
         part: Around,  # noqa: ARG002
     ) -> tuple[DeviceArray, Outer | None]:
-        """Its own dose, and the greatest beyond the judged cylinder."""
-        # All resin that a projector lights, in cells. For other operators, the dose beyond the grid is unknown.
+        """The operator's own dose, and the greatest dose beyond the judged cylinder."""
+        # The cells contain all resin that a projector lights. For other operators, the dose beyond the grid is unknown.
         dose, grid = self.dose, self.operator.grid
         if not isinstance(self.operator, Projection):
             return dose, greatest_beyond(grid, corner_of(grid), dose, grid.axes(), grid.pitch, around=part)
@@ -194,7 +194,7 @@ class _Itself:
 
 
 def _greatest(outer: OuterResin, dose: np.ndarray, part: Around) -> Outer:
-    """The brightest of cells [angle, cell, z] that are not around a part."""
+    """The brightest cell [angle, cell, z] that is not around a part."""
     cells, counted = outer.cells, np.ones(dose.shape, bool)
     radius, angle = np.broadcast_arrays(*cells.places)
     x, y = radius * np.cos(angle), radius * np.sin(angle)

@@ -1,4 +1,4 @@
-"""Spread of the light of rows and columns: a lit box under a Gaussian, averaged in closed form over voxels."""
+"""Spread of the light of rows and columns: a lit box, blurred by a Gaussian and averaged over voxels in closed form."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from vamgpu.geometry import Beam
 from vamgpu.optics.traced_rays import Rays
 
 TAIL = 4.5
-"""Standard deviations kept of a Gaussian: 7e-6 of it lie beyond."""
+"""Standard deviations at which a Gaussian is cut off: 7e-6 of it lies beyond."""
 
 
 @dataclass(frozen=True)
 class PixelSpread:
     """The light of one pixel."""
 
-    # column, row: standard deviations along columns and along rows; all in pixels. bins: into which a column's width is
-    # cut. beyond: columns' widths on either side of the beam that its light reaches.
+    # column, row: standard deviations along columns and along rows, in pixels. bins: number into which a column's width
+    # is divided. beyond: column widths on either side of the beam that its light reaches.
 
     side: float  # of the lit box
     column: float
@@ -29,7 +29,7 @@ class PixelSpread:
 
     @property
     def beyond(self) -> int:
-        """Columns' widths on either side of the beam that its light reaches."""
+        """Column widths on either side of the beam that its light reaches."""
         return ceil(TAIL * self.column)
 
     def reach(self, beam: Beam) -> float:
@@ -38,29 +38,29 @@ class PixelSpread:
 
 
 class ColumnShares(NamedTuple):
-    """Light of the bins per light of columns: first column of each bin (bins,), shares (bins, taps) from there on."""
+    """Light of the bins from that of columns: first column of each bin (bins,), and shares (bins, taps) from there."""
 
     first: np.ndarray
     shares: np.ndarray
 
 
 class RowShares(NamedTuple):
-    """Light of the slices per light of rows: shares (rows, slices), first and end of each slice's rows (slices, 2)."""
+    """Light of the slices from that of rows: shares (rows, slices), and first and end row per slice (slices, 2)."""
 
     shares: np.ndarray
     span: np.ndarray
 
 
 def spread_of(beam: Beam) -> PixelSpread:
-    """The light of a beam's pixel. Sharp light takes finer bins; a single row is even along z."""
+    """The light of a beam's pixel. Sharp light uses finer bins; a single row is uniform along z."""
     column, row = beam.sigma, 0.0 if beam.flat else beam.sigma
     return PixelSpread(sqrt(beam.fill), column, row, 3 if column >= 0.4 else 5 if column >= 0.2 else 8)
 
 
 def column_shares(spread: PixelSpread, beam: Beam, rays: Rays) -> ColumnShares:
-    """Mean light of every bin: what a pixel's profile has there, times the power that rays there bring to the resin."""
-    # Light that is taken to change evenly from the middle of one bin to that of the next has the variance of its
-    # profile and three times that of a bin, which is taken off the Gaussian beforehand.
+    """Mean light of every bin: a pixel's profile there, times the power that rays there bring to the resin."""
+    # Light is assumed to change linearly between the middles of bins; this adds three times the variance of a bin to
+    # that of the profile, and the Gaussian is narrowed by it beforehand.
     columns, bins = beam.pixels[0], spread.bins
     edge = np.arange(-spread.beyond * bins, (columns + spread.beyond) * bins + 1) / bins  # 0 at the first column's edge
     sigma = sqrt(max(spread.column**2 - 1.0 / (4.0 * bins**2), 0.0))
@@ -79,7 +79,7 @@ def _transmitted(rays: Rays, edge: np.ndarray) -> np.ndarray:
 
 
 def row_shares(spread: PixelSpread, beam: Beam, z: np.ndarray, height: float, multiple: int) -> RowShares:
-    """Mean light of slices ``height`` [mm] high about ``z`` [mm], per light of rows; padded to a multiple of slices."""
+    """Mean light of slices ``height`` [mm] high about ``z`` [mm], from that of rows; padded to full slices."""
     rows = beam.pixels[1]
     center = z / beam.pitch + 0.5 * (rows - 1)
     half, side = 0.5 * height / beam.pitch, 1.0 if beam.flat else spread.side
@@ -95,14 +95,14 @@ def row_shares(spread: PixelSpread, beam: Beam, z: np.ndarray, height: float, mu
 
 
 def _mean(low: np.ndarray, high: np.ndarray, side: float, sigma: float) -> np.ndarray:
-    """Mean between two places of a box of area 1 about 0, ``side`` wide, blurred by a Gaussian."""
+    """Mean, between two positions, of a box of area 1 about 0, ``side`` wide, blurred by a Gaussian."""
     half = 0.5 * side
     gained = _ramp(high + half, sigma) - _ramp(high - half, sigma) - _ramp(low + half, sigma) + _ramp(low - half, sigma)
     return gained / ((high - low) * side)
 
 
 def _ramp(x: np.ndarray, sigma: float) -> np.ndarray:
-    """Second integral of a Gaussian, which is max(x, 0) blurred by it."""
+    """Second integral of a Gaussian, that is, max(x, 0) blurred by it."""
     if sigma == 0:
         return np.maximum(x, 0.0)
     from scipy.special import ndtr  # takes longer to load than all of vamgpu

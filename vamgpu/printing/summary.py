@@ -13,7 +13,7 @@ from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.given_dose import counted
 from vamgpu.printing.judgement import DEEP, Judgement
 from vamgpu.printing.proof import Proof
-from vamgpu.printing.tolerances import FirstWrong, ToleranceRow, ToleranceTable
+from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable
 from vamgpu.printing.verdict import Verdict
 from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
@@ -79,7 +79,7 @@ def _beyond(proof: Proof) -> list[Figure]:
     """Dose of the resin beside, above and below the judged cylinder; empty if there is none."""
     if proof.outer is None:
         return []
-    meaning = f"greatest dose beside, above or below the judged cylinder: {proof.outer.where}; 1 or more prints"
+    meaning = f"greatest dose around the judged cylinder: {proof.outer.where}; from 1 on, resin there prints"
     return [Figure(f"{proof.outer_share:.2f}", "of the threshold, beyond the cylinder", meaning)]
 
 
@@ -101,12 +101,12 @@ def _chart_note(proof: Proof) -> str:
     return (
         "W(δ) = (least dose at least δ deep in the part − greatest dose at least δ outside of it) / greatest dose, on "
         f"{voxels}. If W is above 0, one exposure prints everything correctly except a skin of thickness δ on either "
-        "side of the surface. Below: share of the part that is that deep."
+        "side of the surface. Below: share of the part at that depth or deeper."
     )
 
 
 def table(found: ToleranceTable) -> list[dict[str, Any]]:
-    """Scenarios of one kind together, the nominal print first."""
+    """Scenarios of one kind in one group, the nominal print first."""
     groups = [{"name": "Nominal", "first": "", "rows": [_cells(found.nominal)], "note": ""}]
     for name, rows in groupby(found.rows, key=lambda row: row.name):
         some = list(rows)
@@ -114,7 +114,7 @@ def table(found: ToleranceTable) -> list[dict[str, Any]]:
         groups.append(
             {
                 "name": WORDS.get(name, name),
-                "first": _first(found.limits(name)),
+                "first": " and ".join(dict.fromkeys(limit.text for limit in found.limits(name))),
                 "rows": [] if all(row.note for row in some) else [_cells(row) for row in some],
                 "note": f"not exposed: {notes}" if notes else "",
             }
@@ -134,17 +134,12 @@ def _cells(row: ToleranceRow) -> dict[str, str]:
     }
 
 
-def _first(limits: tuple[FirstWrong, ...]) -> str:
-    """The limits below and above, once if they are the same."""
-    return " and ".join(dict.fromkeys(limit.text for limit in limits))
-
-
 def _table_note(found: ToleranceTable) -> str:
     return (
         "The same frames, exposure time and brightness, on a machine with one error at a time. The change in dose is "
         "computed with the solver's operator and added to the proved dose. Only voxels two pixels or more from the "
         "surface count, at the threshold of the proof. Pixels are the projector's. This table took "
-        f"{found.exposures} back projections, half a projector evaluation each."
+        f"{found.exposures} back projections, each half a projector evaluation."
     )
 
 

@@ -1,4 +1,4 @@
-"""Surfaces of a target and of its print, small enough to be looked at in a browser."""
+"""Surfaces of a target and of its print, small enough to view in a browser."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 LARGEST = 128
-"""Fields with longer edges [voxels] are averaged in blocks first."""
+"""Fields with more voxels along an edge are first averaged in blocks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Surface:
 
     def packed(self, deviation: np.ndarray, reach: float) -> dict[str, str]:
         """Deflated base64 of 16-bit points over ±reach [mm], 8-bit normals, 8-bit deviation over ±1, 32-bit faces."""
-        # Points and faces are kept as steps from one to the next, which deflate much better.
+        # Points and faces are stored as differences, which compress much better.
         points = np.round(np.clip(self.points / reach, -1, 1) * 32767).astype("<i2")
         normals = np.round(self.normals * 127).astype("i1")
         shade = np.round(np.clip(deviation, -1, 1) * 127).astype("i1")
@@ -42,7 +42,7 @@ NOTHING = Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint32
 
 
 def iso_surface(field: np.ndarray, level: float, pitch: float) -> Surface:
-    """Where a field [x, y, z] crosses ``level``, closed at its edges; coordinates [mm] from the middle of the grid."""
+    """The surface where a field [x, y, z] crosses ``level``, closed at its edges; [mm] from the grid's middle."""
     from skimage.measure import marching_cubes
 
     block = max(1, ceil(max(field.shape) / LARGEST))
@@ -56,7 +56,7 @@ def iso_surface(field: np.ndarray, level: float, pitch: float) -> Surface:
 
 
 def stray(slabs: Iterable[Any], level: float, radius: float, place: tuple[float, float, float], size: float) -> Surface:
-    """Resin beyond a radius that reaches a level, and a ball about the place of the greatest dose."""
+    """Resin beyond a radius that reaches a level, and a ball at the place of the greatest dose."""
     # radius [mm]; place [mm]; size [mm]
     from skimage.measure import marching_cubes
     from trimesh.creation import icosphere
@@ -94,7 +94,7 @@ def joined(surfaces: Sequence[Surface]) -> Surface:
 
 
 def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Mean of the normals of the triangles around each point, by area; (n, 3), smoother than the field's gradient."""
+    """Mean of the normals of the triangles around each point, weighted by area; (n, 3), smoother than gradients."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     total = np.stack([np.bincount(faces.ravel(), np.repeat(part, 3), len(points)) for part in normal.T], axis=1)
@@ -102,7 +102,7 @@ def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def block_mean(field: np.ndarray, block: int) -> np.ndarray:
-    """Means of cubes of ``block`` voxels; what is missing at the far edges counts as zero."""
+    """Means of cubes of ``block`` voxels; cubes are padded with zeros at the far edges."""
     if block == 1:
         return field
     padded = np.pad(field, [(0, -n % block) for n in field.shape])
@@ -111,7 +111,7 @@ def block_mean(field: np.ndarray, block: int) -> np.ndarray:
 
 
 def deviation(printed: Surface, target: Surface) -> np.ndarray:
-    """Signed distance [mm] of each printed point from the target's nearest tangent plane, outwards positive; (n,)."""
+    """Signed distance [mm] of each printed point from the target's nearest tangent plane, > 0 outside; (n,)."""
     if not len(printed.points) or not len(target.points):
         return np.zeros(len(printed.points))
     from scipy.spatial import KDTree
@@ -121,8 +121,8 @@ def deviation(printed: Surface, target: Surface) -> np.ndarray:
 
 
 def viewer(target: Surface, printed: Surface, most: float, outer: Surface = NOTHING) -> dict[str, Any]:
-    """Surfaces as the page's script takes them; ``most`` is the deviation [mm] at the ends of the color scale."""
-    # What prints beyond the judged cylinder, ``outer``, has the greatest shade for its own, which the script colors.
+    """Surfaces in the form for the page's script; ``most`` is the deviation [mm] at the ends of the color scale."""
+    # ``outer``, the print beyond the judged cylinder, has the greatest value, which the script colors.
     points = np.concatenate([target.points, printed.points, outer.points])
     shade = np.concatenate([np.clip(deviation(printed, target) / most, -1.0, 0.99), np.ones(len(outer.points))])
     reach = float(np.abs(points).max(initial=most))

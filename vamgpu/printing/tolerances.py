@@ -1,4 +1,4 @@
-"""Sensitivity to errors: the same frames on a machine with a small error, and the first wrong voxel.
+"""Sensitivity to errors: the same frames on a machine with an error, which grows until the first voxel is wrong.
 
 Each scenario is one exposure with the solver's type of operator and one property changed: half a projector evaluation.
 Its change in dose is added to the proved dose, voxel by voxel. The exposure time does not change: the threshold of the
@@ -28,9 +28,9 @@ from vamgpu.printing.scenarios import SCENARIOS, Scenario
 from vamgpu.targets.limits import NOWHERE, Limits
 
 REFINED = 2
-"""Most exposures in the search for a first wrong voxel between two known amounts."""
+"""Greatest number of exposures in the search for a first wrong voxel between two known amounts."""
 _CLOSE = 0.002
-"""Share of the greatest dose: a voxel this near to the threshold ends the search."""
+"""Share of the greatest dose: the search ends when a voxel is this near to the threshold."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class ToleranceRow:
     """One scenario."""
 
     name: str
-    change: str  # by how much, with its unit
-    window: float = nan  # of the part's own voxels that count; NaN if the scenario does not apply
+    change: str  # the amount, with its unit
+    window: float = nan  # strict window of the part's own voxels that count; NaN if the scenario does not apply
     missing: int | None = None  # voxels of the part that would not print; None without numbers
     excess: int | None = None  # voxels outside that would print; None without numbers
-    note: str = ""  # why there are no numbers; otherwise empty
+    note: str = ""  # reason why there are no numbers; otherwise empty
 
     @property
     def wrong(self) -> int | None:
@@ -68,7 +68,7 @@ class ToleranceTable:
 
     nominal: ToleranceRow  # the print without errors
     rows: tuple[ToleranceRow, ...]  # the scenarios, in the order of `SCENARIOS`
-    first_wrong: tuple[FirstWrong, ...]  # of every scenario with an amount that could be exposed, below and above
+    first_wrong: tuple[FirstWrong, ...]  # of every scenario with an amount that could be exposed, in both directions
     exposures: int  # number of back projections, each half a projector evaluation
 
     def limits(self, name: str) -> tuple[FirstWrong, ...]:
@@ -112,8 +112,8 @@ def tolerance_table(
 class _Seen:
     """The effect of one exposure on the voxels that count."""
 
-    # least, greatest: doses in the part and outside. margin: distance of the threshold from the dose of the nearest
-    # voxel on either side, over the peak of the nominal print; below 0 if a voxel is wrong.
+    # least, greatest: doses in the part and outside. margin: distance of the threshold from the nearest voxel's dose on
+    # either side, over the peak of the nominal print; below 0 if a voxel is wrong.
 
     least: float
     greatest: float
@@ -156,7 +156,7 @@ class _Nominal:
         self.nominal = self._seen(self.dose, 1.0)
 
     def exposed(self, scenario: Scenario, amount: float) -> _Seen:
-        """The light in a machine with an error of an amount. Raises `BadInput` if the error does not apply."""
+        """The light on a machine with an error of this amount. Raises `BadInput` if the error does not apply."""
         if scenario.off is None:
             return self._seen(self.dose, 1.0 + amount)
         if not isinstance(self.A, Projection):
@@ -183,7 +183,7 @@ class _Nominal:
 
 
 def _far_from_the_surface(fraction: np.ndarray, voxels: float, flat: bool) -> np.ndarray:
-    """The fractions, and `NOWHERE` nearer to the surface than ``voxels``; all fractions if no voxel is that deep."""
+    """The fractions, with `NOWHERE` closer to the surface than ``voxels``; all fractions if no voxel is that deep."""
     reach = min(voxels * (1.0 - 1e-3), LARGEST_REACH - 3.0)
     depth, pad = padded_depth(fraction, reach, flat)
     counted = np.where(np.abs(depth[pad:-pad, pad:-pad, pad:-pad]) >= reach, fraction, NOWHERE).astype(np.float32)
@@ -199,7 +199,7 @@ def _combined(a: float, x: DeviceArray, b: float, y: DeviceArray) -> DeviceArray
 
 # ---- the first wrong voxel ------------------------------------------------------------------------------------------
 Point = tuple[float, float]
-"""An amount, and the margin of the print there; below 0 if voxels are wrong."""
+"""An amount, and the margin of the print with it; below 0 if voxels are wrong."""
 
 
 def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[float, _Seen]) -> FirstWrong:
@@ -218,14 +218,14 @@ def _first_wrong(exact: _Nominal, scenario: Scenario, sign: int, known: dict[flo
 
 
 def _of_dose(exact: _Nominal, sign: int) -> float:
-    """Less or more time: known without an exposure. NaN if there is no dose outside."""
+    """A shorter or longer time: known without an exposure. NaN if there is no dose outside."""
     nearest = exact.nominal.least if sign < 0 else exact.nominal.greatest
     return exact.threshold / nearest - 1.0 if nearest > 0 else nan
 
 
 def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict[float, _Seen]) -> tuple[float, float]:
-    """The amount, interpolated between a good and a bad one, NaN if none is bad; and the greatest one searched."""
-    # If the greatest amount does not apply, this is the largest amount that was exposed, 0 if there is none.
+    """The amount, interpolated between a good and a bad one, NaN if none is bad; and the greatest amount searched."""
+    # If the greatest amount does not apply, this is the largest amount that was exposed, or 0 if there is none.
     good: Point = (0.0, exact.nominal.margin)
     bad: Point | None = None
     for amount in sorted((a for a in known if a * farthest > 0), key=abs):
@@ -252,5 +252,5 @@ def _closed_in(exact: _Nominal, scenario: Scenario, farthest: float, known: dict
 
 
 def _crossing(good: Point, bad: Point) -> float:
-    """Amount at which the straight line through two points is 0."""
+    """Amount at which the straight line through two points reaches 0."""
     return good[0] + (bad[0] - good[0]) * good[1] / (good[1] - bad[1])

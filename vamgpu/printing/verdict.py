@@ -1,4 +1,4 @@
-"""Whether frames print their part: one answer, what is wrong, and what to do about it."""
+"""Whether frames print their part: the answer, what is wrong, and what to do about it."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Verdict:
         faults: All that is wrong, worst first.
         made: What prints, in words.
         latitude: Least and greatest exposure, relative to the proved one, at which all resin farther than two pixels
-            from the surface prints correctly and none beyond the judged cylinder prints; (inf, 0) if there are none.
-            If no part of the object is that deep, its deepest voxels set the lower limit.
-        proved: Whether it comes from rays traced independently of the solver; otherwise it is coarse.
+            from the surface prints correctly and none beyond the judged cylinder prints; (inf, 0) if there is no such
+            exposure. If no part of the object is that deep, its deepest voxels set the lower limit.
+        proved: Whether the verdict comes from rays traced independently of the solver; otherwise it is coarse.
         not_judged: What was not judged, one sentence each; empty if everything was judged.
     """
 
@@ -66,7 +66,7 @@ class Verdict:
 
     @property
     def opening(self) -> str:
-        """The first words: whether it prints, and whether that is proved."""
+        """The first words: whether the part prints, and whether that is proved."""
         if self.proved:
             return "Prints" if self.prints else "Does not print"
         return (
@@ -77,7 +77,7 @@ class Verdict:
 
     @property
     def sentence(self) -> str:
-        """In one sentence: what prints, or what is wrong."""
+        """One sentence: what prints, or what is wrong."""
         return f"{self.opening}: {self.made if self.prints else '; '.join(fault.said for fault in self.faults)}."
 
     def __str__(self) -> str:
@@ -114,11 +114,11 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
 
 
 def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
-    """Exposures, relative to the proof's, between which all deep voxels print correctly, as far as resin is judged."""
-    told, at = judgement.over_tolerance, proof.scores.threshold
-    least, greatest = told.limits(judgement.deep)
+    """Exposures, relative to the proof's, between which all judged deep voxels print correctly."""
+    windows, at = judgement.over_tolerance, proof.scores.threshold
+    least, greatest = windows.limits(judgement.deep)
     low, high = (at / dose if dose > 0.0 else inf for dose in (least, greatest))
-    if not told.judged_at(judgement.deep):  # then only surface and bodies show what the part lacks
+    if not windows.judged_at(judgement.deep):  # then only the surface and the bodies show what is missing from the part
         return min(low, 1.0), high
     return (low, high) if least > 0.0 else (inf, 0.0)
 
@@ -126,11 +126,11 @@ def _latitude(proof: Proof, judgement: Judgement) -> tuple[float, float]:
 def _dose(proof: Proof) -> Iterator[Fault]:
     """A run whose dose differs from the proved one."""
     if proof.given is not None and not proof.given.keeps:
-        yield Fault(f"the dose is {proof.given}", "leave out --turns, so that the turns match the exposure")
+        yield Fault(f"the dose is {proof.given}", "leave out --turns; the number of turns then matches the exposure")
 
 
 def _stray(proof: Proof) -> Iterator[Fault]:
-    """Resin that gets solid beyond the judged cylinder."""
+    """Resin that solidifies beyond the judged cylinder."""
     if proof.outer is not None and proof.outer_share >= 1.0:
         where = f"{proof.outer.where}, {proof.outer_share:.2f} of the threshold"
         yield Fault(
@@ -140,7 +140,7 @@ def _stray(proof: Proof) -> Iterator[Fault]:
 
 
 def _bodies(changes: BodyChanges, causes: Causes) -> Iterator[Fault]:
-    """Bodies, holes and cavities that are not the part's."""
+    """Bodies, holes and cavities that differ from the part's."""
     kinds = (
         ("bodies_lost", "body of the part does not print", "bodies of the part do not print"),
         ("bodies_broken", "body is broken", "bodies are broken"),

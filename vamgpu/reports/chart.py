@@ -1,4 +1,4 @@
-"""Charts and pictures of reports: one set of colors, inline SVG, and data addresses."""
+"""Charts and pictures of reports: one set of colors, inline SVG, and data URLs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from vamgpu.reports.style import BLUE, FAINT, INK, RED
 
 PART, REST, EXTRA, WARN, GOOD = BLUE, "#9aa5b4", "#f09620", RED, "#1d9a5b"
-"""The part; what is outside; printed too much; wrong; as it should be."""
+"""Colors of: the part; the outside; excess resin; errors; the target."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 10.5, "axes.edgecolor": FAINT,
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False,
@@ -20,9 +20,9 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False, "svg.hashsalt": "vamgpu",
 }  # fmt: skip
 QUICK: dict[str, Any] = {"method": 0, "quality": 20}
-"""How WebP is encoded: of a slice 140 kB in a fifth of the time in which 105 kB are found, or a PNG of 235 kB."""
+"""Settings of WebP: a slice has 140 kB, in a fifth of the time that 105 kB would take; as PNG it has 235 kB."""
 LARGEST = 16383
-"""Rows or columns of an image in WebP."""
+"""Greatest number of rows or columns of an image in WebP."""
 WIDE, NARROW = 11.6, 7.2
 """Widths [inch] of a chart in a card over both columns, and over one."""
 
@@ -50,8 +50,8 @@ def above(axis: Any, columns: int) -> None:
 
 
 def picture(pixels: np.ndarray) -> str:
-    """Encode an image as a data address."""
-    # pixels [row, column] [row, column, channel]; lossless WebP is a fifth of the work of the smallest PNG, and smaller
+    """Encode an image as a data URL."""
+    # pixels [row, column] [row, column, channel]; lossless WebP takes 1/5 of the time of the smallest PNG, less room
     from PIL import Image
 
     stream = BytesIO()
@@ -61,7 +61,7 @@ def picture(pixels: np.ndarray) -> str:
 
 
 def colored(values: np.ndarray, name: str) -> np.ndarray:
-    """Color values by a matplotlib color map."""
+    """Colors for values, from a matplotlib color map."""
     # values [row, column]; returns [row, column, channel]
     from matplotlib import colormaps
 

@@ -144,7 +144,7 @@ class Page:
     data: Mapping[str, Any] | None = None  # drawn by the page's script, for cards with a `SurfaceView` or `Slices`
 
     def html(self) -> str:
-        """The page as text; everything that is not markup by its type is escaped."""
+        """The page as text; everything except trusted markup types is escaped."""
         from jinja2 import Environment
 
         environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -153,7 +153,7 @@ class Page:
         return environment.from_string(_shipped("page.html")).render(parts)
 
     def write(self, path: str | Path) -> Path:
-        """Write the page into a folder that exists, replacing an earlier one."""
+        """Write the page into an existing folder, replacing an earlier one."""
         place = page_path(path)
         if not place.parent.is_dir():
             raise explained("write", place, FileNotFoundError(errno.ENOENT, "no such folder"))

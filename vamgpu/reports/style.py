@@ -20,7 +20,7 @@ LIGHT, DOSE, GAP, SOLID = "inferno", "magma", "RdBu_r", "Greys"
 """Color maps of light, of dose, of signed differences, and of filled fractions."""
 
 LARGEST = 140_000
-"""Bytes of a PNG of full color; larger ones get a palette."""
+"""Size of a full-color PNG above which it gets a palette [bytes]."""
 
 WIDTH = 10.0
 DPI = 110
@@ -38,7 +38,7 @@ STYLE: dict[Any, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Drawing and saving happen inside: matplotlib asks for parts of a style only when it needs them."""
+    """Draw and save inside this context: matplotlib reads parts of a style only when it needs them."""
     from matplotlib import rc_context
 
     with rc_context(STYLE):
@@ -46,7 +46,7 @@ def styled() -> Iterator[None]:
 
 
 def sheet(mosaic: str | list[Any], height: float, **options: Any) -> tuple[Figure, dict[str, Axes]]:
-    """An empty figure of the gallery's width [inch] and its panels by letter, as `subplot_mosaic` reads them."""
+    """An empty figure of the gallery's width [inch] and its panels by letter, in the form of `subplot_mosaic`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -56,7 +56,7 @@ def sheet(mosaic: str | list[Any], height: float, **options: Any) -> tuple[Figur
 
 
 def shown(axis: Axes, plane: np.ndarray, title: str, pitch: float | None = None, **options: Any) -> Any:
-    """A plane [horizontal, vertical] as a picture; with a pitch [mm] its axes are in mm, without it they are bare."""
+    """A plane [horizontal, vertical] as a picture; with a pitch [mm] its axes are in mm, without ticks otherwise."""
     extent = None
     if pitch is not None:
         half = [0.5 * n * pitch for n in plane.shape]
@@ -77,14 +77,14 @@ def bare(axis: Axes) -> None:
 
 
 def bar(drawn: Any, axis: Axes | list[Axes], label: str, **options: Any) -> None:
-    """A thin color bar beside one or more panels."""
+    """A thin color bar next to one or more panels."""
     first = axis[0] if isinstance(axis, list) else axis
     made = first.figure.colorbar(drawn, ax=axis, label=label, **{"fraction": 0.045, "pad": 0.02, **options})
     made.outline.set_visible(False)
 
 
 def scale_bar(axis: Axes, length: float, label: str, *, below: bool = False) -> None:
-    """A bar of a length in the units of the picture's axes, white in its lower left corner or dark below it."""
+    """A scale bar of a length in the units of the picture's axes, white in its lower left corner or dark below it."""
     (left, right), (low, high) = axis.get_xlim(), axis.get_ylim()
     x, y = left + 0.05 * (right - left), low + (-0.03 if below else 0.06) * (high - low)
     color = INK if below else "white"
@@ -95,7 +95,7 @@ def scale_bar(axis: Axes, length: float, label: str, *, below: bool = False) -> 
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a small PNG, the same bytes for the same picture; a palette of 256 colors where it must be."""
+    """The figure as a small PNG, the same bytes for the same picture; with a palette of 256 colors if necessary."""
     from PIL import Image
 
     drawn, small = BytesIO(), BytesIO()

@@ -1,4 +1,4 @@
-"""Tasks of several bodies: what is printed, what stands in the light, what stays open."""
+"""Tasks of several bodies: those to print, those in the light path, and those to keep open."""
 
 from __future__ import annotations
 

@@ -55,17 +55,17 @@ class Body:
         source: Path of a mesh file, a `Solid`, a `trimesh.Trimesh`, a mask [x, y, z] of fractions or booleans about the
             CAD origin, or a function φ(x, y, z) [mm], negative inside.
         role: ``print``, ``gray``, ``keep out``, ``don't care`` or ``insert``.
-        name: Name in messages and reports; by default the file's or the role.
+        name: Name in messages and reports; by default that of the file, or else the role.
         dose: For ``gray`` the required dose, for ``keep out`` the limit, relative to the dose that prints.
         tolerance: Allowed deviation of a gray dose, a share of it.
         weight: Weight of its voxels in methods that minimize a loss, above 0.
-        priority: Where bodies overlap, the higher priority gets the voxels; by default the role's.
+        priority: Where bodies overlap, the one with the higher priority gets the voxels; by default the role's.
         index: Refractive index of a transparent insert, dimensionless.
         absorption: Absorption of a transparent insert [1/mm]; like ``pitch`` also text with its unit.
         pitch: Edge of a mask's voxels [mm].
 
     Raises:
-        BadInput: A value is out of its range, or has no meaning for the role.
+        BadInput: A value is out of its range, or does not apply to the role.
         MeshError: The mesh cannot be read or repaired.
         EmptyMesh: The mesh is empty.
     """
@@ -114,7 +114,7 @@ class Body:
         return source
 
     def _check(self, who: str) -> None:
-        """Raise `BadInput` for invalid numbers, or numbers without a meaning for the role."""
+        """Raise `BadInput` for invalid numbers, or for numbers that do not apply to the role."""
         if not isinstance(self.priority, (int, float)) or not isfinite(self.priority):
             raise BadInput(f"priority of {who} is {self.priority!r}; expected a number")
         positive(f"weight of {who}", self.weight)
@@ -153,7 +153,7 @@ class Body:
             place: Transform of the CAD frame.
 
         Returns:
-            Such as "gray, dose 0.7, to 2.1 mm from the axis, z −1 to 3 mm".
+            For example "gray, dose 0.7, to 2.1 mm from the axis, z −1 to 3 mm".
         """
         reach = self.reach(place)
         dose = "" if self.dose is None else f", dose {self.dose:g}"
@@ -197,7 +197,7 @@ class Body:
         """The share of every voxel that it fills.
 
         Args:
-            grid: The voxels; what lies outside is cut off.
+            grid: The voxels; parts of the body outside are cut off.
             place: Transform of the CAD frame.
             device: Device that voxelizes meshes.
 
@@ -219,7 +219,7 @@ class Body:
         return filled(self.placed(place), grid)
 
     def placed(self, place: Place) -> Any:
-        """The function in the vial.
+        """The function in the vial's coordinates.
 
         Args:
             place: Transform of the CAD frame.

@@ -31,18 +31,18 @@ MULTIPLE = 4
 HALF = 0.5
 """Least filled share of a voxel that belongs to a body."""
 SMALL = 0.5
-"""Size [mm] of a body below which its file is probably not in mm."""
+"""Size [mm] below which a body's file is probably not in mm."""
 SHARES = 64.0
-"""Opaque inserts are known to so many parts of a voxel: rounding leaves none that make levels differ."""
+"""Number of levels of a voxel's opaque share: rounding to them makes equal shares exactly equal."""
 RAYS = 3
-"""Rays of a pixel past inserts: fewer leave stripes where pixels and voxels are of one size."""
+"""Rays of a pixel past inserts; fewer leave stripes if pixels and voxels have the same size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Bodies in one CAD frame: those to print, their dose, and those in the path of the light.
 
-    Bodies keep their places relative to each other; the frame may be turned and scaled as a whole.
+    Bodies keep their positions relative to each other; the frame may be turned and scaled as a whole.
 
     Args:
         bodies: The bodies; at least one is ``print`` or ``gray``.
@@ -106,7 +106,7 @@ class Scene:
         return Place(self.factor, turn, (0.0, 0.0, -0.5 * (low + high) if low < high else 0.0))
 
     def _reach(self, place: Place) -> tuple[float, float, float]:
-        """Radius, lowest and highest z [mm] of all that is printed, as far as known."""
+        """Radius, lowest and highest z [mm] of all printed bodies, as far as known."""
         known = [reach for body in self.printed if (reach := body.reach(place)) is not None]
         if not known:
             return 0.0, inf, -inf
@@ -117,7 +117,7 @@ class Scene:
 
         Args:
             pitch: Voxel edge [mm], or text with its unit.
-            margin: Voxels left free between the bodies and the inscribed cylinder.
+            margin: Empty voxels between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the bodies and the margin.
                 Needed if a printed body or an insert is a function.
 
@@ -138,14 +138,14 @@ class Scene:
             if radius and (across > min(grid.shape[:2]) or along > grid.shape[2]):
                 raise TargetTooLarge(
                     f"what is printed reaches {radius:.4g} mm from the axis and {0.5 * along * pitch:.4g} mm up or "
-                    f"down; expected it within shape {grid.shape} of {pitch:g} mm: use shape "
-                    f"({ceil(across)}, {ceil(across)}, {ceil(along)}), or another origin"
+                    f"down; expected it within shape {grid.shape} of {pitch:g} mm: use shape ({ceil(across)}, "
+                    f"{ceil(across)}, {ceil(along)}), or another origin"
                 )
             return grid
         standing = [(body, body.reach(place)) for body in (*self.printed, *self.inserts)]
         unknown = next((body.name for body, reach in standing if reach is None), None)
         if unknown is not None:
-            raise BadInput(f"body {unknown!r} is a function, which does not say how far it reaches; give shape=")
+            raise BadInput(f"body {unknown!r} is a function, whose extent is unknown; give shape=")
         widest = max(reach[0] for _, reach in standing if reach is not None)
         n, nz = (MULTIPLE * ceil(n / MULTIPLE) for n in (2.0 * (widest / pitch + free) + 1.0 - 1e-6, along))
         return Grid((n, n, max(nz, MULTIPLE)), pitch)
@@ -158,7 +158,7 @@ class Scene:
 
         Args:
             pitch: Voxel edge [mm], or text with its unit.
-            margin: Voxels left free between the bodies and the inscribed cylinder.
+            margin: Empty voxels between the bodies and the inscribed cylinder.
             shape: Voxels of the grid; see `grid`.
             device: Device that voxelizes meshes, or its name; the best available one by default.
             name: Name in messages and reports; by default that of the first printed body.
@@ -168,7 +168,7 @@ class Scene:
 
         Raises:
             BadInput: A value is out of its range.
-            EmptyMesh: A body fills no voxel, or others carve all of it away.
+            EmptyMesh: A body fills no voxel, or other bodies cover all of it.
             TargetTooLarge: The printed bodies do not fit ``shape``.
         """
         grid = self.grid(pitch, margin=margin, shape=shape)
@@ -185,7 +185,7 @@ class Scene:
 
     @property
     def _plain(self) -> bool:
-        """Whether there is nothing but parts to print."""
+        """Whether all bodies are plain parts to print."""
         return self.void in (None, 1.0) and all(body.role == "print" and body.weight == 1.0 for body in self.bodies)
 
     def _shares(self, grid: Grid, device: Device) -> _Shares:
@@ -202,7 +202,7 @@ class Scene:
 
         Args:
             grid: Voxels.
-            resin_index: Refractive index of the resin; needed beside an insert that has one.
+            resin_index: Refractive index of the resin; needed if an insert has an index.
             absorption: Absorption of the resin [1/mm].
             device: Device that voxelizes meshes.
 
@@ -210,7 +210,7 @@ class Scene:
             The medium; [x, y] if nothing depends on z.
 
         Raises:
-            BadInput: An insert has an index, and the resin none.
+            BadInput: An insert has an index, but the resin has none.
         """
         found = self._shares(grid, open_device(device))
         solid, index = np.zeros(grid.shape), np.full(grid.shape, 0.0 if resin_index is None else resin_index)
@@ -224,8 +224,8 @@ class Scene:
             extinction += share * ((body.absorption or 0.0) - extinction)
             if body.index is not None:
                 if resin_index is None:
-                    raise BadInput(f"insert {body.name!r} has the index {body.index:g}, and the resin none; expected a "
-                                   "vessel that says it, or resin_index=")  # fmt: skip
+                    raise BadInput(f"insert {body.name!r} has the index {body.index:g}, but the resin has none; "
+                                   "expected a vessel with an index, or resin_index=")  # fmt: skip
                 index += share * (body.index - resin_index)
         bends = any(body.index is not None for body in self.inserts)
         absorbs = absorption > 0.0 or any(body.absorption for body in self.inserts)
@@ -274,7 +274,7 @@ class Scene:
 
 
 def _drawn(body: Body) -> str:
-    """Where a mesh was drawn, in words, and of what unit a very small one may be."""
+    """Where a mesh was drawn, in words, and for a very small one its likely unit."""
     if not isinstance(body.source, Solid):
         return ""
     low, high = body.source.bounds
@@ -304,7 +304,7 @@ def refracted(grid: Grid, beam: Beam, vessel: Vessel | None, rays: int = RAYS) -
 
 
 def _circle(grid: Grid) -> float:
-    """Radius [mm] about the axis inside which a medium has the resin's absorption."""
+    """Radius [mm] about the axis within which a medium has the resin's absorption."""
     return 0.5 * min(grid.shape[:2]) * grid.pitch
 
 
@@ -316,7 +316,7 @@ def _disc(grid: Grid) -> npt.NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Shares:
-    """Whose the voxels are."""
+    """The body that each voxel belongs to."""
 
     shares: list[npt.NDArray[np.floating]]
     fraction: npt.NDArray[np.float32]
@@ -324,7 +324,7 @@ class _Shares:
 
     @classmethod
     def of(cls, scene: Scene, filled: list[npt.NDArray[np.float32]]) -> _Shares:
-        """Resolve overlaps of the shares that each body fills by itself."""
+        """Resolve overlaps of the shares that the bodies fill separately."""
         bodies, shape = scene.bodies, filled[0].shape
         room = np.ones(shape, np.float32)
         shares = list(filled)
@@ -350,8 +350,8 @@ class _Shares:
     def _check(self, bodies: Sequence[Body], filled: list[npt.NDArray[np.float32]]) -> None:
         for k, body in enumerate(bodies):
             if not filled[k].any():
-                raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel of {filled[k].shape}; expected some: "
-                                "look at where it was drawn, at the scale, or use a finer pitch or a wider "
+                raise EmptyMesh(f"body {body.name!r}{_drawn(body)} fills no voxel of {filled[k].shape}; expected "
+                                "some: check where it was drawn and its scale, or use a finer pitch or a wider "
                                 "shape")  # fmt: skip
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
@@ -360,8 +360,8 @@ class _Shares:
             there = set(self.owner[filled[k] >= HALF].tolist()) - {-1}
             over = ", ".join(repr(bodies[n].name) for n in sorted(there)) or "others"
             raise EmptyMesh(
-                f"nothing is left of body {body.name!r}: carved away by {over}; expected some voxels: move it, or give "
-                "it a higher priority"
+                f"nothing is left of body {body.name!r}: carved away by {over}; expected some voxels: move it, or "
+                "give it a higher priority"
             )
 
     def limits(self, scene: Scene) -> Limits:

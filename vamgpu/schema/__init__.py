@@ -1,7 +1,7 @@
-"""The components of the library by their fields: one definition for Python, job files, manifests and list of keys.
+"""The components of the library and their fields: one definition for Python, job files, manifests and the list of keys.
 
 A component is a class whose constructor takes named fields. Their types state unit and bounds, its docstring the
-meaning. `registry` names the components. Modules are imported only when they are needed.
+meaning. `registry` names the components. Modules are imported only when needed.
 """
 
 from __future__ import annotations

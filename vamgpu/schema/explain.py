@@ -1,4 +1,4 @@
-"""List the keys of files, what they hold and what they mean; also as a JSON Schema for editors."""
+"""List the keys of files, their values and their meanings; also as a JSON Schema for editors."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from vamgpu.units import NAMES
 LEFT_OUT = "left out"
 NO_LIMIT = "no limit"
 FAR = 1e30
-"""Numbers from this size on mean infinity, which no device takes."""
+"""Numbers of at least this size mean infinity; no device handles them."""
 WORDS: dict[Any, str] = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a table. what: its values.  default: as in a file; "" if the key is required.  doc: its meaning."""
+    """One key of a table. what: its values. default: as in a file; "" if the key is required. doc: its meaning."""
 
     name: str
     what: str
@@ -36,7 +36,7 @@ class Key:
 
 
 def keys(table: type[Any]) -> tuple[Key, ...]:
-    """The keys of a component, or of a `Section`, that files may write."""
+    """The keys that files may write for a component or a `Section`."""
     if issubclass(table, BaseModel):
         hints, fields = get_type_hints(table, include_extras=True), table.model_fields
         docs = docs_of(table, list(fields))
@@ -199,7 +199,7 @@ def _nouns_in(value: Any) -> Iterator[str]:
 
 
 def _clean(value: Any) -> Any:
-    """With references to components; without null, which TOML lacks, and defaults that a file writes differently."""
+    """With references to components. It omits null, which TOML lacks, and defaults that a file writes differently."""
     if isinstance(value, list):
         return [_clean(part) for part in value if part != {"type": "null"}]
     if not isinstance(value, dict):

@@ -24,7 +24,7 @@ class Field:
 
     Args:
         name: Its name.
-        kind: Its type, with `Quantity` where it measures something.
+        kind: Its type, with `Quantity` if it measures something.
         default: Its default; `MISSING` if it is required.
         doc: Its description in the docstring.
     """
@@ -41,7 +41,7 @@ class Field:
 
     @property
     def quantity(self) -> Quantity | None:
-        """Quantity it measures; None if it is not a number."""
+        """The quantity that it measures; None if it is not a number."""
         return quantity_in(self.kind)
 
 
@@ -75,7 +75,7 @@ def _hints(cls: type[Any]) -> dict[str, Any]:
 
 
 def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
-    """Descriptions of names in docstrings of a class and its bases, under ``Args:`` or in a line."""
+    """Descriptions of names in the docstrings of a class and its bases, under ``Args:`` or in a line."""
     found: dict[str, str] = {}
     name = "|".join(map(re.escape, names)) or "$."
     listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*):\s+"
@@ -91,7 +91,7 @@ def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
 
 
 def quantity_in(kind: Any) -> Quantity | None:
-    """The quantity a type measures, in itself or beside None."""
+    """The quantity that a type measures, directly or in a union with None."""
     if get_origin(kind) is Annotated:
         return next((part for part in kind.__metadata__ if isinstance(part, Quantity)), None)
     if get_origin(kind) in (Union, UnionType):

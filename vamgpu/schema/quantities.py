@@ -1,7 +1,7 @@
-"""Types of fields: what a number measures, and which numbers it may be.
+"""Types of fields: the quantity that a number measures, and its allowed range.
 
 They work in dataclasses, whose constructors call `vamgpu.schema.check`, and in pydantic's models. ``Length`` is a float
-in mm in Python and ``"12.4 mm"`` in a file; Python may pass either to a model.
+in mm in Python and ``"12.4 mm"`` in a file; Python may pass either one to a model.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from vamgpu.quantity import EXAMPLES, meant, parse, positive, unit_of
 from vamgpu.units import NAMES, dpt
 
 PLAIN = {"plain": True}
-"""Context of validation for numbers without units, in mm, s, mJ and rad, as in manifests."""
+"""Validation context for numbers without units, in mm, s, mJ and rad, as in manifests."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Quantity:
     most: float = inf
     below: float = inf
     hint: str = ""  # remedy for a number out of bounds
-    scale: float = 1.0  # value of 1 in Python, in mm, s and mJ
-    endless: bool = False  # Python accepts inf, which files leave out
+    scale: float = 1.0  # value, in mm, s and mJ, of 1 in Python
+    endless: bool = False  # Python accepts inf; files omit such keys
     whole: bool = False
-    usual: tuple[float, float] | None = None  # lengths [mm] outside must state their unit
+    usual: tuple[float, float] | None = None  # lengths [mm] outside this range must state their unit
 
     @property
     def unit(self) -> str:
@@ -80,14 +80,14 @@ class Quantity:
         return value
 
     def _slip(self, value: float) -> tuple[str, str | None] | None:
-        """Usual lengths in words, and the likely unit of a length outside them; None for a usual length."""
+        """Usual lengths in words, and the likely unit of a length outside this range; None for a usual length."""
         if self.usual is None or self.usual[0] <= value <= self.usual[1]:
             return None
         least, most = self.usual
         return f"{least:g} to {most:g} mm" if least else f"at most {most:g} mm", meant(value, least, most)
 
     def spell(self, value: float) -> str | float:
-        """As a file writes it."""
+        """The number as a file writes it."""
         return value if self.kind is None else f"{value * self.scale / NAMES[self.unit]!r} {self.unit}"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -116,7 +116,7 @@ class Quantity:
 
 
 def measured(name: str, value: Any, kind: Any) -> float:
-    """A number, or text with its unit, as a type of this module such as `Length` has it; else `BadInput`."""
+    """A number, or text with its unit, checked against a type of this module such as `Length`; else `BadInput`."""
     quantity = next(part for part in kind.__metadata__ if isinstance(part, Quantity))
     if isinstance(value, str) and quantity.kind is not None:
         try:
@@ -146,7 +146,7 @@ Thickness = Annotated[float, Quantity("a length", least=0.0)]
 Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]
 """A length that may be infinite."""
 Width = Annotated[Any, Quantity("a length", least=0.0)]
-"""A length that constructors also take from a calibration."""
+"""A length; constructors also take a calibration in its place."""
 Place = Annotated[float, Quantity("a length")]
 """A length that may be negative."""
 Absorption = Annotated[float, Quantity("an absorption", least=0.0)]

@@ -1,4 +1,4 @@
-"""Components from tables: of job files with units, of manifests without."""
+"""Components from tables: from job files, with units, and from manifests, without."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vamgpu.schema.section import Listed, Section
 from vamgpu.schema.write import ARRAY
 
 MOST_SHOWN = 200
-"""Characters shown of an invalid value."""
+"""Number of characters shown of an invalid value."""
 
 
 EXPECTED = {
@@ -37,15 +37,15 @@ EXPECTED = {
 """Type of pydantic's error → the expected value, in words of a file."""
 NOUN_WORD = "kind"
 NOUN = "noun"
-"""In place of ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`."""
+"""Stands for ``$ref`` until all components are defined; see `vamgpu.schema.explain.json_schema`."""
 
 
 class Nouns:
-    """Type of a key whose table is a component, for pydantic; reads a `Partial` if ``without`` or ``beside`` is set."""
+    """Type of a component's key, for pydantic. If ``without`` or ``beside`` is set, it reads a `Partial`."""
 
     given: tuple[tuple[str, str | None], ...]  # (family, kind) of accepted components; None accepts a whole family
-    without: tuple[str, ...]  # fields that come from elsewhere
-    beside: dict[str, tuple[Any, Any]]  # type and default of keys that are no fields
+    without: tuple[str, ...]  # fields whose values come from elsewhere
+    beside: dict[str, tuple[Any, Any]]  # type and default of keys that are not fields
 
     def __init__(
         self, choices: Iterable[tuple[str, str | None]], without: tuple[str, ...] = (),
@@ -55,13 +55,13 @@ class Nouns:
 
     @property
     def choices(self) -> tuple[tuple[str, str], ...]:
-        """(family, kind) of every component allowed here, with those registered later."""
+        """(family, kind) of every component allowed here, including those registered later."""
         every = ((name, family(name).nouns if kind is None else (kind,)) for name, kind in self.given)
         return tuple((name, kind) for name, kinds in every for kind in kinds)
 
     @property
     def word(self) -> str:
-        """The key that states the kind."""
+        """The key that names the kind."""
         return next((family(name).word for name, _ in self.given), NOUN_WORD)
 
     def model(self, table: Mapping[str, Any]) -> type[BaseModel]:
@@ -71,7 +71,7 @@ class Nouns:
         return create_model(model.__name__, __base__=model, **others) if others else model
 
     def chosen(self, table: Mapping[str, Any]) -> type[Any]:
-        """The class that a table is for; raises `BadInput`."""
+        """The class that a table describes; raises `BadInput`."""
         kinds = {kind: name for name, kind in self.choices}
         defaults = [family(name).default for name in dict.fromkeys(kinds.values())]
         word = self.word
@@ -88,7 +88,7 @@ class Nouns:
         return find(kinds[kind], kind)
 
     def having(self, key: str) -> list[str]:
-        """Kinds whose tables have a key."""
+        """Kinds whose tables contain a key."""
         found = ((kind, model_of(find(name, kind), self.without)) for name, kind in self.choices)
         return [kind for kind, model in found if key in model.model_fields]
 
@@ -97,7 +97,7 @@ class Nouns:
         context = getattr(info, "context", None) or {}
         if not isinstance(table, Mapping):
             if not isinstance(table, (str, int, float, list, type(None))):
-                return table  # a component already: the default of a field
+                return table  # already a component: the default of a field
             raise ValueError("expected a table")
         cls = self.chosen(table)
         fields = {key: value for key, value in table.items() if key != self.word}
@@ -127,7 +127,7 @@ class Nouns:
 
 @dataclass(frozen=True)
 class Partial:
-    """A component without the fields that are given elsewhere: call it with them.  beside: other keys of its table."""
+    """A component without some fields; call it with them to get the component. beside: other keys of its table."""
 
     cls: type[Any]
     given: dict[str, Any]
@@ -148,7 +148,7 @@ def noun(
 
 @cache
 def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
-    """A pydantic model of a component's fields; those that no file can write are None, or left out."""
+    """A pydantic model of a component's fields; fields that a file cannot write are None, or omitted."""
     if issubclass(cls, Section):
         return cls
     found: dict[str, Any] = {}
@@ -162,7 +162,7 @@ def model_of(cls: type[Any], without: tuple[str, ...] = ()) -> type[BaseModel]:
 
 
 def in_files(kind: Any) -> Any:
-    """A field's type as pydantic reads it; None if files do not write it."""
+    """A field's type in the form that pydantic reads; None if files do not write it."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return kind if quantity_in(kind) is not None else in_files(parts[0])
@@ -186,7 +186,7 @@ def in_files(kind: Any) -> Any:
 
 
 def _is_array(kind: Any) -> bool:
-    """Whether a field holds an array, or a number for a uniform one; a field that may be a list is not an array."""
+    """Whether a field holds an array, or a number for a uniform one; a field that may be a list does not count."""
     if get_origin(kind) in (Union, UnionType):
         parts = [part for part in get_args(kind) if part is not NoneType]
         return any(map(_is_array, parts)) and all(part is float or _is_array(part) for part in parts)
@@ -197,7 +197,7 @@ def _is_array(kind: Any) -> bool:
 
 
 def _joined(kinds: list[Any]) -> Any:
-    """A union of types: components become one choice of all, so that messages name what is expected."""
+    """A union of types. All components in it become one choice, and messages then name what is expected."""
     nouns = [part for kind in kinds for part in getattr(kind, "__metadata__", ()) if isinstance(part, Nouns)]
     plain = [kind for kind in kinds if not any(isinstance(part, Nouns) for part in getattr(kind, "__metadata__", ()))]
     if nouns:
@@ -209,7 +209,7 @@ def _joined(kinds: list[Any]) -> Any:
 
 
 class OneOrMany:
-    """The type of a key that holds a value or a list of them; errors refer to what was written."""
+    """The type of a key that holds a value or a list of values; errors refer to what was written."""
 
     one: Any
     many: Any
@@ -230,7 +230,7 @@ class OneOrMany:
 
 
 class Kept:
-    """Type of an array field, which job folders save beside the manifest and job files cannot write."""
+    """Type of an array field; job folders save the array beside the manifest, and job files cannot write it."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.with_info_plain_validator_function(self.read)
@@ -261,7 +261,7 @@ def read(
     name: str, table: Mapping[str, Any], *, units: bool = True, device: Any = None,
     arrays: Callable[[str], np.ndarray] | None = None,
 ) -> Any:  # fmt: skip
-    """The component of a family that a table describes, written by `write` or by a user. Raises `BadInput`."""
+    """The component of a family that a table describes; `write` or a user wrote the table. Raises `BadInput`."""
     context: dict[str, Any] = {} if units else dict(PLAIN)
     if device is not None:
         context["device"] = device
@@ -283,7 +283,7 @@ class _Info:
 
 
 def complaint(entry: Any, remedy: str = "add it") -> str:
-    """Text of pydantic's error, to follow the name of its key: the value, what was expected, and the remedy."""
+    """Text of pydantic's error, without the name of the key: the value, what was expected, and the remedy."""
     if entry["type"] in ("missing", "too_long", "too_short") and isinstance(entry["input"], (list, tuple)):
         return f": got {_short(entry['input'])}; expected a list of {_length(entry)} values: correct the list"
     if entry["type"] == "missing":
@@ -324,7 +324,7 @@ def model_in(annotation: Any, metadata: Iterable[Any] = (), table: Any = None) -
     nouns = next((part for part in metadata if isinstance(part, Nouns)), None)
     if nouns is None and isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    if isinstance(table, list):  # the first stands for all
+    if isinstance(table, list):  # the first one represents all
         table = table[0] if table else {}
     if nouns is not None:
         try:

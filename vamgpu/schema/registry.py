@@ -14,7 +14,7 @@ from typing import Any
 from vamgpu.errors import BadInput
 
 NEAR = 0.7
-"""Least similarity (of `difflib`) of a name that is suggested for an unknown one."""
+"""Smallest similarity (of `difflib`) at which a name is suggested for an unknown one."""
 GROUP = "vamgpu.nouns"
 """Entry points of installed packages that register components: ``"vessel.toy" = "toys.vessels:Toy"``."""
 
@@ -24,9 +24,9 @@ class Family:
     """Components of one interface."""
 
     nouns: dict[str, str] = field(default_factory=dict)  # kind → "module:Class"
-    stands: str = ""  # "module:Type" of constructor arguments that accept any of them
-    default: str | None = None  # kind of a table that states none
-    word: str = "kind"  # key that states it
+    stands: str = ""  # "module:Type" of constructor arguments that accept any of these components
+    default: str | None = None  # kind of a table that does not name one
+    word: str = "kind"  # key that names the kind
 
 
 FAMILIES: dict[str, Family] = {
@@ -178,7 +178,7 @@ def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
     """Register a component for job files, manifests and the list of keys.
 
     Args:
-        family: Name such as "vessel"; a new one creates a family, whose components implement ``stands``.
+        family: Name such as "vessel"; a new name creates a family, whose components implement ``stands``.
         kind: Its name in files.
         path: "module:Class" of a class that `fields_of` can read.
         stands: "module:Type" of constructor arguments that accept any component of a new family.
@@ -193,7 +193,7 @@ def register(family: str, kind: str, path: str, *, stands: str = "") -> None:
 
 @cache
 def installed() -> None:
-    """Register the components of installed packages; once."""
+    """Register the components of installed packages, only once."""
     for entry in entry_points(group=GROUP):
         family, _, kind = entry.name.partition(".")
         register(family, kind, entry.value)
@@ -225,7 +225,7 @@ def find(name: str, kind: str) -> type[Any]:
 
 
 def remedy(name: str, kind: str, known: Iterable[str]) -> str:
-    """End of an error message: what replaces a removed kind, or which name an unknown one resembles."""
+    """End of an error message: the replacement of a removed kind, or the known name that an unknown one resembles."""
     instead = REPLACED.get((name, _plain(kind)))
     return f": {instead} replaces it" if instead else nearest(kind, known)
 

@@ -1,4 +1,4 @@
-"""Tables of files as pydantic reads them: nothing unknown, nothing converted in silence."""
+"""Tables of files in the form that pydantic reads: no unknown keys, and no silent conversion."""
 
 from __future__ import annotations
 
@@ -6,32 +6,17 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationInfo, model_validator
-
-from vamgpu.deprecated import warn_renamed
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationInfo
 
 
 class Section(BaseModel):
-    """A table: nothing unknown, nothing converted in silence."""
+    """A table: no unknown keys, and no silent conversion."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-    renamed: ClassVar[dict[str, str]] = {}
-    """Old key → new key, for one release."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _current(cls, table: Any) -> Any:
-        for old in cls.renamed.keys() & table.keys() if isinstance(table, dict) else ():
-            new = cls.renamed[old]
-            if new in table:
-                continue  # the old key is reported as unknown
-            warn_renamed(f"the key {old}", new, category=FutureWarning)
-            table = {new if key == old else key: value for key, value in table.items()}
-        return table
 
 
 class Misplaced(ValueError):
-    """An error between tables of a file; ``key`` is the key to correct."""
+    """An error that concerns several tables of a file; ``key`` is the key to correct."""
 
     def __init__(self, message: str, *key: str) -> None:
         super().__init__(message)

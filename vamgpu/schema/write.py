@@ -14,7 +14,7 @@ from vamgpu.schema.noun import fields_of, given, quantity_in
 from vamgpu.schema.registry import family, name_of
 
 LONGEST = 100_000
-"""Greatest number of values in a list of a manifest; more belong in a file."""
+"""Largest number of values in a list of a manifest; longer lists belong in a file."""
 ARRAY = "array"
 """The key that names an array stored beside a description."""
 
@@ -24,7 +24,7 @@ def write(noun: Any, *, units: bool = False, arrays: dict[str, np.ndarray] | Non
 
     Args:
         noun: A component whose class is registered.
-        units: Write text with units, as job files have it, in place of numbers in mm, s, mJ and rad.
+        units: Write text with units, as in job files, in place of numbers in mm, s, mJ and rad.
         arrays: Receives the arrays [...], under names that replace them in the description; None rejects arrays.
 
     Returns:
@@ -72,7 +72,7 @@ def _plain(value: Any, kind: Any, name: str, units: bool, arrays: dict[str, np.n
 
 
 def _kept(value: np.ndarray, name: str, arrays: dict[str, np.ndarray]) -> str:
-    """The name under which an array is stored; the same array has one name."""
+    """The name under which an array is stored; equal arrays share one name."""
     known = next((key for key, other in arrays.items() if other is value), None)
     if known is None:
         known = next(key for k in count(1) if (key := f"{name}_{k}") not in arrays)
@@ -81,7 +81,7 @@ def _kept(value: np.ndarray, name: str, arrays: dict[str, np.ndarray]) -> str:
 
 
 def _elements(kind: Any, count: int) -> list[Any]:
-    """The types of a list's parts, as far as a field's type states them."""
+    """The types of a list's elements, as far as the field's type gives them."""
     for part in (kind, *get_args(kind)):
         parts = get_args(part)
         if get_origin(part) is Sequence or (get_origin(part) is tuple and parts[-1] is Ellipsis):

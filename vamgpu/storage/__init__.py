@@ -1,1 +1,1 @@
-"""Files that outlive a run: job folders of arrays with a manifest, written whole or not at all."""
+"""Files that outlive a run: job folders of arrays with a manifest, written completely or not at all."""

@@ -1,4 +1,4 @@
-"""Arrays of a job folder in Zarr v3: one chunk an entry of the first axis, many chunks a file."""
+"""Arrays of a job folder in Zarr v3: one chunk per entry of the first axis, many chunks per file."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from vamgpu.storage.shards import LEVEL, decode, write_files
 
 SHARD_BYTES = 64 * 2**20
 SHARD_CHUNKS = 512
-"""Limits of one file: few enough files for a job of many thousand frames, small enough to write and copy with ease."""
+"""Size limits of one file: few files for a job of many thousand frames, but small enough to copy easily."""
 PIECE = 1 << 23
-"""Bytes that a thread unpacks at once: what a processor's cache still holds when they are hashed, and what the system
-keeps for the next piece instead of clearing new memory."""
+"""Bytes that a thread unpacks at a time: they are then still in the cache when they are hashed, and the system reuses
+the memory for the next part."""
 MOST_SHARD = 1 << 20
-"""Entries of a file beyond which its index alone would be no index any more."""
+"""Number of entries of a file above which its index would become too large."""
 
 
 def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
-    """Entries of the first axis a file holds."""
+    """Number of entries of the first axis in a file."""
     one = max(1, int(np.prod(shape[1:], dtype=np.int64)) * itemsize)
     return max(1, min(shape[0], SHARD_CHUNKS, SHARD_BYTES // one))
 
@@ -38,7 +38,7 @@ def shard_length(shape: tuple[int, ...], itemsize: int) -> int:
 def create(
     folder: Path, name: str, shape: tuple[int, ...], dtype: np.dtype, shards: tuple[int, ...], axes: tuple[str, ...]
 ) -> Any:
-    """Create an empty array in a Zarr group, one chunk an entry of the first axis."""
+    """Create an empty array in a Zarr group, one chunk per entry of the first axis."""
     import zarr
     from zarr.codecs import ZstdCodec
 
@@ -50,12 +50,12 @@ def create(
         shards=shards,
         compressors=ZstdCodec(level=LEVEL, checksum=True),
         dimension_names=axes,
-        config={"write_empty_chunks": True},  # so that a file that went missing is not taken for darkness
+        config={"write_empty_chunks": True},  # a missing file is then not mistaken for darkness
     )
 
 
 class Entries(Protocol):
-    """Values to store, which are fetched in parts: entries of the first axis."""
+    """Values to store, which are fetched in parts of the first axis."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...
@@ -67,7 +67,7 @@ class Entries(Protocol):
 
 
 def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> str:
-    """Add an array to the Zarr group at ``folder`` and bring it to the disk; returns the SHA-256 of its bytes."""
+    """Add an array to the Zarr group at ``folder`` and write it to the disk; returns the SHA-256 of its bytes."""
     shape, dtype = values.shape, values.dtype.newbyteorder("<")
     shard, seal = shard_length(shape, dtype.itemsize), hashlib.sha256()
     create(folder, name, shape, values.dtype, (shard, *shape[1:]), axes)
@@ -81,7 +81,7 @@ def write(folder: Path, name: str, values: Entries, axes: tuple[str, ...]) -> st
 
 
 def read(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> tuple[np.ndarray, str]:
-    """A whole array and its SHA-256. Raises `StorageError` if it is missing, damaged, or not as its record says."""
+    """A whole array and its SHA-256. Raises `StorageError` if it is missing, damaged, or different from its record."""
     with undamaged(f"array {name!r}", folder, "job"):
         layout, seal = _layout(folder, name, shape, dtype), hashlib.sha256()
         values = layout.entries(range(shape[0]), whole=True, seen=lambda part: seal.update(part.view(np.uint8).data))
@@ -108,7 +108,7 @@ def read_parts(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> I
 
 @contextmanager
 def undamaged(what: str, folder: Path, kind: str) -> Iterator[None]:
-    """Say what cannot be read of a folder of a kind. Raises `StorageError`."""
+    """Error text for a part of a folder that cannot be read. Raises `StorageError`."""
     try:
         yield
     except StorageError:
@@ -132,9 +132,9 @@ def _layout(folder: Path, name: str, shape: tuple[int, ...], dtype: str) -> Layo
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of an array that `create` made: an entry of the first axis a chunk, ``shard`` of them a file."""
+    """Layout of an array that `create` made: one chunk per entry of the first axis, ``shard`` of them per file."""
 
-    # Everything that its files say is compared with one another before memory is taken for it.
+    # All numbers in its files are compared with one another before memory is allocated for it.
 
     path: Path
     shape: tuple[int, ...]
@@ -166,7 +166,7 @@ class Layout:
         return cls(path, shape, dtype, shards[0])
 
     def file(self, number: int) -> Path:
-        """Where the entries from ``number`` times `shard` on are."""
+        """Position of the entries from ``number`` times `shard` on."""
         return self.path.joinpath("c", str(number), *("0" for _ in self.shape[1:]))
 
     def entries(
@@ -183,7 +183,7 @@ class Layout:
         return out.astype(self.dtype, copy=False)
 
     def parts(self, span: range | None = None, *, whole: bool = True) -> Iterator[np.ndarray]:
-        """Entries in parts that follow each other; the next ones are unpacked while the last one is looked at."""
+        """Entries in successive parts; the next ones are unpacked while the last one is used."""
         pieces = self._pieces(range(self.shape[0]) if span is None else span)
         most = max((len(piece) for piece in pieces), default=0)
         afford((threads() + 2) * most * self.bytes, f"{self.path.name!r} of {str(self.path.parent)!r}")
@@ -192,7 +192,7 @@ class Layout:
         yield from ahead(lambda one: self._unpack(one, whole).astype(self.dtype, copy=False), pieces)
 
     def _pieces(self, span: range) -> list[range]:
-        """Spans of one file each that a thread unpacks at once."""
+        """Spans, each of one file, that a thread unpacks at a time."""
         each, found = max(1, PIECE // max(1, self.bytes)), []
         for number in range(span.start // self.shard, -(-span.stop // self.shard)):
             stop = min((number + 1) * self.shard, span.stop)
@@ -216,7 +216,7 @@ class Layout:
         return prod(self.shape[1:]) * self.dtype.itemsize
 
     def _count_files(self) -> None:
-        """Every file was written, so count them; raises `FileNotFoundError` where some are missing."""
+        """Count the files, all of which were written; raises `FileNotFoundError` if some are missing."""
         expected = -(-self.shape[0] // self.shard)
         found = sum(len(files) for _, _, files in os.walk(self.path / "c"))
         if found != expected:

@@ -1,4 +1,4 @@
-"""Write beside the place, move there at the end: nothing half-written ever looks finished."""
+"""Write to a temporary place and move the result at the end: an incomplete file never looks complete."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def page_path(path: str | Path) -> Path:
 
 
 def named(path: Path) -> Path:
-    """Make a path whole, so that it has a name even where it was given as ``.``."""
+    """Resolve a path; it then has a name even if it was given as ``.``."""
     whole = path.resolve()
     if not whole.name or not str(path).strip():
         raise StorageError(f"{str(path)!r} has no name; expected a file or a folder: check the path")
@@ -57,7 +57,7 @@ def named(path: Path) -> Path:
 
 
 def check_folder(place: Path) -> None:
-    """Reject a path in a folder that does not exist: a slip of the keys would make folders at odd places."""
+    """Reject a path in a folder that does not exist, because a typing error would make folders in wrong places."""
     if not place.parent.is_dir():
         raise StorageError(f"cannot write {str(place)!r}: the folder {str(place.parent)!r} does not exist; make it, or "
                            "choose another path")  # fmt: skip
@@ -66,8 +66,8 @@ def check_folder(place: Path) -> None:
 @contextmanager
 def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a path in a new folder beside ``path``; its content is moved to ``path`` at the end."""
-    # After any exception, a keyboard interrupt included, nothing is left and what stood at ``path`` still stands. What
-    # a run that was killed left there goes first, see `clear`.
+    # After any exception, including a keyboard interrupt, nothing is left and the old content of ``path`` is unchanged.
+    # Leftovers of a killed run are removed first, see `clear`.
     place = Path(path)
     clear(place)
     if os.path.lexists(place) and not overwrite:
@@ -93,7 +93,7 @@ def replacing(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def settle(*places: Path) -> None:
-    """Bring files, or the names in folders, to the disk, so that they are there after the power was cut."""
+    """Flush files, or the names in folders, to the disk; they then survive a power failure."""
     for place in places:
         if place.is_dir() and not hasattr(os, "O_DIRECTORY"):
             continue
@@ -105,13 +105,13 @@ def settle(*places: Path) -> None:
 
 
 def clear(path: str | Path) -> None:
-    """Remove what killed runs left beside ``path``, and bring to an end what one of them had only to move there."""
-    # Folders that a run still writes to are locked and stay; where there are no locks, on Windows, all stay.
+    """Remove leftovers of killed runs beside ``path``, and complete the last move of a run if only that was missing."""
+    # Folders that a run still writes to are locked and stay; without locks, on Windows, all stay.
     place = Path(path)
     try:
         left = [Path(entry.path) for entry in os.scandir(place.parent) if entry.name.startswith(_prefix(place))]
     except (OSError, ValueError):
-        return  # the system's own word comes when the place is written to
+        return  # the system reports its own error when the place is written to
     for workshop in left:
         try:
             lock = _locked(workshop)
@@ -135,17 +135,17 @@ def _prefix(place: Path) -> str:
 
 
 def _aside(workshop: Path, place: Path) -> Path:
-    """Where what stands at a place waits while its successor takes the place."""
+    """Where the old content of a place is kept while the new content is moved there."""
     return workshop / f"{place.name}.replaced"
 
 
 def _workshop(place: Path) -> tuple[Path, int | None]:
-    """A fresh folder, and the lock that says it is in use."""
+    """A new folder, and the lock that marks it as in use."""
     while True:
         workshop = Path(tempfile.mkdtemp(prefix=_prefix(place), dir=place.parent))
         try:
             lock = _locked(workshop)
-        except (FileNotFoundError, BlockingIOError):  # another run clears it
+        except (FileNotFoundError, BlockingIOError):  # another run removes it
             continue
         if workshop.exists():
             return workshop, lock
@@ -154,7 +154,7 @@ def _workshop(place: Path) -> tuple[Path, int | None]:
 
 
 def _locked(folder: Path) -> int | None:
-    """A lock on a folder, which ends with this process; None if the disk knows no locks."""
+    """A lock on a folder, which ends with this process; None if the file system has no locks."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -170,7 +170,7 @@ def _locked(folder: Path) -> int | None:
 
 
 def _move(draft: Path, place: Path, workshop: Path) -> None:
-    """Put the draft in place; a folder that stands there steps aside first and returns should that fail."""
+    """Put the draft in place; an existing folder is moved aside first, and moved back if this fails."""
     if not (place.is_dir() and not place.is_symlink()):
         os.replace(draft, place)
         return

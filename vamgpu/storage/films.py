@@ -16,7 +16,7 @@ from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file
 
 FORMATS = {".mp4": "mov", ".mov": "mov", ".m4v": "mov", ".mkv": "matroska", ".webm": "matroska", ".avi": "avi"}
-"""Ending → FFmpeg's format. Formats that name other files, such as playlists, are left out."""
+"""Ending → FFmpeg's format. Formats that refer to other files, such as playlists, are left out."""
 MOST_PIXELS = 1 << 26
 FULL_RANGE = 2
 """FFmpeg's number for levels from 0 to 255; other ranges are 16 to 235."""
@@ -84,7 +84,7 @@ def write_film(path: str | Path, pictures: Iterable[np.ndarray], rate: float) ->
 
 
 def _gray(frame: Any) -> np.ndarray:
-    """Levels of a frame, 0 to 255, whatever range its brightness is written in."""
+    """Levels of a frame, 0 to 255, for any range of its brightness."""
     name = frame.format.name
     if not name.startswith(("gray", "yuv", "nv")) or name not in ("gray",) and frame.format.components[0].bits != 8:
         return np.asarray(frame.to_ndarray(format="rgb24"))[..., 1]

@@ -1,10 +1,10 @@
-"""Job folders: a Zarr group of arrays beside a manifest that names, dates and seals them."""
+"""Job folders: a Zarr group of arrays with a manifest that records their names, dates and hashes."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import prod
@@ -18,32 +18,71 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import read, read_one, read_parts, write
 from vamgpu.storage.atomic import as_path, check_folder, explained, replacing, settle
 from vamgpu.storage.manifest import ArrayRecord, Manifest
-from vamgpu.storage.ngff import Image, describe
 from vamgpu.storage.reading import is_file, read_text
+
+VERSION = "0.5"
+SPACE = ("x", "y", "z", "row", "column")
+"""Names of axes along which an array reaches through space; others count."""
+FIRST = ("dose", "target", "frames")
+"""Arrays for a viewer that shows one image, the best first."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """An array of a folder that is a picture."""
+
+    name: str
+    axes: tuple[str, ...]  # names of its axes
+    shape: tuple[int, ...]  # one length for each of them
+    spacing: float  # distance of neighbors in space [mm]
+
+    def multiscale(self) -> dict[str, Any]:
+        """The image at its one resolution, centered on the axis of rotation, or on that of the light."""
+        space = [axis in SPACE for axis in self.axes]
+        scale = [self.spacing if inside else 1.0 for inside in space]
+        lengths = zip(space, self.shape, strict=True)
+        corner = [-0.5 * (n - 1) * self.spacing if inside else 0.0 for inside, n in lengths]
+        axes = [{"name": axis, "type": "space", "unit": "millimeter"} if inside else {"name": axis, "type": axis}
+                for axis, inside in zip(self.axes, space, strict=True)]  # fmt: skip
+        placed = [{"type": "scale", "scale": scale}, {"type": "translation", "translation": corner}]
+        return {"name": self.name, "axes": axes,
+                "datasets": [{"path": self.name, "coordinateTransformations": placed}]}  # fmt: skip
+
+
+def describe(folder: Path, images: Iterable[Image]) -> None:
+    """Say in the Zarr group of a folder which of its arrays are images, and where their voxels are."""
+    import zarr
+
+    rank = {name: place for place, name in enumerate(FIRST)}
+    ordered = sorted(images, key=lambda image: rank.get(image.name, len(rank)))
+    if ordered:
+        said = {"version": VERSION, "multiscales": [image.multiscale() for image in ordered]}
+        zarr.open_group(folder, mode="a", zarr_format=3).attrs["ome"] = said
+
 
 MANIFEST = "manifest.json"
 HEADER = "zarr.json"
-"""Zarr's file that describes an array, which it does not sync to the disk."""
+"""Zarr's file that describes an array; Zarr does not flush it to the disk."""
 
 
 @dataclass(frozen=True, eq=False)
 class Streamed:
-    """Values that are made part by part while they are stored, for arrays that memory does not hold whole."""
+    """Values that are computed in parts while they are stored, for arrays larger than memory."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    part: Callable[[int, int], np.ndarray]  # makes the entries of the first axis from one to before another, [entry, …]
+    part: Callable[[int, int], np.ndarray]  # (start, stop) → entries of the first axis, [entry, …]
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
     """An array to store."""
 
-    # NumPy, on a device, or made in parts; of any shape [one length for each of ``axes``]
+    # NumPy, on a device, or computed in parts; of any shape [one length for each of ``axes``]
     values: np.ndarray | DeviceArray | Streamed
     axes: tuple[str, ...]  # names of its axes
     unit: str = "1"  # its unit; "1" for a plain number
-    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None if it is no picture
+    spacing: float | None = None  # distance of neighbors in space [mm], for viewers; None if it is not a picture
 
 
 @dataclass(frozen=True)
@@ -75,14 +114,14 @@ class Folder:
         return self.manifest.arrays[name]
 
     def array(self, name: str) -> np.ndarray:
-        """Read a whole array, proven by its hash."""
+        """Read a whole array, verified by its hash."""
         record = self.record(name)
         values, found = read(self.path, name, record.shape, record.dtype)
         self._compare(name, found)
         return values
 
     def parts(self, name: str) -> Iterator[np.ndarray]:
-        """Read a whole array in parts that follow each other along the first axis, proven by its hash at the end."""
+        """Read a whole array in successive parts along the first axis, verified by its hash at the end."""
         record, seal = self.record(name), hashlib.sha256()
         with ThreadPoolExecutor(1) as pool:
             hashed: Future[None] | None = None
@@ -102,7 +141,7 @@ class Folder:
             )
 
     def one(self, name: str, index: int) -> np.ndarray:
-        """Read one entry along the first axis, such as one frame, proven by the checksum of its chunk."""
+        """Read one entry along the first axis, such as one frame, verified by the checksum of its chunk."""
         record = self.record(name)
         if not 0 <= index < record.shape[0]:
             raise BadInput(f"index {index} of {name!r}; expected 0 to {record.shape[0] - 1}")
@@ -116,7 +155,7 @@ class Folder:
 
 
 def check_place(path: str | Path, *, overwrite: bool = False) -> None:
-    """Reject, before long work, a path at which no job folder could be written."""
+    """Before a long computation, reject a path at which no job folder can be written."""
     place = as_path(path)
     check_folder(place)
     if not os.path.lexists(place):
@@ -136,12 +175,12 @@ def write_folder(
     device: str,
     overwrite: bool = False,
 ) -> Folder:
-    """Write a job folder, whole or not at all."""
-    # Arrays are fetched and written one after the other and part by part, one chunk an entry along the first axis.
+    """Write a job folder, completely or not at all."""
+    # Arrays are fetched and written one after another and in parts, one chunk per entry along the first axis.
     place = as_path(path)
     if overwrite and os.path.lexists(place) and not is_file(place / MANIFEST):
         raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
-    Manifest(dict(inputs), dict(details), device, {}).to_json()  # refuse bad inputs before the long work
+    Manifest(dict(inputs), dict(details), device, {}).to_json()  # reject bad inputs before the long computation
     with replacing(place, overwrite=overwrite) as draft:
         draft.mkdir()
         records = {name: _store(draft, name, entry) for name, entry in arrays.items()}

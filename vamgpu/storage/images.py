@@ -1,4 +1,4 @@
-"""Images of cameras and patterns, whose size is compared before they are decoded."""
+"""Images of cameras and patterns; their size is checked before they are decoded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 1 << 30
 MOST_PIXELS = 1 << 28
-"""A camera of 268 million pixels is yet to be mounted at a printer."""
+"""Limit of pixels: larger cameras are not used on printers."""
 
 
 def read_image(path: str | Path) -> np.ndarray:
@@ -27,7 +27,7 @@ def read_image(path: str | Path) -> np.ndarray:
             return np.asarray(image if image.mode in ("L", "I;16", "I", "F") else image.convert("L"))
     except OSError:
         raise
-    except Exception as error:  # damaged files raise whatever their reader stumbles over
+    except Exception as error:  # for damaged files, readers raise many types of errors
         raise OSError(f"{type(error).__name__}: {error}") from error
 
 
@@ -48,7 +48,7 @@ def read_exr(path: str | Path) -> np.ndarray:
         planes = {name: np.asarray(channel.pixels, np.float32) for name, channel in found.items()}
     except OSError:
         raise
-    except Exception as error:  # its reader raises whatever it stumbles over
+    except Exception as error:  # its reader raises many types of errors
         raise OSError(f"{type(error).__name__}: {error}") from error
     if "Y" in planes or len(planes) == 1:
         return planes.get("Y", next(iter(planes.values())))

@@ -1,4 +1,4 @@
-"""Manifests of job folders, in JSON a person can read."""
+"""Manifests of job folders, in readable JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vamgpu.storage.reading import parse_json
 FORMAT = "vamgpu job"
 VERSION = 2
 READ = (1, 2)
-"""Versions that are read. Frames of version 1 are a projector's bytes; those of version 2 may be plain light."""
+"""Versions that can be read. Frames of version 1 are a projector's bytes; those of version 2 may be plain patterns."""
 UNITS = {
     "length": "mm",
     "time": "s",
@@ -35,7 +35,7 @@ UNITS = {
     "angle": "rad",
 }
 ROW = re.compile(r"\[\n([^\[\]{}]*?)\n\s*\]")
-"""A list of plain values over several lines; text never holds a line break in JSON."""
+"""A list of plain values over several lines; in JSON, text never contains a line break."""
 PACKAGES = ("numpy", "zarr", "pyopencl", "warp-lang")
 
 
@@ -54,10 +54,10 @@ class ArrayRecord:
 class Manifest:
     """Everything needed to read a job folder, and its origin."""
 
-    # versions: of this library, Python and what it computes with.
+    # versions of this library, Python and the packages that it computes with
 
     inputs: dict[str, Any]  # settings of the job
-    details: dict[str, Any]  # what readers of its arrays must know, by subject
+    details: dict[str, Any]  # information for readers of its arrays, by subject
     device: str  # the device of the computation
     arrays: dict[str, ArrayRecord]  # by name
     versions: dict[str, str] = field(default_factory=lambda: versions())
@@ -73,7 +73,7 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: str, path: Path) -> Manifest:
-        """Read a manifest; raises `StorageError` for what this version cannot understand."""
+        """Read a manifest; raises `StorageError` for contents that this version cannot read."""
         try:
             data = parse_json(text)
         except ValueError as error:

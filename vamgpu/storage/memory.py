@@ -1,4 +1,4 @@
-"""The memory budget for the contents of a file, compared with its claim before it is decoded."""
+"""The memory budget for the contents of a file, compared with the size it states before it is decoded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 
 
 def budget() -> int:
-    """The most memory that the contents of one file may take."""
+    """Largest memory that the contents of one file may take."""
     said = os.environ.get(MEMORY, "").strip()
     if not said:
         return int(SHARE * _installed())
@@ -31,7 +31,7 @@ def budget() -> int:
 
 
 def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> None:
-    """Reject what takes more memory than the budget, before it is decoded."""
+    """Reject contents that take more memory than the budget, before they are decoded."""
     most = budget()
     if claim > most:
         raise error(
@@ -41,7 +41,7 @@ def afford(claim: float, subject: str, error: type[VamError] = StorageError) -> 
 
 
 def size(count: float) -> str:
-    """Bytes as people read them."""
+    """A number of bytes as readable text."""
     for unit, name in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
         if count >= unit:
             return f"{count / unit:.3g} {name}"
@@ -50,7 +50,7 @@ def size(count: float) -> str:
 
 @cache
 def _installed() -> int:
-    """Memory of this machine [bytes], or of the container this runs in."""
+    """Memory of this machine [bytes], or of its container."""
     try:
         found = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # Windows

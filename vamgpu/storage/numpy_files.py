@@ -22,7 +22,7 @@ HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 def map_npy(path: str | Path) -> np.ndarray:
-    """The array of an NPY file, left on the disk: what is read of it is what is used."""
+    """The array of an NPY file, mapped from the disk: only the parts used are read."""
     try:
         with open_file(path) as file:
             shape, fortran, dtype = _header(file, os.fstat(file.fileno()).st_size, str(path))
@@ -57,13 +57,13 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def _header(file: BinaryIO, length: int, name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether in Fortran's order, and type; the file then stands at the first number."""
+    """Shape, order (C or Fortran) and type; the file position is then at the first number."""
     try:
         version = npy.read_magic(file)
         if version not in HEADERS:
             raise ValueError(f"version {version}, expected 1.0 or 2.0")
         shape, fortran, dtype = HEADERS[version](file)
-    except (SyntaxError, TypeError, RecursionError, MemoryError, TokenError) as error:  # as headers that are none do
+    except (SyntaxError, TypeError, RecursionError, MemoryError, TokenError) as error:  # as invalid headers cause
         raise ValueError(f"a damaged header ({type(error).__name__})") from error
     claim, held = prod(shape) * dtype.itemsize, length - file.tell()
     if dtype.hasobject or any(n < 0 for n in shape) or claim > held:

@@ -1,7 +1,7 @@
-"""Pickles of arrays and plain values, read without running anything that they name.
+"""Pickles of arrays and plain values, read without executing anything that they name.
 
-A pickle is a program: `pickle.load` calls what it says. Here its classes become bags of their attributes and its arrays
-are put together from their bytes; whatever else it would call is an error.
+A pickle is a program: `pickle.load` calls whatever it names. Here its classes become plain sets of attributes, and its
+arrays are assembled from their bytes; any other call is an error.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 16_000_000_000
 MOST_STEPS = 5_000_000
-"""Instructions of a pickle: one of arrays has some hundreds."""
+"""Limit of a pickle's instructions; one of arrays has some hundreds."""
 NUMBERS = "biufc"
 ROOTS = ("numpy.core.multiarray", "numpy._core.multiarray")
 NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
@@ -30,7 +30,7 @@ NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 class Bag:
     """An object's class name and attributes."""
 
-    # *given: What its constructor was called with.
+    # *given: The constructor's arguments.
 
     name: str = ""
 
@@ -49,7 +49,7 @@ class Bag:
 
 
 class _Type:
-    """A NumPy type, from its word and its byte order alone."""
+    """A NumPy type, only from its code and its byte order."""
 
     def __init__(self, word: Any, *_: Any) -> None:
         self.word, self.order = word, "="
@@ -60,7 +60,7 @@ class _Type:
         self.order = state[1]
 
     def dtype(self) -> np.dtype[Any]:
-        """The type; raises `ValueError` for one of no plain numbers."""
+        """The type; raises `ValueError` for a type that is not a plain number."""
         found = np.dtype(str(self.word)).newbyteorder(self.order)  # type: ignore[arg-type]
         if found.kind not in NUMBERS or found.hasobject:
             raise ValueError(f"an array of {found}, expected plain numbers")
@@ -68,7 +68,7 @@ class _Type:
 
 
 class _Array:
-    """An array, put together from its bytes."""
+    """An array, assembled from its bytes."""
 
     values: np.ndarray
 
@@ -97,13 +97,13 @@ def _scalar(kind: Any, data: bytes = b"") -> Any:
 def _from_bytes(data: Any, kind: Any, shape: Any, order: Any = "C", axes: Any = None) -> Any:
     made = _Array()
     made.values = _array(data, kind, shape, order)
-    if order == "K" and axes is not None:  # of an array that lay in memory in another order of its axes
+    if order == "K" and axes is not None:  # of an array that was stored with another order of its axes
         made.values = made.values.transpose(axes)
     return made
 
 
 def _bytes(data: Any = b"", *_: Any) -> bytes:
-    if not isinstance(data, (bytes, bytearray)):  # a number would be a claim of memory
+    if not isinstance(data, (bytes, bytearray)):  # a number would request memory
         raise ValueError(f"bytes made of {type(data).__name__}")
     return bytes(data)
 
@@ -115,7 +115,7 @@ def _encoded(text: str, encoding: str = "latin1") -> bytes:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows the words by which NumPy's arrays are written, and takes all other classes of some packages for bags."""
+    """Unpickles the functions that NumPy's arrays use, and other classes of some packages as sets of attributes."""
 
     def __init__(self, data: bytes, packages: tuple[str, ...]) -> None:
         super().__init__(BytesIO(data))
@@ -144,7 +144,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def read_pickle(path: str | Path, packages: tuple[str, ...] = ()) -> Any:
-    """The contents of a pickle, without running it."""
+    """The contents of a pickle, without executing it."""
     try:
         data = read_bytes(path, MOST_BYTES)
         afford(3 * len(data), f"the pickle {str(path)!r}")
@@ -156,13 +156,13 @@ def read_pickle(path: str | Path, packages: tuple[str, ...] = ()) -> Any:
         raise StorageError(f"cannot read {str(path)!r}: {error.strerror or error}; check the path") from error
     except Exception as error:  # noqa: BLE001 - a pickle stumbles over whatever its maker put into its way
         raise StorageError(
-            f"{str(path)!r} is no pickle of arrays and plain values ({type(error).__name__}: {error}); nothing of it "
-            "was run: save the array with numpy.save and import that"
+            f"{str(path)!r} is not a pickle of arrays and plain values ({type(error).__name__}: {error}); nothing of "
+            "it was run: save the array with numpy.save and import that"
         ) from error
 
 
 def _weigh(data: bytes) -> None:
-    """Reject what would take memory out of proportion before it is read: sizes and numbers that a step claims."""
+    """Before reading, reject sizes and numbers in a step that would take too much memory."""
     steps = 0
     for steps, (code, given, _) in enumerate(pickletools.genops(data), 1):
         if steps > MOST_STEPS:
@@ -176,7 +176,7 @@ def _weigh(data: bytes) -> None:
 
 
 def _opened(value: Any, seen: dict[int, Any] | None = None) -> Any:
-    """The same with arrays as arrays; each part is visited once, however often it is there."""
+    """The same with arrays in place of their parts; each part is visited only once."""
     seen = {} if seen is None else seen
     if isinstance(value, _Array):
         return value.values

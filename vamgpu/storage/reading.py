@@ -1,7 +1,7 @@
-"""The one way in: every file that the library reads is opened here.
+"""The only entry: every file that the library reads is opened here.
 
-Only regular files are opened, so that a pipe, a device or a folder in place of a file is an error and no wait. Sizes
-are compared before anything is decoded, depth and numbers of what was decoded before anybody walks through it.
+Only regular files are opened; a pipe, a device or a folder in place of a file is an error, and reading never waits.
+Sizes are checked before anything is decoded, and depth and numbers of decoded data before they are used.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from vamgpu.errors import BadInput, StorageError, VamError
 from vamgpu.storage.memory import size
 
 MOST_TEXT = 64_000_000
-"""Bytes of the greatest text that is read whole: a record of a web of 100 m has 20 million."""
+"""Size of the largest text that is read whole [bytes]: the record of a web of 100 m has 20 million."""
 MOST_RECORD = 4_000_000_000
-"""Bytes of the greatest record of a run, which has 56 a frame."""
+"""Size of the largest record of a run [bytes]; a frame takes 56."""
 MOST_TOML = 2_000_000
-"""Bytes of the greatest TOML file: its parser is slow, and people write such files."""
+"""Size of the largest TOML file [bytes]: its parser is slow, and people write such files by hand."""
 MOST_PARTS = 64
-"""Parts of the longest dotted key, for the parser takes their square in time and memory."""
+"""Parts of the longest dotted key, because the parser's time and memory grow with their square."""
 MOST_LEVELS = 64
-"""Tables and lists in one another."""
+"""Greatest depth of nested tables and lists."""
 MOST_INTEGER = 1 << 63
-"""TOML's integers, and those of whoever reads JSON elsewhere, end here."""
+"""Limit of integers in TOML, and in most readers of JSON."""
 KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe (FIFO)"),
@@ -42,11 +42,11 @@ LONG_KEY = re.compile(
     rf"""(?<![^\s,=\[\]{{}}#])(?:(?:"[^"\n]*"|'[^'\n]*'|[^\s.,=\[\]{{}}#"']+)[ \t]*\.[ \t]*){{{MOST_PARTS}}}"""
 )
 PROSE = re.compile(r'''"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*"|#[^\n]*''' + r"|'''.*?'''|'[^'\n]*'", re.DOTALL)
-"""Text and comments, in which points end sentences."""
+"""Text and comments; periods in them are not separators."""
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether a regular file is there; no path, however odd, raises an error."""
+    """Whether a path is a regular file; no path, however unusual, raises an error."""
     return os.path.isfile(path)
 
 
@@ -54,7 +54,7 @@ def open_file(path: str | Path) -> BinaryIO:
     """Open a regular file for reading its bytes."""
     try:
         _regular(os.stat(path).st_mode, path)
-        flags = ("O_RDONLY", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")  # a pipe that came meanwhile is no wait either
+        flags = ("O_RDONLY", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")  # no wait if a pipe replaced the file meanwhile
         file = os.open(path, sum(getattr(os, name, 0) for name in flags))
     except ValueError as error:  # a name that no file can have
         raise OSError(EINVAL, str(error), str(path)) from error
@@ -128,7 +128,7 @@ def _regular(mode: int, path: str | Path) -> None:
 
 
 def _check(data: Any, finite: bool = False) -> None:
-    """Raise `ValueError` for data that is too deep, and for numbers that are too large or not finite."""
+    """Raise `ValueError` for data that is nested too deeply, and for numbers that are too large or not finite."""
     level: list[Any] = [data]
     for _ in range(MOST_LEVELS + 1):
         deeper: list[Any] = []

@@ -1,13 +1,13 @@
 """Files of many chunks, as Zarr's sharding codec lays them out, written and read by as many threads as there are cores.
 
-A file holds its chunks, each compressed by Zstandard with a checksum, then where each begins and how long it is, then
-the CRC-32C of that index. Chunks are entries of an array's first axis.
+A file has its chunks, each compressed by Zstandard with a checksum, then the start and length of each, then the CRC-32C
+of that index. Chunks are entries of an array's first axis.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,22 +17,22 @@ from vamgpu.backend.cores import threads
 from vamgpu.storage.reading import is_file, open_file
 
 LEVEL = -1
-"""Level of Zstandard. Below 1 literals are not coded again: grainy frames take 7 % more room than at 3, are packed six
-times and unpacked three times as fast, and disks are faster than that."""
+"""Level of Zstandard. Below 1, literals are not entropy-coded: grainy frames take 7 % more space than at level 3, but
+are packed six times and unpacked three times as fast, and disks are faster than that."""
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
 HEAD = 18
-"""Bytes of a Zstandard frame that hold its header whatever it says."""
+"""Bytes of a Zstandard frame that always contain its header."""
 ABSENT = np.uint64(2**64 - 1)
-"""The index of an entry that is not there."""
+"""The index value of a missing entry."""
 
 
 def write_files(
     place: Callable[[int], Path], count: int, each: int, part: Callable[[int, int], np.ndarray],
     seen: Callable[[np.ndarray], object],
 ) -> None:  # fmt: skip
-    """Write entries to files, and bring each file to the disk."""
-    # While a file is compressed, the one before is written and the next one's entries are fetched: so two files'
-    # entries are in memory.
+    """Write entries to files, and flush each file to the disk."""
+    # While a file is compressed, the previous one is written and the next one's entries are fetched; memory therefore
+    # holds the entries of two files.
     from numcodecs.zstd import Zstd
 
     codec = Zstd(LEVEL, checksum=True)
@@ -40,7 +40,7 @@ def write_files(
         written: Future[None] | None = None
         entries = part(0, min(each, count))
         for number in range(-(-count // each)):
-            packed = [pool.submit(codec.encode, entry) for entry in _rows(entries)]
+            packed = [pool.submit(codec.encode, entry) for entry in entries.reshape(len(entries), -1).view(np.uint8)]
             seen(entries)
             first = (number + 1) * each
             following = part(first, min(first + each, count)) if first < count else entries[:0]
@@ -50,11 +50,6 @@ def write_files(
             written, entries = pool.submit(_save, place(number), chunks, each), following
         if written is not None:
             written.result()
-
-
-def _rows(entries: np.ndarray) -> Iterator[np.ndarray]:
-    """Each entry as bytes."""
-    yield from entries.reshape(len(entries), -1).view(np.uint8)
 
 
 def _save(path: Path, chunks: list[bytes], each: int) -> None:
@@ -75,12 +70,12 @@ def _save(path: Path, chunks: list[bytes], each: int) -> None:
 
 def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: bool) -> None:
     """Unpack some entries of a file into an array."""
-    # What the file says is compared with itself and with the array before anything is unpacked: sizes, as bombs lie
-    # about them, and places.
+    # Sizes and positions in the file are checked against each other and against the array before anything is unpacked,
+    # because malicious files state wrong ones.
     from google_crc32c import value
     from numcodecs.zstd import decompress
 
-    if not is_file(path):  # Zarr would read darkness
+    if not is_file(path):  # Zarr would read zeros
         raise FileNotFoundError(f"{path.name} is missing, or no file")
     with open_file(path) as file:
         begin = file.seek(0, os.SEEK_END) - 16 * each - 4
@@ -89,7 +84,7 @@ def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: boo
         file.seek(begin)
         tail = file.read(16 * each + 4)
         if value(tail[:-4]).to_bytes(4, "little") != tail[-4:]:
-            raise ValueError("the index of a file has another checksum than it says")
+            raise ValueError("the index of a file does not match its checksum")
         index = np.frombuffer(tail[:-4], "<u8").reshape(-1, 2)[entries.start : entries.stop]
         there = (index != ABSENT).any(axis=1)
         if whole and not there.all():
@@ -110,7 +105,7 @@ def decode(path: Path, each: int, entries: range, out: np.ndarray, *, whole: boo
 
 
 def unpacked(head: bytes) -> int | None:
-    """Bytes that a Zstandard frame says it unpacks to (RFC 8878, 3.1.1.1); None if it does not say."""
+    """Unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None if it states none."""
     if len(head) < 6 or head[:4] != ZSTANDARD:
         return None
     single, length = head[4] >> 5 & 1, (0, 2, 4, 8)[head[4] >> 6]

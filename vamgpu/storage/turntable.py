@@ -1,4 +1,4 @@
-"""The poses of a print in a manifest."""
+"""The angles of a print in a manifest."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def described(motion: Turntable) -> dict[str, Any]:
 
 
 def turntable_from(description: Mapping[str, Any]) -> Turntable:
-    """Make the turntable that `described` described; one without a lit share was written for a container at rest."""
+    """Make the turntable from its description; one without a lit share was written for a container at rest."""
     try:
         count, theta, dwell = description["angles"], description.get("theta"), description.get("dwell")
         motion = Turntable(count if theta is None else theta, dwell, description.get("lit_share", 0.0))

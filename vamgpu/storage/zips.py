@@ -1,4 +1,4 @@
-"""Zips whose members are unpacked no further than they say, and that hold no more of them than anybody packs."""
+"""Zips whose members are unpacked only up to their stated size, with a limit on the number of members."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 from vamgpu.storage.memory import size
 
 MOST_DIRECTORY = 20_000_000
-"""Bytes of a zip's list of members, of which each takes about a hundred, and ten times as much in memory."""
+"""Size limit of a zip's list of members [bytes]; each takes about a hundred there, and a thousand in memory."""
 TAIL = 22 + 20 + 56 + (1 << 16)
-"""Bytes at the end of a zip among which its list is described."""
+"""Bytes at the end of a zip that contain the description of its list."""
 DESCRIPTIONS = (re.compile(rb"(?s)PK\x05\x06.{8}(.{4})"), re.compile(rb"(?s)PK\x06\x06.{36}(.{8})"))
-"""The description of the list, and that of a zip of more than 4 GB, with the bytes that the list takes."""
+"""The description of the list, also for zips of more than 4 GB, and the size of the list in bytes."""
 
 
 def open_zip(file: BinaryIO) -> ZipFile:

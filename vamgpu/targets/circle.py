@@ -13,18 +13,18 @@ Circle = tuple[float, float, float]
 """Center x, center y, radius."""
 
 _SLACK = 1e-12
-"""Relative slack of "inside": lets points on the rim count as covered in spite of rounding."""
+"""Relative tolerance of "inside": points on the rim count as covered despite rounding."""
 
 
 def smallest_enclosing_circle(points: npt.ArrayLike) -> Circle:
-    """Return (x, y, radius) of the smallest circle that holds all points."""
+    """Return (x, y, radius) of the smallest circle that contains all points."""
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) == 0:
         raise BadInput(f"points has shape {array.shape}; expected (n, 2) with n >= 1")
     if not np.isfinite(array).all():
         raise BadInput("points holds NaN or infinity; expected finite coordinates: clean the mesh first")
     rim = _hull(array)
-    # Far from the origin the products below would cancel.
+    # Far from the origin, rounding errors of the products below would be large.
     shift = rim.mean(axis=0)
     order = np.random.default_rng(0).permutation(len(rim))
     x, y, radius = _grow(rim[order] - shift)
@@ -43,7 +43,7 @@ def _hull(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _grow(points: npt.NDArray[np.float64]) -> Circle:
-    """Circle grown point by point in a fixed shuffled order: Welzl's algorithm, in expected linear time."""
+    """Grow the circle point by point in a fixed shuffled order: Welzl's algorithm, in expected linear time."""
     circle: Circle = (float(points[0, 0]), float(points[0, 1]), 0.0)
     for i in range(1, len(points)):
         if _holds(circle, points[i]):

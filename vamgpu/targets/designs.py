@@ -20,15 +20,15 @@ from vamgpu.targets.target import Target
 Plane = npt.NDArray[np.float64]
 
 DIAMETER = 30.0
-"""Of the paper's curing volume [mm]."""
+"""Diameter of the paper's curing volume [mm]."""
 PIXELS = 1500
-"""Across the paper's designs."""
+"""Pixels across the paper's designs."""
 _ASPECT = 5.0
-"""Length of a bar of a resolution target over its width; three bars and two spaces make a square."""
+"""Ratio of length to width of a bar of a resolution target; three bars and two spaces make a square."""
 
 
 def covered(n: int, pitch: float, low: npt.ArrayLike, high: npt.ArrayLike) -> Plane:
-    """Share of each of ``n`` pixels of ``pitch`` [mm], about zero, that disjoint intervals low..high [mm] cover."""
+    """Share of each of ``n`` pixels of ``pitch`` [mm], centered about zero, in disjoint intervals low..high [mm]."""
     left = centers(n, pitch) - 0.5 * pitch
     lows, highs = np.atleast_1d(low)[:, None], np.atleast_1d(high)[:, None]
     share = np.minimum(highs, left + pitch) - np.maximum(lows, left)
@@ -59,7 +59,7 @@ class Bars:
 
     group: int
     element: int
-    frequency: float  # line pairs per mm, at the scale drawn
+    frequency: float  # line pairs per mm, at the drawn scale
     upright: tuple[float, float]  # lower left corner of a square, 5 bar widths wide [mm]
     lying: tuple[float, float]
 
@@ -80,7 +80,7 @@ def usaf_bars(
     groups: Sequence[int] = (-2, -1, 0, 1), diameter: float = DIAMETER, fill: float = 0.92
 ) -> tuple[Bars, ...]:
     """Elements of a 1951 resolution target, as large as ``fill`` of the slice's square allows. Raises `BadInput`."""
-    # f = 2^(group + (element − 1)/6) line pairs per mm, times a common scale; the first group stands on the left
+    # f = 2^(group + (element − 1)/6) line pairs per mm, times a common scale; the first group is on the left
     chosen = tuple(sorted({int(g) for g in groups}))
     if not chosen or not 0.0 < fill <= 1.0:
         raise BadInput(f"groups {groups!r}, fill {fill!r}; expected at least one group and 0 < fill ≤ 1")
@@ -114,7 +114,7 @@ def _fitted(bars: list[Bars], edge: float) -> tuple[Bars, ...]:
 
 
 def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
-    """A 1951 resolution target as a single slice; `usaf_bars` gives the places of its elements.
+    """A 1951 resolution target as a single slice; `usaf_bars` gives the positions of its elements.
 
     Args:
         groups: Numbers of the groups.
@@ -136,13 +136,13 @@ def usaf(groups: Sequence[int] = (-2, -1, 0, 1), pixels: int = PIXELS, diameter:
 
 
 def gray_wedges(steps: int = 8, pixels: int = PIXELS, diameter: float = DIAMETER, fill: float = 0.9) -> Target:
-    """Sectors of a disk, gray 1/steps … 1 counterclockwise from +x, as a single slice.
+    """Sectors of a disk with gray 1/steps … 1, counterclockwise from +x, as a single slice.
 
     Args:
         steps: Number of sectors.
         pixels: Pixels along an edge of the slice.
         diameter: Diameter of the circle around the slice [mm].
-        fill: Diameter of the disk relative to the edge of the slice; edges have 4 × 4 samples per pixel.
+        fill: Diameter of the disk relative to the edge of the slice. Pixels at edges have 4 × 4 samples.
 
     Returns:
         The target.
@@ -198,12 +198,12 @@ class Block:
         u, v, w = within
         a, b, c = a[:, None, None], b[None, :, None], c[None, None, :]
         u, v, w = u[:, None, None], v[None, :, None], w[None, None, :]
-        # a·b, b·c and a·c overlap where all three coordinates are in struts, which each of them counts
+        # a·b, b·c and a·c overlap where all three coordinates are in struts; each of them counts this region
         fraction = a * b * w + b * c * u + a * c * v - 2.0 * a * b * c
         return Target.from_array(np.clip(fraction, 0.0, 1.0), pitch, name="block_" + "x".join(map(str, self.cells)))
 
     def level(self, pixels: int = PIXELS, diameter: float = DIAMETER) -> Target:
-        """A plane through the middles of compartments as a single slice: the posts that stand along z."""
+        """A plane through the middles of compartments as a single slice: the posts along z."""
         pitch = side(diameter) / pixels
         a, b = (self._struts(k, pixels, pitch) for k in (0, 1))
         return _slice(np.outer(a, b), pitch, "posts_" + "x".join(map(str, self.cells)))

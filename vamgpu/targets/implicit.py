@@ -1,4 +1,4 @@
-"""Solids given by a function of space, φ < 0 inside, and the fraction of every voxel they fill."""
+"""Solids given by a function of space, φ < 0 inside, and the fraction of every voxel that they fill."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from vamgpu.web import WebGrid
 Array = npt.NDArray[np.float64]
 
 SAMPLES = 4
-"""Their cube is the number of points in a voxel that the surface may cross, by default."""
+"""Default whose cube is the number of sample points in a voxel that the surface may cross."""
 PLASTIC = 1.2207440846057596
 """The root of x⁴ = x + 1: its powers spread points in three dimensions."""
 _POINTS = 1 << 19
-"""Points whose function is held in memory at once."""
+"""Number of points whose function values are in memory at a time."""
 
 
 @runtime_checkable
 class Implicit(Protocol):
     """A solid as a function of space: φ(x, y, z) < 0 inside, > 0 outside, all in mm.
 
-    Arguments are arrays that broadcast together: x, y, z in a vial, l, ρ, z on a web; so is the answer's shape.
-    A shape may also offer ``bound(x, y, z)``: of the same sign, and never farther from zero than the surface is away
-    [mm]. Voxels that it proves to be full or empty are then not looked at again.
+    The arguments are arrays that broadcast together, as the result: x, y, z in a vial, l, ρ, z on a web.
+    A shape may also have a method ``bound(x, y, z)``: it has the same sign, and its magnitude is at most the distance
+    to the surface [mm]. Voxels that it proves to be full or empty are not sampled.
     """
 
     def __call__(self, x: Array, y: Array, z: Array, /) -> Array: ...
@@ -36,15 +36,15 @@ class Implicit(Protocol):
 
 @runtime_checkable
 class Bounded(Protocol):
-    """A shape that knows how far its surface is at least."""
+    """A shape with a lower bound on the distance to its surface."""
 
     def bound(self, x: Array, y: Array, z: Array, /) -> Array:
-        """At most the distance to the surface, negative inside."""
+        """At most the distance to the surface; negative inside."""
         ...
 
 
 class Distance(Bounded, Protocol):
-    """A shape whose function is nowhere more than the distance to its surface."""
+    """A shape whose function never exceeds the distance to its surface."""
 
     def __call__(self, x: Array, y: Array, z: Array, /) -> Array:
         """Distance [mm], negative inside."""
@@ -57,21 +57,17 @@ class Distance(Bounded, Protocol):
 def voxelize(
     shape: Implicit, grid: Grid | WebGrid, *, start: float = 0.0, samples: int = SAMPLES
 ) -> npt.NDArray[np.float32]:
-    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: points inside over ``samples``³ points each."""
+    """Filled fraction of every voxel, float32 [x, y, z] or [l, rho, z]: the share of ``samples``³ points inside."""
     if not callable(shape):
         raise BadInput(f"got a {type(shape).__name__} as shape; expected a function φ(x, y, z), negative in the solid")
     samples = counts("samples", (samples,), 1)[0]
-    (x, y, z), edges = grid.axes(), _edges(grid)
+    (x, y, z), edges = grid.axes(), grid.edges if isinstance(grid, WebGrid) else (grid.pitch, grid.pitch, grid.pitch)
     fraction = np.empty(grid.shape, np.float32)
     rows = max(1, _POINTS // (grid.shape[1] * grid.shape[2]))
     for first in range(0, len(x), rows):
         part = slice(first, first + rows)
         fraction[part] = _filled(shape, x[part] + start, y, z, edges, samples)
     return fraction
-
-
-def _edges(grid: Grid | WebGrid) -> tuple[float, float, float]:
-    return grid.edges if isinstance(grid, WebGrid) else (grid.pitch, grid.pitch, grid.pitch)
 
 
 def _filled(
@@ -97,8 +93,8 @@ def _filled(
 
 
 def _offsets(edges: tuple[float, float, float], samples: int) -> Array:
-    """Points (``samples``³, 3) of a voxel about its center, in pairs that mirror each other through it."""
-    # no two share a coordinate, so that faces along the voxels are resolved as well as others
+    """Points (``samples``³, 3) of a voxel about its center, in pairs that are symmetric about it."""
+    # no two points share a coordinate; faces parallel to the voxels are therefore resolved as well as others
     pairs, center = divmod(samples**3, 2)
     step = 1.0 / PLASTIC ** np.arange(1, 4)
     some = ((np.arange(pairs)[:, None] + 0.5) * step) % 1.0 - 0.5
@@ -106,7 +102,7 @@ def _offsets(edges: tuple[float, float, float], samples: int) -> Array:
 
 
 def asked(shape: Callable[[Array, Array, Array], Array], x: Array, y: Array, z: Array, size: tuple[int, ...]) -> Array:
-    """The function at points that broadcast to ``size``, or `BadInput` for what is no such array of numbers."""
+    """The function at points that broadcast to ``size``; `BadInput` if the result is not such an array of numbers."""
     value = np.asarray(shape(x, y, z))
     if value.shape != size:
         raise BadInput(

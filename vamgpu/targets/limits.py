@@ -1,4 +1,4 @@
-"""Required dose and weight of single voxels; some have none."""
+"""Required dose and weight of single voxels; some voxels have no requirement."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from vamgpu.errors import BadInput, ShapeMismatch
 Array = npt.NDArray[np.floating]
 
 NOWHERE = -1e15
-"""Target of a voxel that is not judged: kernels that count classes leave out what is below −1e12."""
+"""Target value of a voxel that is not judged: kernels that count classes ignore values below −1e12."""
 
 
 @dataclass(frozen=True)
 class BodyRequirement:
-    """The dose that the voxels of one body need, relative to that of what is printed; tolerance: of a gray one."""
+    """The dose that the voxels of one body need, relative to the dose that prints. tolerance: that of a gray body."""
 
     name: str
     role: str
@@ -29,7 +29,7 @@ class BodyRequirement:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limit of the dose, weight and body of each voxel: the part must reach its limit, all else must stay below."""
+    """Limit of the dose, weight and body of each voxel: the part must reach its limit, others must stay below."""
 
     dose: Array  # limit [x, y, z], relative to the dose that prints; 0 where nothing is judged
     weight: Array  # in losses, [x, y, z], ≥ 0
@@ -51,12 +51,12 @@ class Limits:
 
     @cached_property
     def judged(self) -> npt.NDArray[np.bool_]:
-        """Which voxels are asked for anything, [x, y, z]."""
+        """Voxels with a requirement, [x, y, z]."""
         return self.dose > 0.0
 
     @cached_property
     def scale(self) -> npt.NDArray[np.float32]:
-        """Factor that makes one limit fit all voxels, [x, y, z]; 0 where nothing is judged."""
+        """Factor of the dose at each voxel for which one limit holds for all, [x, y, z]; 0 where nothing is judged."""
         return np.divide(1.0, self.dose, out=np.zeros(self.dose.shape, np.float32), where=self.judged)
 
     @property
@@ -66,12 +66,12 @@ class Limits:
 
     @cached_property
     def gray(self) -> npt.NDArray[np.bool_]:
-        """Which voxels are to get their limit and no more, [x, y, z]."""
+        """Voxels whose dose must match their limit and not exceed it, [x, y, z]."""
         roles = np.array([body.role == "gray" for body in self.bodies] + [False])
         return roles[self.body]
 
     def stacked(self, times: int) -> Limits:
-        """The same limits in several volumes, one above the other."""
+        """The same limits for several volumes stacked along z."""
         tall = {name: np.tile(getattr(self, name), (1, 1, times)) for name in ("dose", "weight", "body")}
         return replace(self, **tall)
 
@@ -80,7 +80,7 @@ class Limits:
         return np.where(self.judged, fraction, NOWHERE).astype(np.float32)
 
     def at(self, field: Array, pitch: float) -> Callable[[Array, Array, Array], Array]:
-        """A field of these voxels at other places: that of the nearest voxel."""
+        """A field of these voxels at other places: the value of the nearest voxel."""
 
         def nearest(*places: Array) -> Array:
             index = [

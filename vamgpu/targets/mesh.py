@@ -1,4 +1,4 @@
-"""Read a part from a mesh file and bring it into the vial's frame."""
+"""Read a part from a mesh file and place it in the vial's coordinates."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ __all__ = ["FORMATS", "Solid", "from_trimesh", "load_mesh", "solid_of"]
 FORMATS = (".stl", ".ply", ".obj", ".3mf")
 """File formats that load_mesh reads."""
 WORK = {"stl": 10, "ply": 20, "obj": 20, "3mf": 2}
-"""Bytes of memory that reading and mending take at most, by byte of the file; 3MF files are packed, see package.py."""
+"""Bytes of memory that reading and repairing take at most, per byte of the file; for 3MF, see package.py."""
 PLY_HEAD = 1 << 16
-"""Bytes that a PLY file's header has at most."""
+"""Largest number of bytes of a PLY file's header."""
 
 
 def load_mesh(
@@ -43,9 +43,9 @@ def load_mesh(
 ) -> Solid:
     """Read STL, PLY, OBJ or 3MF, repair it, and return it placed in the vial as a Solid [mm].
 
-    rotation: 3 x 3 rotation matrix, applied first; then height [mm] along z, or factor, scales; then center puts the
-    smallest enclosing circle of the footprint on the axis and mid-height at z = 0. Files without a unit are read as
-    mm; a 3MF file says its unit. The parts of a file with several are joined into one Solid.
+    rotation: 3 x 3 rotation matrix, applied first. height [mm] along z, or factor, then scales the part. center finally
+    puts the smallest enclosing circle of the footprint on the axis and mid-height at z = 0. Files without a unit are
+    read as mm; a 3MF file states its unit. The parts of a file with several are joined into one Solid.
 
     Raises BadInput (no such file, unknown format, bad rotation, height or factor), EmptyMesh (no triangles),
     NotWatertight (open edges that repair could not close, or any with repair=False), MeshError (unreadable file).
@@ -61,7 +61,7 @@ def load_mesh(
 
 
 def solid_of(source: Any, name: str = "solid") -> Solid | None:
-    """The repaired Solid [mm], where it was drawn, of a path, a Solid or a trimesh.Trimesh; None for anything else."""
+    """The repaired Solid [mm] of a path, a Solid or a trimesh.Trimesh, where it was drawn; None for anything else."""
     if isinstance(source, Solid):
         return repaired(source)
     if isinstance(source, str | Path):
@@ -72,7 +72,7 @@ def solid_of(source: Any, name: str = "solid") -> Solid | None:
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
-    """Turn a trimesh.Trimesh into a watertight Solid [mm]; a mesh with a unit is converted, one without is in mm.
+    """Turn a trimesh.Trimesh into a watertight Solid [mm]; its unit, mm by default, is converted.
 
     Raises EmptyMesh, NotWatertight, MeshError as load_mesh does.
     """
@@ -101,7 +101,7 @@ def _read(file: Path) -> trimesh.Trimesh:
         if kind == "3mf":
             return read_3mf(data, file.name)
         content = BytesIO(_encoded(data, kind))
-        # bytes in place of a path: the readers then open no other file that this one names
+        # bytes in place of a path: the readers then cannot open other files that this one names
         scene = trimesh.load_scene(content, file_type=kind)
         instances = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
         triangles = sum(len(getattr(scene.geometry.get(name), "faces", ())) for name in instances)
@@ -111,11 +111,14 @@ def _read(file: Path) -> trimesh.Trimesh:
             mesh.units = scene.units
     except MeshError:
         raise
-    except Exception as error:  # the readers raise whatever they stumble over
+    except Exception as error:  # the readers raise many types of errors
         raise MeshError(
             f"cannot read {file.name!r} as {kind.upper()} ({type(error).__name__}: {error}); "
             "the file is damaged or of another format: export the part again"
         ) from error
+    if not len(mesh.faces):
+        raise EmptyMesh(f"{file.name!r} has no triangles: it is empty, or no {kind.upper()} file; expected a triangle "
+                        "mesh: export the part again")  # fmt: skip
     if count > len(mesh.faces):  # the reader drops them in silence, which leaves holes
         raise MeshError(
             f"{file.name}: {count - len(mesh.faces)} of {count} triangles have corners that are NaN or infinite; "
@@ -138,20 +141,20 @@ def _bytes(file: Path, kind: str) -> bytes:
 
 
 def _announced(data: bytes, kind: str, name: str) -> int:
-    """Triangles that a binary STL file says it has, 0 for all others. Raises MeshError where the file ends too soon."""
+    """Number of triangles by the header of a binary STL file, else 0. Raises MeshError if the file ends too soon."""
     if kind != "stl" or b"\0" not in data[:512]:
         return 0
     count, room = int.from_bytes(data[80:84], "little"), max(0, len(data) - 84) // 50
     if count > room:
         raise MeshError(
-            f"{name} says that it has {count} triangles but ends after {room}; it is cut off or no STL: "
+            f"{name} states that it has {count} triangles but ends after {room}; it is cut off or not an STL file: "
             "copy or export it again"
         )
     return count
 
 
 def _check_ply(data: bytes, name: str) -> None:
-    """Raise MeshError where the header counts more numbers than the file has bytes."""
+    """Raise MeshError if the header counts more numbers than the file has bytes."""
     count = claim = 0
     head, mark, _ = data[:PLY_HEAD].partition(b"end_header")
     for line in head.splitlines():
@@ -163,11 +166,11 @@ def _check_ply(data: bytes, name: str) -> None:
             claim += count
     if not mark or claim > 2 * len(data):
         fault = f"counts {claim:,} elements and numbers" if mark else "has no end of its header"
-        raise MeshError(f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY: copy or export it again")
+        raise MeshError(f"{name!r} {fault} in {len(data):,} bytes; it is cut off or no PLY file: export it again")
 
 
 def _encoded(data: bytes, kind: str) -> bytes:
-    """Bytes; for text in another encoding than UTF-8, which only names and remarks can hold, the text in UTF-8."""
+    """Bytes. Text in another encoding than UTF-8 is converted to UTF-8; only names and remarks can need this."""
     if kind not in ("obj", "stl") or b"\0" in data[:512]:
         return data
     try:

@@ -1,4 +1,4 @@
-"""Make a triangle soup watertight, or say why it is not."""
+"""Make a triangle soup watertight, or report why it is not."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from vamgpu.targets.solid import Solid, unmatched_edges
 Faces = npt.NDArray[np.int32]
 Vertices = npt.NDArray[np.float64]
 Mended = tuple[Vertices, Faces, tuple[str, ...]]
-"""A surface after a step of the repair, and what the step did, in words."""
+"""A surface after a step of the repair, and a description of that step."""
 
 _CRACK = 1e-5
-"""Open borders closer than this part of the box diagonal are sewn together."""
+"""Open borders closer than this share of the box diagonal are sewn together."""
 _HOLE = 0.2
-"""Holes whose rim is shorter than this part of the box diagonal are filled; so are those of three or four edges."""
+"""Holes whose rim is shorter than this share of the box diagonal are filled, and those of 3 or 4 edges."""
 
 
 def repaired(solid: Solid, *, fix: bool = True) -> Solid:
-    """Return a watertight, outward-wound copy of solid (the same object when nothing is wrong)."""
-    # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, get a fan
+    """Return a watertight, outward-wound copy of solid (the same object if nothing is wrong)."""
+    # cracks up to 1e-5 of the box diagonal are sewn; holes of ≤ 4 edges, or below 0.2 of the diagonal, are filled
     vertices, faces, mended = solid.vertices, solid.faces, ()
     left = solid.open_edges
     if left and fix:
@@ -32,9 +32,8 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
     if left:
         tried = " after merging vertices and filling small holes" if fix else ""
         raise NotWatertight(
-            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program "
-            "or a "
-            "mesh editor (make solid / close holes) and export again"
+            f"{solid.name}: {left} open edges{tried}; expected a closed surface. Close the holes in the CAD program or "
+            "a mesh editor (make solid / close holes) and export again"
         )
     if fix:
         vertices, faces, turned = _turn_outward(vertices, faces)
@@ -56,7 +55,7 @@ def repaired(solid: Solid, *, fix: bool = True) -> Solid:
 
 
 def _closed(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces, tuple[str, ...], int]:
-    """The surface after as many steps as it takes to close it, what they did, and the open edges left."""
+    """The surface after the steps needed to close it, descriptions of these steps, and the remaining open edges."""
     vertices, faces = _merge_equal(vertices, faces)
     left, mended = len(unmatched_edges(faces)), ()
     for step in (_drop_bad_faces, _sew_cracks, _fix_winding, _fill_holes):
@@ -82,7 +81,7 @@ def _drop_bad_faces(vertices: Vertices, faces: Faces) -> Mended:
     kept = faces[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
     done = _said(len(faces) - len(kept), "triangle", "triangles", "without area removed")
-    done += _said(len(kept) - len(first), "triangle", "triangles", "that repeated another removed")
+    done += _said(len(kept) - len(first), "triangle", "triangles", "that duplicated others removed")
     return vertices, kept[np.sort(first)], done
 
 
@@ -104,7 +103,7 @@ def _sew_cracks(vertices: Vertices, faces: Faces) -> Mended:
 
 
 def _fix_winding(vertices: Vertices, faces: Faces) -> Mended:
-    """Wind neighbors alike; each body keeps the sense that most of its area had."""
+    """Wind neighbors consistently; each body keeps the sense of most of its area."""
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -151,7 +150,7 @@ def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
             path, seen = [start], {start: 0}
             while follow.get(path[-1]):
                 step = follow[path[-1]].pop()
-                if step in seen:  # cut off the loop just closed, so that rims touching in one vertex stay apart
+                if step in seen:  # cut off the closed loop; rims that touch in one vertex stay separate
                     loops.append(path[seen[step] :])
                     for vertex in path[seen[step] + 1 :]:
                         del seen[vertex]
@@ -163,7 +162,7 @@ def _loops(edges: npt.NDArray[np.int64]) -> list[list[int]]:
 
 
 def _turn_outward(vertices: Vertices, faces: Faces) -> Mended:
-    """Flip everything if the total volume is negative, then every inward body that lies inside no outward one."""
+    """Flip everything if the total volume is negative; then flip inward bodies that are not in outward ones."""
     if not len(faces):
         return vertices, faces, ()
     body = bodies(faces, len(vertices))

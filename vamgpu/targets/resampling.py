@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def averaged(
     fraction: npt.NDArray[np.floating], grid: Grid, other: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> npt.NDArray[np.float32]:
-    """The mean of ``fraction``, constant within each voxel of ``grid`` and 0 outside, over every voxel of ``other``."""
+    """The mean over every voxel of ``other`` of ``fraction``, constant in each voxel of ``grid``, 0 outside."""
     values = np.asarray(fraction)
     for axis in (2, 0, 1):  # z first: it is cut to a slab more often than x and y
         values = along(values, grid, other, axis, shift[axis])

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 POINTS, GENERATOR = 89, 55
-"""Points of a cell that stand for equal parts of its area, a Fibonacci lattice: one in each of 89 rows and columns."""
+"""Points of a cell that represent equal parts of its area: a Fibonacci lattice, one in each of 89 rows and columns."""
 FINE = 4
-"""Columns along the side of a cell that a mesh is voxelized on; each has 16 points of its own, and all of z."""
+"""Columns along the side of a cell on which a mesh is voxelized; each has 16 points of its own, and all of z."""
 _BAND = 1 << 26
-"""Fine voxels that are kept at once, 256 MB."""
+"""Number of fine voxels in memory at a time, 256 MB."""
 
 
 def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.float32]:
-    """The part of each cell inside a solid, in the solid's own place. Raises `TargetTooLarge`."""
+    """The filled part of each cell for a solid, which keeps its place. Raises `TargetTooLarge`."""
     across = 2 * min(rings.rings, ceil(float(np.abs(solid.vertices[:, :2]).max()) / rings.pitch) + 1) * FINE
     pitch = rings.pitch / FINE
     squeezed = solid.vertices * (1.0, 1.0, pitch / rings.slice_pitch)
@@ -40,17 +40,15 @@ def voxelized(solid: Solid, rings: PolarGrid, device: Device) -> npt.NDArray[np.
         moved = squeezed - (0.0, 0.0, middle)
         if moved[:, 2].min() >= 0.5 * count * pitch or moved[:, 2].max() <= -0.5 * count * pitch:
             continue
-        part = voxelize(_same_faces(solid, moved), Grid((across, across, count), pitch), device).fraction.numpy()
+        part = voxelize(
+            Solid(moved, solid.faces, solid.name), Grid((across, across, count), pitch), device
+        ).fraction.numpy()
         found[:, first : first + count] = shares @ part.reshape(-1, count).astype(np.float32, copy=False)
     return np.minimum(found, np.float32(1.0)).reshape(rings.shape)
 
 
-def _same_faces(solid: Solid, vertices: npt.NDArray[np.float64]) -> Solid:
-    return Solid(vertices, solid.faces, solid.name)
-
-
 def averaged_on_rings(fraction: npt.NDArray[np.floating], grid: Grid, rings: PolarGrid) -> npt.NDArray[np.float32]:
-    """The mean of fractions, constant within each voxel and 0 outside, over the cells of rings."""
+    """The mean over the cells of rings of fractions that are constant within each voxel and 0 outside."""
     shares = shares_of_voxels(rings, grid.shape[:2], grid.pitch)
     on_slices = along(fraction, grid, Grid((1, 1, rings.slices), rings.slice_pitch), 2)
     found = shares @ np.ascontiguousarray(on_slices, np.float32).reshape(-1, rings.slices)
@@ -58,13 +56,13 @@ def averaged_on_rings(fraction: npt.NDArray[np.floating], grid: Grid, rings: Pol
 
 
 def shares_of_voxels(rings: PolarGrid, shape: tuple[int, int], pitch: float) -> csr_array:
-    """Share of every cell in each column of voxels, (angles · cells, x · y) float32, by `POINTS` points."""
+    """Share of every cell in each column of voxels, (angles · cells, x · y) float32, from `POINTS` points."""
     from scipy.sparse import csr_array, vstack
 
     blocks = [_of_band(rings, number, shape, pitch) for number in range(len(rings.bands))]
     whole = csr_array(vstack(blocks))
     cells, at, sizes = rings.shape[1], [], 0
-    for band in rings.bands:  # rows come band by band; volumes hold the bands of an angle together
+    for band in rings.bands:  # rows are in order of bands, but volumes hold all bands of an angle together
         own = band.rings * band.samples
         at.append(sizes + np.arange(rings.angles * own).reshape(rings.angles, own))
         sizes += rings.angles * own

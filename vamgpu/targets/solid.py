@@ -1,4 +1,4 @@
-"""A closed triangle surface: what every target starts from."""
+"""A closed triangle surface, from which every target starts."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A triangle surface in mm, outward faces counter-clockwise seen from outside.
+    """A triangle surface in mm; faces that point outward are counter-clockwise seen from outside.
 
     vertices: float64 (n, 3) [mm]; faces: int32 (m, 3), indices into vertices. Both are kept as read-only copies.
-    The vial's axis is x = y = 0, along z.  mended: changes of a repair, one sentence each; empty for a sound mesh.
-    drawn: whether it is to stay where it was drawn about the axis, as one read with ``center=False`` does.
+    The vial's axis is x = y = 0, along z. mended: changes made by a repair, one sentence each; empty for a sound mesh.
+    drawn: whether the solid stays where it was drawn about the axis, as with ``center=False``.
 
     Raises EmptyMesh without faces, MeshError for wrong shapes, indices out of range or coordinates that are not finite.
     """
@@ -46,7 +46,7 @@ class Solid:
             raise MeshError(f"{self.name}: a vertex is NaN or infinite; export the mesh again")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise MeshError(
-                f"{self.name}: faces point at vertices {faces.min()}..{faces.max()}, but there are {len(vertices)}"
+                f"{self.name}: faces refer to vertices {faces.min()}..{faces.max()}, but there are {len(vertices)}"
             )
         faces = np.array(faces, dtype=np.int32, order="C")
         for field, value in (("vertices", vertices), ("faces", faces)):
@@ -55,7 +55,7 @@ class Solid:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume [mm3], by the divergence theorem; meaningful when watertight."""
+        """Enclosed volume [mm3], by the divergence theorem; meaningful if the surface is watertight."""
         a, b, c = np.moveaxis((self.vertices - self.vertices.mean(axis=0))[self.faces], 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
@@ -83,11 +83,11 @@ class Solid:
         return len(unmatched_edges(self.faces))
 
     def rotated(self, rotation: npt.ArrayLike) -> Solid:
-        """Turn by a 3 x 3 rotation matrix R, vertex -> R @ vertex. Raises BadInput unless R is a proper rotation."""
+        """Rotate by a 3 x 3 rotation matrix R, vertex -> R @ vertex. Raises BadInput if R is not a proper rotation."""
         matrix = np.asarray(rotation, dtype=np.float64)
         if matrix.shape != (3, 3):
             raise BadInput(f"rotation has shape {matrix.shape}; expected a 3 x 3 matrix")
-        # Hand-typed matrices carry six digits or so; a NaN fails this test too.
+        # Hand-typed matrices have about six digits; a NaN also fails this test.
         if not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-5):
             raise BadInput("rotation is not orthogonal (R @ R.T differs from 1 by more than 1e-5); scale with factor=")
         if np.linalg.det(matrix) < 0.0:
@@ -97,13 +97,13 @@ class Solid:
         return replace(self, vertices=self.vertices @ matrix.T)
 
     def scaled(self, factor: float) -> Solid:
-        """Multiply all lengths by factor > 0. Raises BadInput otherwise."""
+        """Multiply all lengths by factor > 0. Raises BadInput for other factors."""
         if not (np.isfinite(factor) and factor > 0.0):
             raise BadInput(f"factor is {factor}; expected a positive number")
         return replace(self, vertices=self.vertices * float(factor))
 
     def translated(self, shift: npt.ArrayLike) -> Solid:
-        """Move by shift = (x, y, z) [mm]. Raises BadInput unless it is three finite numbers."""
+        """Move by shift = (x, y, z) [mm]. Raises BadInput if shift is not three finite numbers."""
         move = np.asarray(shift, dtype=np.float64)
         if move.shape != (3,) or not np.isfinite(move).all():
             raise BadInput(f"shift is {shift}; expected three finite lengths [mm]")
@@ -158,7 +158,7 @@ class Solid:
         part = file.with_name(file.name + ".part")
         try:
             part.write_bytes(data.encode() if isinstance(data, str) else bytes(data))
-            part.replace(file)  # a full disk leaves no half-written mesh behind
+            part.replace(file)  # a full disk then leaves no half-written mesh
         except OSError as error:
             part.unlink(missing_ok=True)
             raise StorageError(f"cannot write {file}: {error}; choose a writable place with free space") from error
@@ -166,7 +166,7 @@ class Solid:
 
 
 def unmatched_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Return the directed edges (k, 2) that are not traversed equally often both ways, one row an undirected edge."""
+    """Directed edges (k, 2) not traversed equally often in both directions, one row per undirected edge."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     directed = directed[directed[:, 0] != directed[:, 1]]
     if len(directed) == 0:
@@ -175,7 +175,7 @@ def unmatched_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
     keys, where = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True)
     net = np.bincount(where, weights=np.where(directed[:, 0] == low, 1.0, -1.0), minlength=len(keys))
     first = np.full(len(keys), -1, dtype=np.int64)
-    # Keep the traversal that is in excess: hole filling runs against it.
+    # Return the direction that occurs more often: hole filling runs against it.
     excess = np.where(directed[:, 0] == low, 1.0, -1.0) * net[where] > 0
     first[where[excess]] = np.flatnonzero(excess)
     return directed[first[first >= 0]]

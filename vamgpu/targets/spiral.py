@@ -1,4 +1,4 @@
-"""A web wound on itself: solids thicker than the film, cut along a spiral into flat film, and wound up again.
+"""A web wound into a spiral: solids thicker than the film are cut along a spiral into flat film, and wound up again.
 
 Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, section S9.
 """
@@ -19,14 +19,14 @@ from vamgpu.web import WebGrid
 Array = npt.NDArray[np.float64]
 
 _STEPS = 30
-"""Newton steps at most from a length to its angle; a few suffice."""
+"""Greatest number of Newton steps from a length to its angle; a few suffice."""
 
 
 @dataclass(frozen=True)
 class Spiral:
-    """A film wound into r = inner + ρ + kψ, one layer on the other, with 2πk = thickness + substrate (eq. S8).
+    """A film wound into r = inner + ρ + kψ, layer on layer, with 2πk = thickness + substrate (eq. S8).
 
-    Layers keep their thickness along the radius, so they fill the wound body without gap or overlap.
+    Layers keep their thickness along the radius; they fill the wound body without gap or overlap.
 
     Args:
         inner: Radius at which the film's roller side (ρ = 0) starts [mm].
@@ -34,7 +34,7 @@ class Spiral:
         turns: Number of turns, relative to a full turn.
         substrate: Distance between layers [mm].
         neutral: Depth of the line that winding does not stretch, as a share of the thickness; l of the flat film is the
-            arc along it.
+            arc length along it.
 
     Raises:
         BadInput: A value is out of its range.
@@ -55,7 +55,7 @@ class Spiral:
 
     @property
     def rise(self) -> float:
-        """k, radius gained per angle [mm/rad]."""
+        """k, increase of the radius per angle [mm/rad]."""
         return (self.thickness + self.substrate) / (2.0 * pi)
 
     @property
@@ -105,28 +105,28 @@ class Spiral:
         return psi
 
     def wound(self, along: Array, depth: Array) -> tuple[Array, Array]:
-        """Places in the wound body of points of the flat film.
+        """Positions in the wound body of points of the flat film.
 
         Args:
             along: Lengths l [mm], (...,).
             depth: Depths ρ [mm], (...,).
 
         Returns:
-            Places x and y [mm], (...,) each.
+            Positions x and y [mm], (...,) each.
         """
         psi = self.angle(along)
         r = self.inner + self.rise * psi + depth
         return r * np.cos(psi), r * np.sin(psi)
 
     def flat(self, x: Array, y: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Points of the flat film at given places of the wound body.
+        """Points of the flat film at given positions in the wound body.
 
         Args:
-            x: Places [mm], (...,).
-            y: Places [mm], (...,).
+            x: Positions [mm], (...,).
+            y: Positions [mm], (...,).
 
         Returns:
-            l and ρ [mm], and whether there is film, (...,) each.
+            l and ρ [mm], and whether the position lies in the film, (...,) each.
         """
         r, turn = np.hypot(x, y), np.arctan2(y, x) % (2.0 * pi)
         above = r - self.inner - self.rise * turn
@@ -162,7 +162,7 @@ class Spiral:
         return _BoundedFilm(self, shape) if isinstance(shape, Bounded) else _Film(self, shape)
 
     def unwind(self, fraction: npt.ArrayLike, grid: Grid, web: WebGrid) -> npt.NDArray[np.float32]:
-        """Voxels of a solid as those of the flat film, interpolated between centers; the core is not in the film.
+        """Voxels of a solid, interpolated to those of the flat film; the core is not in the film.
 
         Args:
             fraction: Fractions of the solid, [x, y, z].
@@ -173,8 +173,8 @@ class Spiral:
             Fractions float32 [l, rho, z].
 
         Raises:
-            ShapeMismatch: The fractions are those of another grid.
-            EmptyMesh: The film gets no part of the solid.
+            ShapeMismatch: The fractions have the shape of another grid.
+            EmptyMesh: No part of the solid lies in the film.
         """
         values = _on("solid", fraction, grid.shape)
         l, rho, z = web.axes()  # noqa: E741
@@ -190,19 +190,19 @@ class Spiral:
         return film
 
     def wind(self, fraction: npt.ArrayLike, web: WebGrid, grid: Grid, samples: int = 3) -> npt.NDArray[np.float32]:
-        """Voxels of a flat film as those of the wound body.
+        """Voxels of a flat film, resampled to those of the wound body.
 
         Args:
             fraction: Fractions of the film, [l, rho, z].
             web: Voxels of the film.
             grid: Voxels of the wound body.
-            samples: Points along x and y in each voxel, between centers of the film interpolated.
+            samples: Sample points along x and y in each voxel; values between centers of voxels are interpolated.
 
         Returns:
             Fractions float32 [x, y, z].
 
         Raises:
-            ShapeMismatch: The fractions are those of another web.
+            ShapeMismatch: The fractions have the shape of another web.
         """
         values = _on("film", fraction, web.shape)
         x, y, z = grid.axes()
@@ -221,7 +221,7 @@ class Spiral:
 
     @property
     def _stretch(self) -> float:
-        """No length in the film grows more than this by winding."""
+        """The largest stretch of a length in the film by winding."""
         start = self.inner + self.neutral * self.thickness
         across = float(np.hypot(start, self.rise))
         return max((self.inner + self.thickness) / across, 1.0) + self.rise / across
@@ -263,7 +263,7 @@ def _on(name: str, fraction: npt.ArrayLike, shape: tuple[int, int, int]) -> npt.
 def _looked_up(
     values: npt.NDArray[np.float32], first: Array, second: Array, third: Array, held: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.float32]:
-    """Values at fractional indices (first, second) for every third; the last voxels reach to their faces, 0 beyond."""
+    """Values at fractional indices (first, second) for every third index; to the last voxels' faces, 0 beyond."""
     from scipy.ndimage import map_coordinates
 
     limits = zip((first, second), values.shape, strict=False)

@@ -20,9 +20,9 @@ from vamgpu.targets.voxelize import voxelize
 from vamgpu.web import WebGrid
 
 _SLACK = 1e-6
-"""Voxels by which a length may miss a whole number of them."""
+"""Tolerance, in voxels, within which a length counts as a whole number of them."""
 MOST_OVERLAPS = 1000
-"""Copies of a part that may reach into one another; more are a period in the wrong unit."""
+"""Number of copies of a part that may overlap; more mean a period in the wrong unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +39,12 @@ class Repeated:
         if extent > MOST_OVERLAPS * period:
             raise BadInput(
                 f"period is {period:g} mm, but {self.solid.name} is {extent:.4g} mm long, so that "
-                f"{extent / period:.3g} copies would overlap; expected at most {MOST_OVERLAPS}: use a longer "
-                "period [mm]"
+                f"{extent / period:.3g} copies would overlap; expected at most {MOST_OVERLAPS}: use a longer period "
+                "[mm]"
             )
 
     def copies(self, low: float, high: float) -> Solid | None:
-        """All copies that reach between two positions along l [mm] as one surface; None if there is none."""
+        """All copies at least partly between two positions along l [mm], as one surface; or None."""
         begin, end = self.solid.bounds[:, 0]
         numbers = range(ceil((low - end) / self.period), floor((high - begin) / self.period) + 1)
         if not numbers:
@@ -72,7 +72,7 @@ def section(
     solid: Solid, grid: WebGrid, start: float = 0.0, device: str | Device | None = None
 ) -> npt.NDArray[np.float32]:
     """Filled fractions [l, rho, z] of a surface in a piece of web that begins ``start`` [mm] along it."""
-    # Scaled edge by edge, voxels are cubes of 1 about the middle of the tile: a share of a volume stays what it is.
+    # After scaling each axis, voxels are cubes of edge 1 about the middle of the tile: shares of volumes do not change.
     middle = (start + 0.5 * grid.size[0], 0.5 * grid.size[1], 0.0)
     cubes = Solid((solid.vertices - middle) / grid.edges, solid.faces, solid.name)
     return voxelize(cubes, Grid(grid.shape, 1.0), open_device(device)).fraction.numpy().astype(np.float32)
@@ -82,7 +82,7 @@ def stream(
     shape: Implicit | Repeated, section: tuple[int, int], pitch: tuple[float, float, float] | float, length: float,
     along: int, *, samples: int = SAMPLES, device: str | Device | None = None,
 ) -> Iterator[npt.NDArray[np.float32]]:  # fmt: skip
-    """Tiles of fractions float32 [l, rho, z], one after the other, that make a web of ``length`` [mm]."""
+    """Tiles of fractions float32 [l, rho, z], one after another, that make a web of ``length`` [mm]."""
     section = counts("section (voxels along rho and z)", section, 2)  # type: ignore[assignment]
     grid = WebGrid((counts("along (voxels of a tile)", (along,), 1)[0], *section), pitch)
     voxels = ceil(positive("length [mm]", length) / grid.edges[0] - _SLACK)
@@ -92,7 +92,8 @@ def stream(
         low, high = shape.solid.bounds
         raise EmptyMesh(
             f"{shape.solid.name} reaches from ρ = {low[1]:.4g} to {high[1]:.4g} mm and z = {low[2]:.4g} to "
-            f"{high[2]:.4g} mm; the web from ρ = 0 to {grid.size[1]:.4g} mm and ±{0.5 * grid.size[2]:.4g} mm: move it"
+            f"{high[2]:.4g} mm; expected part of it in the web, from ρ = 0 to {grid.size[1]:.4g} mm and ±"
+            f"{0.5 * grid.size[2]:.4g} mm: move it"
         )
     return _tiles(shape, grid, voxels, samples, device)
 

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 MARGIN = 2
 """Voxels between the part and the rim of the inscribed cylinder, by default."""
 SMALLEST, LARGEST = 0.1, 1000.0
-"""Limits of the longest edge [mm] of a part's box, outside of which its unit is probably wrong."""
+"""Limits of the longest edge [mm] of a part's box; outside of them its unit is probably wrong."""
 _MULTIPLE = 4
 """Default grids have multiples of this many voxels along every axis."""
 _SLACK = 1e-6
-"""Voxels by which a part may exceed the grid: rounding errors of a length must not add a row of voxels."""
+"""Voxels by which a part may exceed the grid, because rounding errors of a length must not add a row of voxels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ class Target:
         radius: Largest distance from the axis [mm].
         volume: Filled volume [mm³].
         height: Extent along z [mm].
-        solid: The surface it was voxelized from, as placed for the print; None if it came from an array.
-        limits: Limits of single voxels, from a `Scene`; None if the part just prints.
+        solid: The surface that was voxelized, as placed for the print; None for a target from an array.
+        limits: Limits of single voxels, from a `Scene`; None if all of the part must simply print.
     """
 
     grid: Grid
@@ -83,9 +83,9 @@ class Target:
     ) -> Target:
         """Voxelize a mesh, repaired where needed, on a device.
 
-        The part is turned, scaled by exactly one of ``height`` and ``factor``, and centered: its smallest enclosing
-        circle on the axis, its middle at z = 0. A `Solid` that was read with ``center=False`` keeps its place about the
-        axis. ``mended`` lists the changes of a repair.
+        The part is turned, scaled by either ``height`` or ``factor``, and centered: its smallest enclosing circle on
+        the axis, its middle at z = 0. A `Solid` that was read with ``center=False`` keeps its place about the axis.
+        ``mended`` lists the changes of a repair.
 
         Args:
             source: Path of an STL, PLY, OBJ or 3MF file, a `Solid`, or a `trimesh.Trimesh`, in mm if it has no unit.
@@ -93,14 +93,14 @@ class Target:
             factor: Scale of the mesh, dimensionless.
             pitch: Voxel edge [mm].
             orientation: Rotation matrix, (3, 3).
-            margin: Voxels left free between the part and the inscribed cylinder.
+            margin: Empty voxels between the part and the inscribed cylinder.
             shape: Voxels of the grid; by default the smallest multiples of 4 that hold the part and the margin.
-            grid: A grid instead of pitch and shape, or rings, whose box is used; `on_rings` has their fractions.
+            grid: A grid in place of pitch and shape, or rings, whose box is used; see `on_rings` for rings.
             device: A name or a device; the best available one by default.
             name: Name in messages and reports; by default the file's.
 
         Returns:
-            The target, its fractions on the device.
+            The target; its fractions are on the device.
 
         Raises:
             BadInput: An argument is out of its range.
@@ -180,7 +180,7 @@ class Target:
         return () if self.solid is None else self.solid.mended
 
     def on(self, device: str | Device | None = None) -> DeviceArray:
-        """The fractions as a field on a device; copied once, then kept.
+        """The fractions as a field on a device; copied only once.
 
         Args:
             device: A name or a device; the best available one by default.
@@ -198,18 +198,18 @@ class Target:
     def resampled(
         self, grid: Grid, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), device: str | Device | None = None
     ) -> DeviceArray:
-        """The part on other voxels: the filled share of every voxel of ``grid``, with its middle moved by ``shift``.
+        """The part on other voxels: the filled share of every voxel of ``grid``, whose middle is moved by ``shift``.
 
-        A target with a ``solid`` voxelizes it again, so finer voxels show more of it. For one from an array, the
-        fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
+        A target with a ``solid`` is voxelized again; finer voxels then show more detail. For a target from an array,
+        the fractions, constant within each voxel and 0 outside, are averaged exactly over the new voxels.
 
         Args:
-            grid: The new voxels, also a slab of them, which ``shift`` moves to its place.
+            grid: The new voxels; also a slab of them, which ``shift`` moves to its place.
             shift: New position of the middle of ``grid``, (x, y, z) [mm] in the part's frame.
             device: A name or a device; the best available one by default.
 
         Returns:
-            Fractions [x, y, z] on the device; what of the part lies outside is cut off.
+            Fractions [x, y, z] on the device; parts of the object outside are cut off.
 
         Raises:
             BadInput: The shift is not three finite lengths.
@@ -221,18 +221,18 @@ class Target:
         return place.upload(averaged(self.numpy(), self.grid, grid, move))
 
     def on_rings(self, rings: PolarGrid, device: str | Device | None = None) -> DeviceArray:
-        """The filled share of every cell of rings; computed once, then kept.
+        """The filled share of every cell of rings; computed only once.
 
         A target with a ``solid`` uses the mesh, with an error of 0.025 (root mean square over the cells that the
-        surface cuts). For one from an array, the fractions, constant within each voxel and 0 outside, are averaged over
-        the cells.
+        surface cuts). For a target from an array, the fractions, constant within each voxel and 0 outside, are averaged
+        over the cells.
 
         Args:
             rings: The cells.
             device: A name or a device; the best available one by default.
 
         Returns:
-            Fractions [angle, cell, z] on the device; what of the part lies outside is cut off.
+            Fractions [angle, cell, z] on the device; parts of the object outside are cut off.
 
         Raises:
             BadInput: No rings are given.
@@ -267,13 +267,13 @@ def _lengths(shift: tuple[float, float, float]) -> tuple[float, float, float]:
 def _pitch_and_shape(
     pitch: float | str | None, shape: tuple[int, int, int] | None, grid: Grid | PolarGrid | None
 ) -> tuple[float, tuple[int, int, int] | None]:
-    """Pitch and shape of a grid, or as given; the box of rings where the grid has some."""
+    """Pitch and shape of the grid if there is one, or the given ones; for rings, those of their box."""
     if grid is None:
         if pitch is None:
             raise BadInput("got neither pitch nor grid; give one: pitch= [mm], or grid= of voxels or rings")
         return measured("pitch", pitch, Length), shape
     if pitch is not None or shape is not None:
-        raise BadInput(f"got pitch={pitch!r} and shape={shape!r} beside a grid, which has both; leave them out")
+        raise BadInput(f"got pitch={pitch!r} and shape={shape!r} with a grid, which has both; leave them out")
     if not isinstance(grid, Grid | PolarGrid):
         raise BadInput(f"got {grid!r} as grid; expected a Grid or a PolarGrid")
     box = grid.box if isinstance(grid, PolarGrid) else grid
@@ -281,7 +281,7 @@ def _pitch_and_shape(
 
 
 def _one_scale(height: float | str | None, factor: float | None) -> float | None:
-    """The height as a number if it is given without a factor; otherwise `BadInput`."""
+    """The height as a number; `BadInput` unless exactly one of height and factor is given."""
     if height is None and factor is None:
         raise BadInput("got neither height nor factor; give one: height= [mm] along z, or factor=1 for the mesh's size")
     if height is not None and factor is not None:
@@ -336,25 +336,25 @@ def _grid(solid: Solid, pitch: float, margin: int, shape: tuple[int, int, int] |
         room = max(grid.inscribed_radius - margin * pitch, 0.0)
         raise TargetTooLarge(
             f"{solid.name} has radius {solid.radius:.4g} mm and height {solid.height:.4g} mm; shape {grid.shape} of "
-            f"{pitch:g} mm holds radius {room:.4g} mm (margin {margin}) and "
-            f"height {grid.shape[2] * pitch:.4g} mm: use shape ({n}, {n}, {nz}), a larger pitch, or a smaller part"
+            f"{pitch:g} mm holds radius {room:.4g} mm (margin {margin}) and height {grid.shape[2] * pitch:.4g} mm: "
+            f"use shape ({n}, {n}, {nz}), a larger pitch, or a smaller part"
         )
     return grid
 
 
 def _check_memory(grid: Grid, device: Device) -> None:
-    """Reject what cannot fit before a machine starts to swap; devices of their own memory refuse by themselves."""
+    """Reject a target that does not fit the memory before the machine swaps; devices with memory check it too."""
     import os
 
     size = device.real.itemsize * prod(grid.shape) / 1e9
     try:
         room = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    except (AttributeError, ValueError, OSError):  # not every system says
+    except (AttributeError, ValueError, OSError):  # not every system reports this
         return
     if "cuda" not in device.name and not getattr(device, "is_gpu", False) and size > room:
         raise OutOfMemory(
-            f"a target of {grid.shape} voxels of {grid.pitch:g} mm takes {size:.1f} GB; this machine has {room:.1f} "
-            "GB: use a larger pitch or a smaller part"
+            f"a target of {grid.shape} voxels of {grid.pitch:g} mm, {grid.shape[2] * grid.pitch:.4g} mm high, takes "
+            f"{size:.1f} GB; this machine has {room:.1f} GB: use a larger pitch or a smaller part"
         )
 
 

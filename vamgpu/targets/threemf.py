@@ -1,21 +1,64 @@
-"""Read 3MF packages as slicers mean them: what is to be printed, where it lies, less what is cut away.
+"""Read 3MF packages as slicers do: which objects are printed, where they are placed, and what is subtracted.
 
-The core and production extensions, and what PrusaSlicer and Bambu Studio (Orca) say beside them of volumes.
+The core and production extensions, and the volumes that PrusaSlicer and Bambu Studio (Orca) describe in addition.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from io import BytesIO
 from posixpath import normpath
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipInfo
 
 import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import EmptyMesh, MeshError
-from vamgpu.storage.memory import afford
-from vamgpu.targets.package import members_of
+from vamgpu.storage.memory import afford, size
+from vamgpu.storage.zips import open_zip, unpacked
 from vamgpu.targets.shapes import csg
+
+WORK = 12
+"""Bytes of memory that reading takes, by byte of a model's text."""
+DENSEST, SMALL = 200, 1 << 24
+"""Meshes as text pack ten times smaller; beyond `SMALL` bytes a model that packs so much smaller is none."""
+DOCTYPES = (b"<!DOCTYPE", "<!DOCTYPE".encode("utf-16-le")[:-1])
+"""What a 3MF file must not have (3MF core, 2.3): entities that multiply, and names of other files."""
+
+
+def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str, bytes]:
+    """Texts of the models of a 3MF file, and of members ``beside`` them, by path. Raises `MeshError`."""
+    found: dict[str, bytes] = {}
+    try:
+        with open_zip(BytesIO(data)) as package:
+            members = [each for each in package.infolist() if _path(each).lower().endswith(".model")]
+            members += [each for each in package.infolist() if _path(each) in beside]
+            afford(WORK * sum(member.file_size for member in members), f"the mesh {name!r}", MeshError)
+            for member in members:
+                if member.file_size > max(SMALL, DENSEST * member.compress_size):
+                    raise MeshError(
+                        f"{name!r} holds {member.filename!r}, which unpacks from {size(member.compress_size)} to "
+                        f"{size(member.file_size)}; no mesh does: export the part again"
+                    )
+                text = unpacked(package, member)
+                if any(mark in text for mark in DOCTYPES):
+                    raise MeshError(f"{name!r} declares a DOCTYPE, which no 3MF may: export the part again")
+                found[_path(member)] = text
+    except MeshError:
+        raise
+    except Exception as error:  # noqa: BLE001 - zipfile and its codecs raise whatever they stumble over
+        raise MeshError(
+            f"cannot read {name!r} as 3MF ({type(error).__name__}: {error}); "
+            "the file is damaged or of another format: export the part again"
+        ) from error
+    return found
+
+
+def _path(member: ZipInfo) -> str:
+    return member.filename.lstrip("/")
+
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,9 +70,9 @@ UNITS = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "inch": 25.4, "f
 PRINTED = ("model", "solidsupport")
 """Types of objects that are printed; "support", "surface" and "other" are not."""
 KNOWN = ("production/2015/06", "material/2015/02", "slice/2015/07", "core/2015/02", "trianglesets/2021/07")
-"""Ends of namespaces that may be required: solids are the same with and without them, or the core says them."""
+"""Ends of the namespaces of extensions that may be required, because they do not change the solids."""
 MOST_INSTANCES, MOST_LEVELS = 10_000, 16
-"""Meshes that a package may place, and levels of components."""
+"""Largest number of meshes that a package may place, and of levels of components."""
 TRIANGLE = 300
 """Bytes of memory that a triangle takes until it is repaired."""
 PRUSA, BAMBU = "Metadata/Slic3r_PE_model.config", "Metadata/model_settings.config"
@@ -38,7 +81,7 @@ ROLES = {
     "NegativeVolume": CUT, "negative_part": CUT, "ParameterModifier": LEFT_OUT, "modifier_part": LEFT_OUT,
     "SupportBlocker": LEFT_OUT, "SupportEnforcer": LEFT_OUT, "support_blocker": LEFT_OUT, "support_enforcer": LEFT_OUT,
 }  # fmt: skip
-"""What volumes are for, by the words of both programs; all others are solid."""
+"""Roles of volumes in the words of both programs; all other volumes are solid."""
 
 
 @dataclass
@@ -50,7 +93,7 @@ class _Object:
 
 
 def read_3mf(data: bytes, name: str) -> trimesh.Trimesh:
-    """The printed parts of a package [mm], joined, less its negative volumes. Raises `MeshError`, `EmptyMesh`."""
+    """The printed parts of a package [mm], joined, minus its negative volumes. Raises `MeshError`, `EmptyMesh`."""
     import trimesh
 
     solid, cut = _Package(name, members_of(data, name, (PRUSA, BAMBU))).placed()
@@ -87,7 +130,7 @@ class _Package:
         self.ranges, self.parts = _ranges(files.get(PRUSA)), _parts(files.get(BAMBU))
 
     def placed(self) -> tuple[list[tuple[Array, Any]], list[tuple[Array, Any]]]:
-        """Vertices [mm] and faces of what is solid, and of what is cut away."""
+        """Vertices [mm] and faces of the solid volumes, and of the negative ones."""
         solid: list[tuple[Array, Any]] = []
         cut: list[tuple[Array, Any]] = []
         for item in self.build:
@@ -98,11 +141,11 @@ class _Package:
         return solid, cut
 
     def _meshes(self, path: str, number: str, move: Array, role: str, level: int) -> Any:
-        """Meshes of an object and its components, moved; those that are left out are not among them."""
+        """Meshes of an object and its components, transformed; without those that are ignored."""
         found = self.objects.get((path, number))
         if found is None:
-            raise MeshError(f"{self.name!r} places object {number!r} of {path!r}, which is not there; it is damaged: "
-                            "export the part again")  # fmt: skip
+            raise MeshError(f"{self.name!r} places object {number!r} of {path!r}, which does not exist; the file is "
+                            "damaged: export the part again")  # fmt: skip
         self.instances += 1
         if level > MOST_LEVELS or self.instances > MOST_INSTANCES:
             raise MeshError(f"{self.name!r} has parts on more than {MOST_LEVELS} levels of components, or more than "
@@ -128,7 +171,7 @@ class _Package:
     def _object(self, element: _Element, path: str) -> _Object:
         mesh = element.find("{*}mesh")
         if mesh is not None and (lattice := mesh.find("{*}beamlattice")) is not None and len(lattice):
-            raise MeshError(f"{self.name!r} has a beam lattice, which is not read; expected triangles: turn the "
+            raise MeshError(f"{self.name!r} has a beam lattice, which is not supported; expected triangles: turn the "
                             "lattice into a mesh and export again")  # fmt: skip
         none: Any = ()
         corners = none if mesh is None else mesh.iterfind("{*}vertices/{*}vertex")
@@ -136,14 +179,14 @@ class _Package:
         triangles = none if mesh is None else mesh.iterfind("{*}triangles/{*}triangle")
         faces = np.array([[t.get(k) for k in ("v1", "v2", "v3")] for t in triangles], np.int64).reshape(-1, 3)
         if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-            raise MeshError(f"{self.name!r} has triangles of vertices that are not there; it is damaged: export again")
+            raise MeshError(f"{self.name!r} has triangles of vertices that do not exist; it is damaged: export again")
         parts = element.iterfind("{*}components/{*}component")
         inner = [(self._path(each, path), each.get("objectid", ""), _transform(each)) for each in parts]
         return _Object(element.get("type", "model"), vertices, faces, inner)
 
     @staticmethod
     def _path(element: _Element, path: str) -> str:
-        """The file that an item or a component lies in: its own, or that of the production extension."""
+        """The file that contains an item or a component: its own, or the one that the production extension names."""
         given = next((value for key, value in element.attrib.items() if str(key).endswith("}path")), None)
         return path if given is None else normpath(str(given)).lstrip("/")
 
@@ -152,8 +195,8 @@ class _Package:
         for prefix in (model.get("requiredextensions") or "").split():
             space = str(model.nsmap.get(prefix, prefix))
             if not space.endswith(KNOWN):
-                raise MeshError(f"{self.name!r} needs the 3MF extension {space!r}, which is not read; expected "
-                                "a mesh without it: export the part again as plain triangles")  # fmt: skip
+                raise MeshError(f"{self.name!r} needs the 3MF extension {space!r}, which is not supported; expected a "
+                                "mesh without it: export the part again as plain triangles")  # fmt: skip
         return True
 
     def _unit(self, model: _Element) -> float:
@@ -164,7 +207,7 @@ class _Package:
 
 
 def _transform(element: _Element) -> Array:
-    """A transform of row vectors, (4, 4)."""
+    """A transform for row vectors, (4, 4)."""
     given, found = element.get("transform"), np.eye(4)
     if given is not None:
         found[:, :3] = np.array(given.split(), float).reshape(4, 3)
@@ -192,7 +235,7 @@ def _ranges(text: bytes | None) -> dict[str, list[tuple[slice, str]]]:
 
 
 def _parts(text: bytes | None) -> dict[tuple[str, str], str]:
-    """Bambu Studio's and Orca's parts: the role of a component by the numbers of its object and its own."""
+    """Parts of Bambu Studio and Orca: the role of a component, by the number of its object and its own."""
     return {
         (each.get("id", ""), part.get("id", "")): ROLES[part.get("subtype", "")]
         for each in (_parsed(text).iter("object") if text else ())

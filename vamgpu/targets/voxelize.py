@@ -20,13 +20,13 @@ from vamgpu.targets.solid import Solid
 Integers = npt.NDArray[np.int64]
 
 _BITS = 10
-"""Fine units per voxel edge, as a power of two, where the solid is small enough."""
+"""Fine units per voxel edge, as a power of two, if the solid is small enough."""
 _REACH = 20
-"""Largest extent in fine units, as a power of two: volumes of three extents then fit 63 bits."""
+"""Largest extent in fine units, as a power of two: products of three extents then fit 63 bits."""
 _ROOM = 1 << 26
-"""Crossings that are kept at once, 256 MB; a part with more is worked on in bands."""
+"""Crossings in memory at a time, 256 MB; a part with more is processed in bands."""
 _TIE = 1e-6
-"""Added before rounding to the fine grid, so that round lengths never sit on a tie that rounding errors decide."""
+"""Added before rounding to the fine grid; round lengths then never lie on a tie that rounding errors would decide."""
 
 
 class Voxels(NamedTuple):
@@ -37,7 +37,7 @@ class Voxels(NamedTuple):
 
 
 def voxelize(solid: Solid, grid: Grid, device: str | Device | None = None) -> Voxels:
-    """The part of each voxel of ``grid`` inside ``solid``, in the solid's own place, on ``device``."""
+    """The share of each voxel of ``grid`` inside ``solid``, which keeps its place, on ``device``."""
     # corners on 1/1024 of a voxel; exact along z at 16 points of a column; inside where the winding number is ≥ 1
     place = open_device(device)
     corners, bits = snapped(solid, grid)
@@ -87,8 +87,7 @@ def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[
     if longest >= 1 << 31:
         raise TargetTooLarge(
             f"rays of {tile} rows of columns cross the surface {longest} times; expected at most {1 << 31}: use a "
-            "larger "
-            "pitch or a mesh with fewer bodies"
+            "larger pitch or a mesh with fewer bodies"
         )
     start = np.empty(counts.shape, np.int32)
     for band in bands:
@@ -99,7 +98,7 @@ def listed(counts: npt.NDArray[np.integer], tile: int, room: int) -> tuple[list[
 
 
 def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
-    """Vertices on the fine grid, int64 (n, 3), counted from the grid's low corner; bits: log2 of units per voxel."""
+    """Vertices on the fine grid, int64 (n, 3), counted from the grid's low corner. bits: log2 of units per voxel."""
     voxels = solid.vertices / grid.pitch + 0.5 * np.asarray(grid.shape)
     low, high = np.minimum(voxels.min(axis=0), 0.0), np.maximum(voxels.max(axis=0), grid.shape)
     widest = float(np.max(high - low))
@@ -113,7 +112,7 @@ def snapped(solid: Solid, grid: Grid) -> tuple[Integers, int]:
 
 
 def oriented(corners: Integers, faces: npt.NDArray[np.int32], top: int | None = None) -> npt.NDArray[np.int32]:
-    """Triangles counter-clockwise from above with a sign, int32 (m, 10); those seen edge-on are left out."""
+    """Triangles counter-clockwise from above, with a sign, int32 (m, 10); triangles seen edge-on are left out."""
     x, y, z = np.ascontiguousarray(corners.T)
     a, b, c = np.ascontiguousarray(faces.T)
     area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
@@ -155,7 +154,7 @@ def binned(
 
 
 def _tile(device: Device) -> int:
-    """Columns along the side of an item's square: GPUs want many items, CPUs few lists."""
+    """Columns along the side of a work item's square: GPUs prefer many items, CPUs few lists."""
     return 2 if getattr(device, "is_gpu", "cuda" in device.name) else 8
 
 

@@ -1,4 +1,4 @@
-"""Descriptions of a web in plain values, from which its frames are read and by which it is recognized."""
+"""Descriptions of a web in plain values, for reading its frames and for recognizing the web."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from vamgpu.targets.stream import Repeated
 from vamgpu.web import Wrap
 
 MOST_MEDIUM = 16_000_000
-"""Bytes of the arrays of a medium that a folder's record keeps, which is written anew with every segment."""
+"""Largest size of a medium's arrays in a folder's record [bytes]; the record is rewritten with every segment."""
 
 
 def described(value: Any) -> dict[str, Any]:
-    """A frozen noun as plain values: its kind and its fields."""
+    """A frozen component as plain values: its kind and its fields."""
     fields = asdict(value) if is_dataclass(value) and not isinstance(value, type) else {}
     return {"kind": type(value).__name__, **{key: _simple(part) for key, part in fields.items()}}
 
@@ -49,7 +49,7 @@ def described_wrap(wrap: Wrap) -> dict[str, Any]:
 
 
 def described_target(tiles: Any) -> dict[str, Any] | None:
-    """Description by which a target is recognized; None for tiles that come once only."""
+    """Description by which a target is recognized; None for tiles from an iterator."""
     if isinstance(tiles, Repeated):
         return {"kind": "Repeated", "solid": tiles.solid.name, "period": tiles.period,
                 "sha256": digest(tiles.solid.vertices)}  # fmt: skip
@@ -68,17 +68,17 @@ def _simple(value: Any) -> Any:
         return {key: _simple(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [_simple(part) for part in value]
-    if callable(value) and hasattr(value, "__qualname__"):  # its repr tells where it lies in this process's memory
+    if callable(value) and hasattr(value, "__qualname__"):  # its repr would contain its address in memory
         return f"{value.__module__}.{value.__qualname__}"
     return value if isinstance(value, (int, float, str, bool, type(None))) else repr(value)
 
 
 def wrap_from(description: Mapping[str, Any]) -> Wrap:
-    """The machine that a folder describes. Raises `StorageError` for one this library cannot rebuild."""
+    """The machine that a folder describes. Raises `StorageError` for a machine that this library cannot rebuild."""
     kind = description.get("kind")
     if kind not in ("Roller", "roller"):
         raise StorageError(f"the web was carried by a {kind}; expected a Roller: simulate it with its own wrap=")
-    kept = {"lit_share": 0.0, **description}  # what has no such key was written for a film at rest while it is lit
+    kept = {"lit_share": 0.0, **description}  # a description without this key is from a film at rest while it is lit
     arrays = kept.pop("arrays", {})
 
     def array(name: str) -> np.ndarray:

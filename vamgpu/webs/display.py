@@ -1,4 +1,4 @@
-"""The mirrors of a web machine and the wires to them and to its lens."""
+"""The mirrors of a web machine, and the links to them and to the lens."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from vamgpu.schema.quantities import DataRate, Length, Rate, Time
 
 @dataclass(frozen=True)
 class Display:
-    """The mirrors that show frames, and the wires to them and to the lens.
+    """The mirrors that show frames, and the links to them and to the lens.
 
-    rate: highest frame rate at this number of ``bits``.  bits: bits per pixel.  pixels: columns, rows.  pitch: pixel
-    edge in the bath [mm].  wire: time to send the command for a lens power [s].  link: highest data rate from the host
-    to the mirrors [bytes/s]; no limit if left out, for frames that are loaded before the print.  turning: reverse the
-    order of the focus planes at every angle, which saves one lens move.
+    rate: highest frame rate at this number of ``bits``. bits: bits per pixel. pixels: columns, rows. pitch: pixel edge
+    in the bath [mm]. wire: time to send the command for a lens power [s]. link: highest data rate from the host to the
+    mirrors [bytes/s]; no limit if left out, for frames that are loaded before the print. turning: reverse the order of
+    the focus planes at every other angle, which saves one lens move.
 
     The defaults are 8 bits on 1080p mirrors, and a lens command of ten bytes at 38,400 baud. Raises `BadInput`.
     """

@@ -15,13 +15,13 @@ from vamgpu.web import Wrap
 
 @dataclass(frozen=True)
 class WebDrift:
-    """A change of the light of a web, from some frame.
+    """A change of the light of a web, from some frame on.
 
     Args:
         gain: Light relative to the plan, dimensionless.
         since: First frame with this light.
-        absorption: Absorption coefficient of the film relative to the plan, dimensionless; that of the last drift
-            applies to the whole web, because it is the resin's.
+        absorption: Absorption coefficient of the film relative to the plan, dimensionless. That of the last drift
+            applies to the whole web, because it belongs to the resin.
 
     Raises:
         BadInput: A value is out of its range.
@@ -52,7 +52,7 @@ def drifts_of(details: Mapping[str, Any]) -> tuple[WebDrift, ...]:
 
 
 def clouded(wrap: Wrap, absorption: float) -> Wrap:
-    """The machine with a film of another absorption. Raises `BadInput` for one without an absorbing film."""
+    """The machine with a film of another absorption. Raises `BadInput` for a machine without an absorbing film."""
     if absorption == 1.0:
         return wrap
     film: Any = getattr(wrap, "film", None)

@@ -1,4 +1,4 @@
-"""The light of a web's frames, only from their bytes."""
+"""The light of a web's frames, computed only from their bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vamgpu.webs.store import WebFolder
 
 
 def light_of(folder: WebFolder, first: int, poses: int, gain: np.ndarray, device: Device) -> DeviceArray:
-    """Light [pose, r, z] of a folder's frames from ``first`` on, times each frame's gain; 0 where there are none."""
+    """Light [angle, r, z] of a folder's frames from ``first`` on, times each frame's gain; 0 without frames."""
     try:
         details = folder.details
         columns, rows = (int(n) for n in details["beam"]["pixels"])

@@ -1,4 +1,4 @@
-"""Where the segments of a web lie: which frames each one owns, and what it must see to decide them."""
+"""Positions of the segments of a web: the frames that each one decides, and the columns that it needs for that."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 
 DENOMINATOR = 64
-"""Most poses after which windows begin at a whole column again."""
+"""Greatest number of angles after which windows begin at a whole column again."""
 
 
 @dataclass(frozen=True)
 class SegmentLayout:
-    """A web cut into segments of ``core`` frames, each solved with ``overlap`` more on either side."""
+    """A web cut into segments of ``core`` frames, each solved with ``overlap`` more frames on either side."""
 
-    window: int  # columns the light of one pose reaches
-    step: Fraction  # columns from one pose to the next
+    window: int  # columns that the light of one angle reaches
+    step: Fraction  # columns from one angle to the next
     core: int
     overlap: int
 
     @classmethod
     def of(cls, window: int, step: float, core: float = 2.0, overlap: float = 1.0) -> SegmentLayout:
-        """Make a layout of lengths in windows of light. Raises `BadInput` unless steps meet whole columns again."""
+        """Make a layout from lengths in windows of light. Raises `BadInput` if steps never meet whole columns again."""
         exact = Fraction(step).limit_denominator(DENOMINATOR)
         if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:
             near = float(exact) or 1.0 / DENOMINATOR
@@ -39,31 +39,31 @@ class SegmentLayout:
 
     @property
     def lead(self) -> int:
-        """Frames before the one whose window begins at column 0."""
+        """Number of frames before the one whose window begins at column 0."""
         many = self.step.denominator
         return many * ceil((self.window - 1) / float(self.step) / many)
 
     @property
     def poses(self) -> int:
-        """Poses that are solved together."""
+        """Number of angles that are solved together."""
         return self.core + 2 * self.overlap
 
     @property
     def columns(self) -> int:
-        """Columns their windows reach."""
+        """Number of columns that their windows cover."""
         return ceil((self.poses - 1) * self.step) + self.window
 
     @property
     def columns_per_core(self) -> int:
-        """Columns the web moves while the frames of one segment are shown."""
+        """Number of columns that the web moves while the frames of one segment are shown."""
         return int(self.core * self.step)
 
     def frames(self, columns: int) -> int:
-        """Frames of a web of that many columns: all whose window meets it."""
+        """Number of frames of a web with this number of columns: all whose windows meet it."""
         return self.lead + ceil(columns / self.step)
 
     def segments(self, columns: int) -> int:
-        """Segments of a web of that many columns."""
+        """Number of segments of a web with this number of columns."""
         return ceil(self.frames(columns) / self.core)
 
     def origin(self, segment: int) -> int:
@@ -71,13 +71,13 @@ class SegmentLayout:
         return int((segment * self.core - self.overlap - self.lead) * self.step)
 
     def owned(self, segment: int, columns: int | None) -> tuple[int, int]:
-        """First frame a segment owns, and the one after its last; ``columns``: of the web, None without an end."""
+        """First frame of a segment, and the one after its last; ``columns``: those of the web, None without an end."""
         first = segment * self.core
         last = first + self.core
         return first, last if columns is None else min(last, self.frames(columns))
 
     def printed(self, segment: int, columns: int | None) -> tuple[int, int]:
-        """Columns of the web that belong to a segment when a web is judged; none for the last ones."""
+        """Columns of the web that are judged with a segment; none for the last segments."""
         first = segment * self.columns_per_core
         last = first + self.columns_per_core
         return (first, last) if columns is None else (min(first, columns), min(last, columns))

@@ -35,7 +35,7 @@ class SpeedLimit:
 
 @dataclass(frozen=True)
 class WebLimits:
-    """The limits of a web machine at one speed. Raises `BadInput`, also if the lens cannot reach the film."""
+    """The limits of a web machine at one speed. Raises `BadInput`, also if the lens cannot focus on the film."""
 
     roller: Roller  # with its film
     lens: TunableLens = TunableLens()  # with its depth bins and settling time
@@ -64,12 +64,12 @@ class WebLimits:
 
     @property
     def advance(self) -> float:
-        """Advance of the web per pose [mm], along its neutral line."""
+        """Advance of the web from one angle to the next [mm], along its neutral line."""
         return self.roller.advance
 
     @property
     def tangential_sampling(self) -> float:
-        """Poses per length of the web [1/mm] (S18)."""
+        """Angles per length of the web [1/mm] (S18)."""
         return 1.0 / self.advance
 
     @property
@@ -79,7 +79,7 @@ class WebLimits:
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second: every angle has one for each depth bin."""
+        """Frames per second: every angle has one frame for each depth bin."""
         return self.lens.bins * self.pose_rate
 
     @property
@@ -94,17 +94,17 @@ class WebLimits:
 
     @property
     def poses(self) -> float:
-        """Poses while the length passes one point."""
+        """Number of angles while the length passes one point."""
         return self.length / self.advance
 
     @property
     def frames(self) -> float:
-        """Frames while the length passes one point."""
+        """Number of frames while the length passes one point."""
         return self.lens.bins * self.poses
 
     @property
     def duty(self) -> float:
-        """Share of the time in which light can be on: the lens neither gets a command nor moves; negative: too fast."""
+        """Share of the time in which the lens is idle and light can be on; negative if too fast."""
         return 1.0 - self.moves * (self.display.wire + self.lens.settle) * self.pose_rate
 
     @property
@@ -119,12 +119,12 @@ class WebLimits:
 
     @property
     def moves(self) -> int:
-        """Moves of the lens per angle."""
+        """Number of lens moves per angle."""
         bins = self.lens.bins
         return 0 if bins == 1 else bins - 1 if self.display.turning else bins
 
     def sampling_limit(self, speed: float) -> float:
-        """Most poses per length of a web [1/mm] at a speed [mm/s] that the lens's settling allows: f/(M·v) (S20)."""
+        """Largest number of angles per length of a web [1/mm] at a speed [mm/s] that the lens allows: f/(M·v) (S20)."""
         busy = self.moves * self.lens.settle
         return inf if busy == 0 else 1.0 / (busy * positive("speed [mm/s]", speed))
 
@@ -135,7 +135,7 @@ class WebLimits:
 
     @cached_property
     def speeds(self) -> tuple[SpeedLimit, ...]:
-        """The greatest speed that each part allows by itself, and that of all of them one after the other (S17–S20)."""
+        """The greatest speed that each part allows by itself, and that of all of them in sequence (S17–S20)."""
         shown, bins, moves = self.display, self.lens.bins, self.moves
         parts = {
             "mirrors": (bins / shown.rate, f"{bins} frames an angle at {shown.rate:g} Hz"),
@@ -153,12 +153,12 @@ class WebLimits:
 
     @property
     def limiting(self) -> SpeedLimit:
-        """The limit that the web meets first."""
+        """The lowest of these limits."""
         return min(self.speeds, key=lambda limit: limit.speed)
 
     @property
     def slowest(self) -> float:
-        """Least speed [mm/s] at which the resin flows less than one pose while it is lit; 0 for a gel (S22)."""
+        """Least speed [mm/s] at which the resin flows less than one advance while it is lit; 0 for a gel (S22)."""
         if self.viscosity is None:
             return 0.0
         return self.flow_speed(self.viscosity) * self.lit_way / self.advance
@@ -185,17 +185,17 @@ class WebLimits:
 
     @property
     def lit_time(self) -> float:
-        """Seconds that a piece of the film is in the light."""
+        """Time [s] that a piece of the film is in the light."""
         return self.lit_way / self.speed
 
     @property
     def tolerable_flow(self) -> float:
-        """Speed [mm/s] at which lit resin flows the advance of one pose."""
+        """Flow speed [mm/s] at which lit resin moves by the advance of one angle."""
         return self.advance / self.lit_time
 
     @property
     def viscosity_needed(self) -> float:
-        """Least viscosity [mJ·s/mm³] of a resin that flows no faster: ρ·g·τ²/(2·u) on a vertical film (S22)."""
+        """Viscosity [mJ·s/mm³] above which resin flows slower than this: ρ·g·τ²/(2·u) on a vertical film (S22)."""
         return self.density * GRAVITY * self.roller.film.thickness**2 / (2.0 * self.tolerable_flow)
 
     def flow_speed(self, viscosity: float) -> float:
@@ -209,7 +209,7 @@ class WebLimits:
 
     @property
     def defocus(self) -> float:
-        """Largest distance [mm] of a column's film from its focus plane, the rounding of the lens's power added."""
+        """Largest distance [mm] of a column's film from its focus plane, including the rounding of the lens's power."""
         return float(self.masks.defocus.max()) + self._rounding
 
     @property

@@ -1,4 +1,4 @@
-"""Figure of the limits of a web machine: speeds, time of a pose, flow, and the frequencies light reaches."""
+"""Figure of the limits of a web machine: speeds, time of an angle, flow, and the frequencies that light reaches."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def draw(found: WebLimits, path: str | Path) -> Path:
 
 
 def figure_of(found: WebLimits) -> Figure:
-    """Greatest speeds, a pose in time, viscosity against speed, and the reach in spatial frequency."""
+    """Greatest speeds, the time of one angle, viscosity against speed, and the reach in spatial frequency."""
     figure, axes = style.sheet("aab;ccd", 6.6, width_ratios=[1, 1, 1.1])
     _speeds(axes["a"], found)
     _frequencies(axes["b"], found)
@@ -78,8 +78,8 @@ def _pose(axis: Axes, found: WebLimits) -> None:
             order.append(name)
             start += length
     axis.plot([1e3 * found.pose_time] * 2, [-0.5, 0.75], color=style.RED, lw=1.4)
-    axis.text(1e3 * found.pose_time, 0.62, "  least time of a pose", color=style.RED, fontsize=8.5, va="center")
-    axis.set(title=f"A pose at {found.speed * minute:.4g} mm/min: light for {100 * max(found.duty, 0):.0f} % of it",
+    axis.text(1e3 * found.pose_time, 0.62, "  least time of an angle", color=style.RED, fontsize=8.5, va="center")
+    axis.set(title=f"An angle at {found.speed * minute:.4g} mm/min: light for {100 * max(found.duty, 0):.0f} % of it",
              xlabel="time [ms]", yticks=[], ylim=(-0.9, 0.85), xlim=(0, None))  # fmt: skip
     axis.legend(ncols=3, loc="lower left")
     axis.grid(False, axis="y")
@@ -93,5 +93,5 @@ def _flow(axis: Axes, found: WebLimits) -> None:
     axis.axvspan(found.limiting.speed * minute, speeds[-1] * minute, color=style.RED, alpha=0.12, lw=0)
     if found.viscosity is not None:
         axis.axhline(found.viscosity / Pa_s, color=style.GREEN, ls=(0, (4, 3)))
-    axis.set(title="Viscosity so that resin stays", xlabel="speed [mm/min]", ylabel="least viscosity [Pa·s]",
+    axis.set(title="Viscosity at which resin stays", xlabel="speed [mm/min]", ylabel="least viscosity [Pa·s]",
              xlim=(speeds[0] * minute, speeds[-1] * minute))  # fmt: skip

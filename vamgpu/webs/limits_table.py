@@ -1,4 +1,4 @@
-"""The limits of a web machine as lines to be read."""
+"""The limits of a web machine as lines of text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PER_MINUTE = 60.0
 
 
 def lines(limits: WebLimits) -> tuple[Line, ...]:
-    """Every number of the report with its meaning: the expected speed, what limits it, film, angles."""
+    """Every number of the report with its meaning: the expected speed, its limit, film, angles."""
     return (*_expected(limits), *_speeds(limits), *_film(limits), *_angles(limits))
 
 

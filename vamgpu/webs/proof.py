@@ -27,11 +27,11 @@ from vamgpu.webs.store import WebFolder
 
 BINS = 2048
 REACH = 4.0
-"""Doses are counted from 0 to this, in units of the part's dose; greater ones count as this."""
+"""Greatest counted dose, in units of the part's dose; greater ones count as this."""
 CHUNK = 1 << 20
-"""Voxels that a thread counts at once."""
+"""Number of voxels that a thread counts at a time."""
 LEVEL = 128
-"""Least fraction times 255 of a voxel in the part."""
+"""Least fraction, times 255, of a voxel that belongs to the part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class PieceScore:
 
     columns: tuple[int, int]  # first and one after the last
     iou: float  # intersection over union
-    window: float  # strict process window, (least dose in the part − greatest out of it) / greatest
-    trimmed: float  # the same without a hundredth of the voxels at either side
+    window: float  # strict process window, (least dose in the part − greatest outside) / greatest
+    trimmed: float  # the same without a hundredth of the voxels on either side
     missing: int  # voxels on the wrong side of the threshold
     excess: int  # voxels on the wrong side of the threshold
     loss: float  # of the last iteration
@@ -69,7 +69,7 @@ class WebProof:
     segments: tuple[PieceScore, ...]
     iou: float  # over the whole web, at the dose that makes iou greatest
     threshold: float  # over the whole web, at the dose that makes iou greatest
-    counts: np.ndarray  # voxels by dose, (out of the part, in it) × bins
+    counts: np.ndarray  # voxels by dose, (outside the part, inside) × bins
     edges: np.ndarray  # of the bins, in doses
     device: Device
     wrap: Wrap | None = None  # see `prove_web`
@@ -90,7 +90,7 @@ class WebProof:
 
 
 class _Simulation:
-    """Reads frames' bytes and computes their dose; holds one segment at a time."""
+    """Reads frames' bytes and computes their dose; has one segment in memory at a time."""
 
     def __init__(
         self, folder: WebFolder, device: Device, wrap: Wrap | None = None, gain: np.ndarray | None = None
@@ -123,7 +123,7 @@ class _Simulation:
 
     @property
     def finished(self) -> int:
-        """Columns that all their poses have lit."""
+        """Columns that were lit at all their angles."""
         folder, layout = self.folder, self.layout
         lit = int((folder.frames - layout.lead) * layout.step)
         return folder.columns if folder.complete else max(0, min(folder.columns, lit))
@@ -137,7 +137,7 @@ class _Simulation:
                 yield WebPart(number, (start, stop), dose, self.folder.read("target", start, stop) >= LEVEL)
 
     def _dose(self, number: int, start: int, stop: int) -> np.ndarray:
-        """Dose of some of the columns around a segment, from the frames of all poses that reach its own."""
+        """Dose of some columns around a segment, from the frames of all angles that reach the segment."""
         layout = self.layout
         first = number * layout.core - layout.overlap
         return self.operator.T(light_of(self.folder, first, layout.poses, self.gain, self.device)).part(start, stop)
@@ -150,7 +150,7 @@ def prove_web(
     """Simulate a web from its frames' bytes and gray curve, and score each segment against its target.
 
     Args:
-        web: The folder, or its path. If it is not complete, only columns that all their angles have lit.
+        web: The folder, or its path. If it is not complete, only columns that were lit at all their angles are judged.
         device: A name or a device; the best available one by default.
         wrap: The machine; by default the roller that the folder describes, with the last absorption.
         gain: Light of each frame relative to the plan, (frames,); by default that of the folder's frames.
@@ -172,7 +172,7 @@ def prove_web(
     edges = np.linspace(0.0, REACH, BINS + 1)
     counts, windows, spans = [], [], []
     for piece in simulation.pieces(None):
-        windows.append(_windows(piece))  # which refuses doses that are no numbers
+        windows.append(_windows(piece))  # it refuses doses that are not numbers
         counts.append(_counted(piece.dose, piece.target))
         spans.append((piece.number, piece.columns))
     if not counts:
@@ -191,7 +191,7 @@ def prove_web(
 
 
 def _counted(dose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Voxels by dose, (out of the part, in it) × bins."""
+    """Voxels by dose, (outside the part, inside) × bins."""
 
     def some(rows: slice) -> np.ndarray:
         least = np.clip(dose[rows] * np.float32(BINS / REACH), 0.0, BINS - 1.0).astype(np.int32)
@@ -203,14 +203,14 @@ def _counted(dose: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _windows(piece: WebPart) -> tuple[float, float]:
-    """Strict and trimmed process window of a piece; 0 where it has no part."""
+    """Strict and trimmed process window of a piece; 0 if it has no part."""
     found = segment_windows(piece.dose, piece.target, len(piece.dose))
     strict, trimmed = np.nan_to_num([found.strict[0], found.trimmed[0]])
     return float(strict), float(trimmed)
 
 
 def _split(counts: np.ndarray, at: int) -> tuple[int, int, int]:
-    """Voxels rightly printed, missing, and in excess at the threshold that is the lower edge of bin ``at``."""
+    """Voxels correctly printed, missing, and in excess, with the lower edge of bin ``at`` as threshold."""
     return int(counts[1, at:].sum()), int(counts[1, :at].sum()), int(counts[0, at:].sum())
 
 

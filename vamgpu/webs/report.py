@@ -64,7 +64,7 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
             Card("Printed film", SurfaceView(f"{1e3 * max(proof.grid.edges):.3g}"), note=note),
             Card("Layer by layer", Slices(), note=SLICES_NOTE),
             Card("Light about the roller", Chart(_wrapped(proof)), note=WRAPPED_NOTE, wide=True),
-            Card("Dose in and out of the part", Chart(histogram), wide=not contrast),
+            Card("Dose inside and outside the part", Chart(histogram), wide=not contrast),
             *([Card("Contrast against the index ratio", Chart(views.contrast_chart(contrast)), note=CONTRAST_NOTE)]
               if contrast else []),
             Card("Segment by segment", Chart(segments), note="One threshold for the whole web.", wide=True),
@@ -77,7 +77,7 @@ def page_of(proof: WebProof, title: str, contrast: Sequence[tuple[float, float]]
 
 
 def _peak(proof: WebProof) -> float:
-    """Dose of 99.9 % of the voxels at most: the brightest in pictures."""
+    """Dose that 99.9 % of the voxels do not exceed: the brightest in pictures."""
     total = proof.counts.sum(axis=0).cumsum()
     return float(proof.edges[int(np.searchsorted(total, 0.999 * total[-1])) + 1])
 

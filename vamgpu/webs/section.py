@@ -18,7 +18,7 @@ def one_column(
     section: tuple[int, int] | None = None,
     pitch: tuple[float, float, float] | None = None,
 ) -> WebGrid:
-    """One column of the web; film and beam tell what is not given. Raises `BadInput` without a film."""
+    """One column of the web; values that are not given follow from film and beam. Raises `BadInput` without a film."""
     edges = (wrap.advance, beam.pitch, beam.pitch) if pitch is None else pitch
     along, deep, across = WebGrid((1, 1, 1), edges).edges
     if section is not None:
@@ -31,12 +31,12 @@ def one_column(
 
 
 def lit_by(wrap: Wrap, planes: int) -> Wrap:
-    """The machine where a lens shows each of some focus planes for its part of what is lit of a step."""
+    """The machine with the focus planes of a lens, each of which is shown for its part of the lit share of a step."""
     return replace(wrap, lit_share=wrap.lit_share / planes) if isinstance(wrap, Roller) else wrap
 
 
 def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -> FocusMasks | None:
-    """Focus planes of a lens about the roller, or those given. Raises `BadInput`, `ShapeMismatch`."""
+    """Focus planes of a lens about the roller, or the given ones. Raises `BadInput`, `ShapeMismatch`."""
     if lens is None:
         return None
     if isinstance(lens, FocusMasks):
@@ -49,8 +49,8 @@ def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -
         raise BadInput(f"got {lens!r} as lens; expected a TunableLens, FocusMasks, or None for one focus")
     if not isinstance(wrap, Roller):
         raise BadInput(
-            f"a lens follows the film about a Roller, and {type(wrap).__name__} is none; expected "
-            "FocusMasks(columns, pitch, midline, planes) as lens"
+            f"a lens follows the film about a Roller, and {type(wrap).__name__} is none; expected FocusMasks(columns, "
+            "pitch, midline, planes) as lens"
         )
     masks = FocusMasks.around(beam, wrap.radius, wrap.film.thickness, lens.bins)
     lens.power(masks.planes)

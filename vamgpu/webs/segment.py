@@ -12,7 +12,7 @@ from vamgpu.printing.gray import GrayCurve
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """One segment that is decided."""
+    """One finished segment."""
 
     number: int  # counted from 0
     first: int  # number of its first frame on the web
@@ -28,7 +28,7 @@ class Segment:
 
     @property
     def frames(self) -> Frames:
-        """The frames, for whatever shows or simulates them."""
+        """The frames, for showing or simulating them."""
         return Frames.from_bytes(
             self.images, "numpy", bits=8, gray=self.gray, scale=self.scale, columns=self.images.shape[2]
         )

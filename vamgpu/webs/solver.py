@@ -1,4 +1,4 @@
-"""Light for one segment of a web, by steps that do not depend on what else the web holds."""
+"""Light for one segment of a web, by steps that do not depend on the rest of the web."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from vamgpu.web import Propagation, WebGrid
 from vamgpu.webs.layout import SegmentLayout
 
 LAST = "the light of the segment is its last"
-"""Words on it in messages of divergence."""
+"""Its name in messages of divergence."""
 TOGETHER = 1 << 26
-"""Bytes of a field that are made at once before they are uploaded."""
+"""Bytes of a field that are made at a time before they are uploaded."""
 STABLE = 4 / 3
-"""Longest step of Nesterov's that is stable, over what the loss is curved at most: momentum comes near 1."""
+"""Longest stable step of Nesterov's method, over the inverse of the loss's largest curvature, as momentum nears 1."""
 PACE = 5 / 6
-"""Length of a step over the longest that is stable."""
+"""Ratio of the length of a step to the longest stable one."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +45,25 @@ class SegmentLosses:
 
     first: float  # of the first iteration
     last: float  # of the last one
-    trajectory: LossTrajectory | None = None  # of all of them; None for a segment of nothing
+    trajectory: LossTrajectory | None = None  # of all of them; None for an empty segment
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """The light and the dose that a segment starts from."""
+    """The light and the dose from which a segment starts."""
 
-    light: DeviceArray  # to begin with, [pose, r, z] on the device
-    planned: np.ndarray  # of each pose, whether that light is meant
+    light: DeviceArray  # initial light, [angle, r, z] on the device
+    planned: np.ndarray  # for each angle, whether that light is valid
     most: float  # greatest light of a pixel
-    decided: int = 0  # first poses whose light is decided already, and is not part of what is solved
-    dose: np.ndarray | None = None  # delivered by them and those before the segment, [l, rho, z]
+    decided: int = 0  # number of first angles whose light is already decided, and is not part of the solution
+    dose: np.ndarray | None = None  # from these and from frames before the segment, [l, rho, z]
 
 
 class Solver:
     """Descent of a sum over voxels on segments of one shape; the light of a segment is its last."""
 
-    # A place depends on what is near it, never on where a segment begins: the loss is a sum over voxels, and the step
-    # follows from one pose and the curvature. To choose the best of all iterations would couple the whole segment.
+    # A position depends only on its neighborhood, never on where a segment begins: the loss is a sum over voxels, and
+    # the step follows from one angle and the curvature. Selecting the best of all iterations would couple all of it.
     # Momentum is Nesterov's, whatever the method's own: half of it would need four times as many steps.
 
     layout: SegmentLayout  # shape of a segment
@@ -83,7 +83,7 @@ class Solver:
         self._lower(loss)
 
     def _lower(self, loss: Loss) -> None:
-        """Take steps down this loss."""
+        """Take descent steps for this loss."""
         self.loss: Loss = loss
         self.step: float = PACE * STABLE / (self._norm() * loss.curvature())
         self.pace: StepRule = StepRule(self.step, fixed=True)
@@ -96,14 +96,14 @@ class Solver:
             self._lower(method.apart(losses.last / (columns * fractions[0].size)).band())
 
     def _norm(self) -> float:
-        """‖A‖², from the light of one pose: no entry is negative, so that a web that is even along l is the worst."""
+        """‖A‖², from the light of one angle: no entry is negative, and a web uniform along l is the worst case."""
         light, rows = self.operator.light, self._rows_norm()
         sums = np.zeros(light.shape[:2])
         np.add.at(sums, (light.r, light.rho), light.weight)
         return rows * float(np.linalg.norm(sums, 2)) ** 2 / float(self.layout.step)
 
     def _rows_norm(self) -> float:
-        """Factor of ‖A‖² by rows unlike slices; 1 where each row is a slice."""
+        """Factor of ‖A‖² for rows that differ from slices; 1 if each row is a slice."""
         grid, beam = self.operator.grid, self.operator.beam
         rows = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.edges[2], self.device)
         if rows.same:
@@ -125,7 +125,7 @@ class Solver:
     @cached_property
     def _unlit(self) -> np.ndarray:
         """Share of an endless run's light that columns near the ends of a segment lack, (l, rho, 1)."""
-        assert self.gain  # which leaves finite numbers in the light
+        assert self.gain  # then the light has only finite numbers
         light, dose = self._field("light"), self._field("dose")
         self.device.launch(linear, a=0.0, x=light, b=0.0, y=light, floor=1.0, out=light)
         self.operator.T(light, out=dose)
@@ -137,7 +137,7 @@ class Solver:
         return np.clip(1.0 - share, 0.0, 1.0).astype(np.float32)
 
     def _dark(self) -> DeviceArray:
-        """``light`` = what a web of nothing casts: darkness."""
+        """``light`` = the projection of an empty web: darkness."""
         nothing = self.device.upload(np.zeros(self.operator.domain.shape, np.float32))
         self.operator(nothing, out=self._field("light"))
         return self._field("light")
@@ -148,7 +148,7 @@ class Solver:
 
     def _filtered(self, state: OptimizerState, gain: float) -> DeviceArray:
         """``light`` = the target's filtered projection times a gain, never negative."""
-        taps = self._ramp  # before the fields: measuring it takes two of its own for a while
+        taps = self._ramp  # before the fields: measuring it needs two temporary fields
         projected, light = self._field("gradient"), self._field("light")
         state.project(state.target, projected)
         state.filter(projected, taps, light, floor=0.0)
@@ -158,7 +158,7 @@ class Solver:
     def solve(
         self, fractions: np.ndarray, iterations: int, given: Start | None = None
     ) -> tuple[DeviceArray, SegmentLosses]:
-        """Light [pose, r, z] for fractions [l, rho, z], overwritten by the next call. Raises `Diverged`."""
+        """Light [angle, r, z] for fractions [l, rho, z], overwritten by the next call. Raises `Diverged`."""
         state = OptimizerState(self.operator, self.device.upload(fractions), {})
         if not fractions.any():
             return self._dark(), SegmentLosses(0.0, 0.0)
@@ -185,7 +185,7 @@ class Solver:
         return state.buffer("light"), SegmentLosses(losses[0], losses[-1], trajectory)
 
     def _rest(self, fractions: np.ndarray, unlit: np.ndarray, given: np.ndarray | None) -> DeviceArray:
-        """Dose of light beyond the segment, made some columns at a time."""
+        """Dose of light beyond the segment, computed some columns at a time."""
 
         def bring(here: slice) -> np.ndarray:
             if given is None:
@@ -199,25 +199,25 @@ class Solver:
         return self.device.gather(fractions.shape, parts)
 
     def _planned(self, given: Start, light: DeviceArray) -> None:
-        """``light`` = that of the plan, where there is one."""
+        """``light`` = that of the plan, if there is one."""
         others = self.device.table((~given.planned).astype(np.float32))
         self.device.launch(weigh_poses, light=light, times=others, weighted=light)
         combine(1.0, light, 1.0, given.light, light)
         self._possible(given, light)
 
     def _possible(self, given: Start, light: DeviceArray) -> None:
-        """Keep light within what a pixel can show, and poses that are decided out of it."""
+        """Limit light to what a pixel can show, and set it to 0 at angles that are already decided."""
         capped(light, given.most)
         if given.decided:
             free = self.device.table((np.arange(light.shape[0]) >= given.decided).astype(np.float32))
             self.device.launch(weigh_poses, light=light, times=free, weighted=light)
 
     def spare(self) -> DeviceArray:
-        """Room for light [pose, r, z] until the next segment is solved."""
+        """Space for light [angle, r, z] until the next segment is solved."""
         return self._field("gradient")
 
     def buffer(self) -> DeviceArray:
-        """Light [pose, r, z] of the segment solved last, its overlaps included."""
+        """Light [angle, r, z] of the last solved segment, overlaps included."""
         return self._field("light")
 
     def _field(self, name: str) -> DeviceArray:
@@ -229,12 +229,12 @@ class Solver:
 
 
 def _coupled_by_norm(method: Method) -> BCLP | None:
-    """The method, where nothing but the power of its norm couples the places of a web."""
+    """The method, if at most the power of its norm couples the positions of a web."""
     return method if isinstance(method, BCLP) and method.coupling and not method.apart(0.0).coupling else None
 
 
 def local_loss(method: Method) -> Loss:
-    """The loss of a method that is a sum over voxels. Raises `BadInput` if a place depends on the whole web."""
+    """The loss of a method, a sum over voxels. Raises `BadInput` if a position depends on the whole web."""
     loss = getattr(method, "loss", None)
     if not isinstance(loss, Loss):
         raise BadInput(

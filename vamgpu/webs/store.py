@@ -1,4 +1,4 @@
-"""The folder of a web: frames that only ever grow, and a record that counts what is whole."""
+"""The folder of a web: its frames only grow in number, and a record counts those that are complete."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class SegmentRecord:
 
 @dataclass(frozen=True)
 class WebFolder:
-    """An opened folder of a web: Zarr arrays ``frames`` and ``target``, of which only ``segments`` are whole."""
+    """An opened folder of a web: Zarr arrays ``frames`` and ``target``, of which only ``segments`` are complete."""
 
     path: Path
-    details: dict[str, Any]  # what readers must know, by subject
+    details: dict[str, Any]  # information for readers, by subject
     segments: tuple[SegmentRecord, ...] = ()
-    complete: bool = False  # whether the web has come to its end
+    complete: bool = False  # whether the web is complete
 
     @classmethod
     def open(cls, path: str | Path) -> WebFolder:
@@ -75,21 +75,21 @@ class WebFolder:
         if os.path.lexists(place) and not empty:
             raise StorageError(f"{str(path)!r} exists; choose another path, resume it, or allow overwriting it")
         folder = cls(place, dict(plain(dict(details), "details")))
-        with replacing(place, overwrite=empty) as draft:  # a run killed in here leaves no folder at all
+        with replacing(place, overwrite=empty) as draft:  # a run killed here leaves no folder
             draft.mkdir()
             for name, shape, length in (("frames", frame, lengths[0]), ("target", section, lengths[1])):
-                _array(draft, name, shape, length)
+                create(draft, name, (0, *shape), np.dtype(np.uint8), (length, *shape), AXES[name])
             replace(folder, path=draft)._save()
         return folder
 
     @property
     def frames(self) -> int:
-        """Frames that are whole."""
+        """Number of complete frames."""
         return self.segments[-1].frames[1] if self.segments else 0
 
     @property
     def columns(self) -> int:
-        """Columns of the target that are whole."""
+        """Number of complete columns of the target."""
         return self.segments[-1].columns[1] if self.segments else 0
 
     def append(
@@ -108,7 +108,7 @@ class WebFolder:
         return longer
 
     def swept(self) -> WebFolder:
-        """The same folder without what an interrupted run left uncounted. Raises `StorageError`."""
+        """The same folder without the uncounted data that an interrupted run left. Raises `StorageError`."""
         try:
             for name, length in (("frames", self.frames), ("target", self.columns)):
                 for file in (self.path / name).rglob(f"*{PARTIAL}"):
@@ -146,7 +146,7 @@ class WebFolder:
         return self.read("frames", pose, pose + 1)[0]
 
     def verify(self) -> None:
-        """Read everything and compare it with its hashes; raises `StorageError` at the first that differs."""
+        """Read everything and compare it with its hashes; raises `StorageError` at the first difference."""
         for k, segment in enumerate(self.segments):
             for name, span, expected in zip(AXES, (segment.frames, segment.columns), segment.sha256, strict=True):
                 found = self._digest(name, range(*span))
@@ -181,10 +181,6 @@ def _segment(entry: Mapping[str, Any]) -> SegmentRecord:
     return SegmentRecord(saturated=int(entry["saturated"]), **pairs)  # type: ignore[arg-type]
 
 
-def _array(place: Path, name: str, section: tuple[int, int], length: int) -> None:
-    create(place, name, (0, *section), np.dtype(np.uint8), (length, *section), AXES[name])
-
-
 def _open(place: Path, name: str, mode: Any) -> Any:
     import zarr
 
@@ -196,7 +192,7 @@ def _per_file(array: Any) -> int:
 
 
 def _write(place: Path, name: str, span: tuple[int, int], values: np.ndarray) -> None:
-    """Lengthen an array by a segment, and bring its file to the disk."""
+    """Lengthen an array by a segment, and write its file to the disk."""
     if span[0] == span[1]:
         return
     array = _open(place, name, "r+")
@@ -207,6 +203,6 @@ def _write(place: Path, name: str, span: tuple[int, int], values: np.ndarray) ->
         path = place / name / "c" / str(number) / "0" / "0"
         part = values[max(number * each - span[0], 0) : (number + 1) * each - span[0]]
         if not path.exists() and not part.any():
-            continue  # darkness alone makes no file; should one be lost, its digest tells
+            continue  # a segment of darkness makes no file; the digest shows if a file was lost
         settle(path, path.parent, path.parent.parent, path.parent.parent.parent)
     settle(place / name / "zarr.json", place / name)

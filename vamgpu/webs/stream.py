@@ -46,15 +46,15 @@ Progress = Callable[[int, int | None], None]
 """Called after each segment with the segments done and their total (None if it is unknown)."""
 
 SegmentSource = Callable[[range, float | None], Iterable[Segment]]
-"""Segments of a range of numbers in order, by the scale that is known; the first one tells it where none is."""
+"""Segments of a range of numbers in order, with a known scale; without one, the first segment sets it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
     """State of earlier segments for the next one."""
 
-    frames: np.ndarray  # the last ones, at most those of an overlap, uint8 [pose, row, column]
-    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, by the first segment
+    frames: np.ndarray  # the last ones, at most those of an overlap, uint8 [angle, row, column]
+    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, from the first segment
 
 
 @dataclass(eq=False)
@@ -66,22 +66,22 @@ class Stream:
             that is negative in the solid; or `Repeated`, a mesh tiled along l.
         wrap: The machine, for example a `Roller`.
         beam: The beam of its projector.
-        lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` keeps
+        lens: A `TunableLens`, whose planes follow a roller's film, or the `FocusMasks` themselves. ``masks`` holds
             them, and the folder records the plane of each column.
         method: A method whose loss is a sum over voxels (`BCLP`, CAL, penalty minimization, two thresholds), its name,
             or such a loss. The `Solver` sets the length of steps and their momentum. For a norm with q ≠ p, the first
-            segment, which is solved twice, gives the number that couples the web. Or "best" for the widest window,
-            which takes more memory and time per segment.
+            segment is solved twice and gives the number that couples the web. Alternatively "best" for the widest
+            window, which takes more memory and time per segment.
         section: Voxels along rho and z; by default one slice per row, and the number of layers that fill the film of
             ``wrap`` with a pitch nearest to the beam's.
         pitch: Voxel edges along l, rho, z [mm]; by default one step along l and the beam's pitch.
-        length: Length of the web [mm]; None if the tiles end by themselves.
+        length: Length of the web [mm]; None if the tiles themselves end.
         iterations: Iterations of each segment, the method's own by default.
         core: Length of a segment relative to the window of light.
         overlap: Length solved on either side of a segment relative to the window of light.
         gray: Gray curve of the projector; None for a linear one.
         scale: Irradiance of a full-on pixel relative to the light's unit; by default that of the first segment. It is
-            the same for all frames: a projector's lamp cannot change from frame to frame.
+            the same for all frames, because a projector's lamp cannot change from frame to frame.
         speed: Speed at which the web is to be printed [mm/s]; stored in its folder.
         device: A name or a device; the best available one by default.
 
@@ -149,12 +149,12 @@ class Stream:
         self, first: int = 0, scale: float | None = None, before: np.ndarray | None = None,
         given: Callable[[int], Start] | None = None, past: Past | None = None,
     ) -> Iterator[Segment]:  # fmt: skip
-        """Solve segment after segment; what was yielded before an error stays valid.
+        """Solve one segment after another; segments yielded before an error stay valid.
 
         Args:
             first: Number of the first segment; tiles are still read from the start.
-            scale: Scale of the segments before, relative to the light's unit; by default the stream's.
-            before: Target of the segment before the first, uint8 [l, rho, z], which the tiles must reproduce.
+            scale: Scale of the previous segments, relative to the light's unit; by default the stream's.
+            before: Target of the segment before the first, uint8 [l, rho, z]; the tiles must reproduce it.
             given: Start of each segment, by its number; None starts each from the filtered target.
             past: State of the segments before ``first``, for a method that maximizes the window.
 
@@ -180,9 +180,9 @@ class Stream:
             number, scale = number + 1, segment.scale
 
     def alone(self, number: int, scale: float | None = None) -> Segment:
-        """One segment without those before it, if it does not depend on them.
+        """Solve one segment without the previous ones, if it does not depend on them.
 
-        Segments may come in any order, but tiles are read again for one before the last one.
+        Segments may come in any order, but going back to an earlier segment reads the tiles again from the start.
 
         Args:
             number: Number of the segment.
@@ -192,8 +192,8 @@ class Stream:
             The segment.
 
         Raises:
-            BadInput: The web ends before it, its tiles can be read only once, or the method maximizes the window, so
-                that segments depend on those before.
+            BadInput: The web ends before it, its tiles can be read only once, or the method maximizes the window, which
+                makes segments depend on previous ones.
             TileError: As for `segments`.
         """
         if reason := self.unsupported_alone():
@@ -208,7 +208,7 @@ class Stream:
         return segment
 
     def unsupported_alone(self) -> str:
-        """Why segments cannot be solved separately, or nothing."""
+        """Reason why segments cannot be solved separately; empty if they can."""
         if isinstance(self.solver, WindowSolver):
             return (f"{self.method!r} maximizes the window, and each segment continues the one before; expected a loss "
                     "that is a sum over voxels, such as the method bclp")  # fmt: skip
@@ -220,7 +220,7 @@ class Stream:
         return Columns(self.tiles, self.grid, self.length)
 
     def _settled(self) -> Columns:
-        """Columns to be read from the beginning, once it is known what the first segment tells all of them."""
+        """Columns from the beginning, if the first segment sets a number for all segments."""
         columns, solver, layout = self._columns(), self.solver, self.layout
         if isinstance(solver, Solver) and solver.norm is not None:
             first = layout.origin(0)
@@ -258,13 +258,13 @@ class Stream:
         ), past  # fmt: skip
 
     def _check_same(self, columns: Columns, number: int, before: np.ndarray) -> None:
-        """Reject tiles that are not those the segment before ``number`` was made from."""
+        """Reject tiles that differ from those of the segment before ``number``."""
         low, _ = self.layout.printed(number - 1, None)
         start = min(low, self.layout.origin(number))
         again = columns.take(start, low + len(before))[low - start :]
         if not np.array_equal(_bytes(again), before):
             raise TileError(
-                f"columns {low} to {low + len(before) - 1} of the tiles differ from those the web was begun with; "
+                f"columns {low} to {low + len(before) - 1} of the tiles differ from those with which the web began; "
                 "resume it with the same tiles from the start, or start a new one"
             )
 
@@ -272,7 +272,7 @@ class Stream:
         self, fractions: np.ndarray, number: int, end: int | None, scale: float | None, past: Past,
         given: Callable[[int], Start] | None,
     ) -> tuple[DeviceArray, SegmentLosses, Past]:  # fmt: skip
-        """Light of a segment, its losses, and with them what is known to the segments after it."""
+        """Light of a segment, its losses, and the state for the segments after it."""
         count, solver, layout = self.iterations or 1, self.solver, self.layout
         if isinstance(solver, Solver):
             return *solver.solve(fractions, count, None if given is None else given(number)), past
@@ -288,7 +288,7 @@ class Stream:
         return found, losses, Past(past.frames, past.levels or levels)
 
     def _first_scale(self, light: DeviceArray, here: slice) -> float:
-        """Light that all but a few lit pixels of the first segment's own frames stay below."""
+        """Light that all but a few lit pixels of the first segment's own frames do not exceed."""
         own = np.zeros(light.shape[0], np.float32)
         own[here] = 1.0
         solver = self.solver
@@ -298,8 +298,8 @@ class Stream:
         scale = ranked(shared, lambda counts: min(int(counts.sum()), int(QUANTILE * counts.sum()) + 1))
         if not scale:
             raise TileError(
-                f"the first {self.layout.core} frames have nothing to print, so that nothing tells how bright a "
-                "full-on pixel must be; begin with the part, or give scale="
+                f"the first {self.layout.core} frames have nothing to print, so that the brightness of a full-on "
+                "pixel is unknown; begin with the part, or give scale="
             )
         return scale
 
@@ -356,7 +356,7 @@ class Stream:
     def _begun(self, place: Path, resume: bool, overwrite: bool) -> WebFolder:
         details = self.details()
         if (place / RECORD).is_file() and (overwrite or (resume and not WebFolder.open(place).segments)):
-            shutil.rmtree(place)  # nothing is lost with a web that has not one whole segment
+            shutil.rmtree(place)  # nothing is lost if the web has no complete segment
         if resume and (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
             frames = {key: value for key, value in folder.details["frames"].items() if key != "levels"}
@@ -364,8 +364,8 @@ class Stream:
             if known != plain(details, "details"):
                 different = [key for key in details if known.get(key) != plain(details[key], key)]
                 raise StorageError(
-                    f"{str(place)!r} holds another web, with other {', '.join(different) or 'details'}; resume it with "
-                    "the stream that began it, choose another path, or allow overwriting it"
+                    f"{str(place)!r} holds another web, with other {', '.join(different) or 'details'}; resume it "
+                    "with the stream that began it, choose another path, or allow overwriting it"
                 )
             return folder
         rows, columns = self.beam.pixels[1], self.beam.pixels[0]

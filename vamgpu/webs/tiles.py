@@ -1,4 +1,4 @@
-"""The target of a web as a stream: columns in order, as few of them in memory as the work at hand needs."""
+"""The target of a web as a stream: columns in order, with as few of them in memory as possible."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 ALONG = 64
 """Columns of a tile that is sampled from a function or a mesh."""
 _END = object()
-"""Mark of the end of the tiles; a tile that is None is a mistake, not an end."""
+"""Mark of the end of the tiles; a tile that is None is an error, not an end."""
 
 
 class Columns:
-    """Columns of a target in the order they pass the light, float32 [l, rho, z] in 0..1. Raises `BadInput`."""
+    """Columns of a target in the order in which they pass the light, float32 [l, rho, z] in 0..1. Raises `BadInput`."""
 
     def __init__(self, source: Any, grid: WebGrid, length: float | None = None) -> None:
         self.grid = grid
@@ -34,7 +34,7 @@ class Columns:
         self._tiles = iter(_tiles(source, grid, length))
         self._read = 0
         if isinstance(source, np.ndarray) and self.limit is not None and len(source) < self.limit:
-            raise self._short(len(source), "an array longer along l")  # known before anything is written
+            raise self._short(len(source), "an array longer along l")  # checked before anything is written
         self._held: deque[np.ndarray] = deque()
         self._first = 0
         self._ended = False
@@ -45,8 +45,8 @@ class Columns:
         return self.limit if self.limit is not None else (self._read if self._ended else None)
 
     def take(self, start: int, stop: int) -> np.ndarray:
-        """Columns start to stop, 0 beyond the web; earlier ones are forgotten. Raises `TileError`."""
-        while not self._ended and self._read <= stop:  # one more than asked tells whether it ends
+        """Columns start to stop, 0 beyond the web; earlier ones are dropped. Raises `TileError`."""
+        while not self._ended and self._read <= stop:  # one more than needed shows whether the web ends
             self._advance(start)
         out = np.zeros((stop - start, *self.grid.shape[1:]), np.float32)
         first = self._first
@@ -58,7 +58,7 @@ class Columns:
         return out
 
     def _advance(self, start: int) -> None:
-        """Read one more tile and let go of what lies before ``start``."""
+        """Read one more tile and drop the columns before ``start``."""
         if self.limit is not None and self._read >= self.limit:
             self._ended = True
             return
@@ -83,8 +83,7 @@ class Columns:
         expected = "at least one" if self.limit is None else f"{self.limit} ({self._mm(self.limit)})"
         return TileError(
             f"the tiles end after {columns} columns ({self._mm(columns)}); expected {expected}: give {remedy}, or "
-            "begin a "
-            "shorter web"
+            "begin a shorter web"
         )
 
     def _checked(self, item: Any) -> np.ndarray:
@@ -119,7 +118,7 @@ def _by(edges: Any) -> str:
 
 
 def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
-    """Tiles of whatever a target may be."""
+    """Tiles of any kind of target."""
     if isinstance(source, Repeated) or (callable(source) and not isinstance(source, Iterator)):
         if length is None:
             raise BadInput(f"{source!r} has no end; give the length of the web [mm]")
@@ -130,6 +129,5 @@ def _tiles(source: Any, grid: WebGrid, length: float | None) -> Iterable[Any]:
         return source
     raise BadInput(
         f"got {type(source).__name__} as tiles; expected an iterator of arrays [l, rho, z], a function φ(l, rho, z) "
-        "that "
-        "is negative in the solid, or Repeated(solid, period)"
+        "that is negative in the solid, or Repeated(solid, period)"
     )

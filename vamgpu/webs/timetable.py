@@ -16,24 +16,24 @@ from vamgpu.printing.focus import slots
 from vamgpu.webs.limits import WebLimits
 
 TICK = 1e-6
-"""Seconds of the clock that sends commands and triggers, by default."""
+"""Default time step [s] of the clock that sends commands and triggers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Times [s] of every frame of some poses, (poses, bins), from the start of pose 0 of the web."""
+    """Times [s] of every frame of some angles, (poses, bins), from the start of the web's first angle."""
 
     plane: np.ndarray  # which focus plane is shown
     power: np.ndarray  # of the lens [dpt]
-    command: np.ndarray  # when the command for the lens goes out; NaN where it keeps its power
+    command: np.ndarray  # when the command for the lens is sent; NaN if the lens keeps its power
     trigger: np.ndarray  # of the mirrors
-    start: np.ndarray  # from when on light is on
-    stop: np.ndarray  # until when; equally long for all frames
+    start: np.ndarray  # when light goes on
+    stop: np.ndarray  # when light goes off; equally long for all frames
     delay: float  # from trigger to light [s], set once in the mirrors
 
 
 def timetable(limits: WebLimits, poses: int, first: int = 0, tick: float = TICK) -> Timetable:
-    """Times of some angles, each rounded to the clock from the start of the web, so that errors do not add up.
+    """Times of some angles, each rounded to the clock from the start of the web; errors then do not add up.
 
     Args:
         limits: The machine and its speed.

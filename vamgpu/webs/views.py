@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vamgpu.webs.proof import PieceScore, WebProof
 
 PIXELS = 2400
-"""Pixels of a strip along the web at most."""
+"""Greatest number of pixels of a strip along the web."""
 
 
 class Strips:
@@ -72,7 +72,7 @@ def wrapped_chart(light: Propagation, grid: WebGrid, roller: Roller, frame: np.n
 
 
 def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wide: bool = False) -> str:
-    """Voxels in and out of the part over dose."""
+    """Voxels inside and outside the part against dose."""
     merged = counts.reshape(2, -1, 8).sum(axis=2)
     last = edges[::8][min(merged.shape[1], int(np.flatnonzero(merged.sum(axis=0))[-1]) + 1)]
 
@@ -90,7 +90,7 @@ def histogram_chart(counts: np.ndarray, edges: np.ndarray, threshold: float, wid
 
 
 def segments_chart(scores: Sequence[PieceScore], edge: float) -> str:
-    """IoU and process windows of every segment over where it lies [mm]."""
+    """IoU and process windows of every segment against its position [mm]."""
     ends = np.array([score.columns[0] for score in scores] + [scores[-1].columns[1]]) * edge
 
     def draw(over: Any, under: Any) -> None:
@@ -118,7 +118,7 @@ def contrast_chart(found: Sequence[tuple[float, float]]) -> str:
 
 
 def frame_pictures(proof: WebProof, count: int = 3) -> list[Image]:
-    """Frames along the web; with focus planes, each plane's part of the middle one besides."""
+    """Frames along the web; with focus planes, also each plane's part of the middle frame."""
     folder = proof.folder
     numbers = [round((k + 1) * folder.frames / (count + 1)) for k in range(count)]
     found = [Image(picture(colored(folder.frame(n) / 255.0, "inferno")), f"frame {n}") for n in numbers]

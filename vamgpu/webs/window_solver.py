@@ -1,4 +1,4 @@
-"""The widest window of a web: each segment by primal-dual steps, over the dose of the frames that are fixed."""
+"""The widest window of a web: each segment is solved by primal-dual steps, given the dose of the fixed frames."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from vamgpu.webs.layout import SegmentLayout
 from vamgpu.webs.solver import SegmentLosses, Solver, Start
 
 FIRST = 1 / 3
-"""Share of the iterations by two thresholds, before the window itself is maximized."""
+"""Share of the iterations that use two thresholds, before the window itself is maximized."""
 BRIGHTEST = 1e12
 """A limit of light that no pixel reaches."""
 OUTSIDE = 0.78
-"""Greatest dose outside the part that the thresholds of the first light ask for, in units of the part's dose."""
+"""Greatest dose outside the part for the first light, in units of the part's dose."""
 SEEN = 1e-6
-"""Share of a voxel's light that must come from poses still to be solved, for it to count."""
+"""Share of a voxel's light that must come from angles still to be solved for it to count."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedFrames:
     """The frames that are fixed before a segment is solved."""
 
-    light: np.ndarray  # of the frames right before the segment's own, as they are shown, [pose of an overlap, r, z]
+    light: np.ndarray  # light of the frames just before the segment's own, as shown, [angles of an overlap, r, z]
     columns: tuple[int, int]  # of the segment's columns, the first that is on the web and the one after the last
-    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, by the first segment
+    levels: tuple[float, float] | None = None  # least dose of the part and greatest outside, from the first segment
 
 
 class WindowSolver:
-    """Solver of segments of one shape, in order, each as `PDHG` solves a part; arguments as for `Solver`."""
+    """Solver of segments of one shape, in order; each is solved like a part by `PDHG`; arguments as for `Solver`."""
 
-    # A window is no sum over voxels, so segments solved apart would not meet: each is solved over the dose of all
-    # frames fixed before it. The first one finds the levels that the others keep: one threshold serves the whole web.
+    # A window is not a sum over voxels, and segments solved separately would not fit together: each is solved with the
+    # dose of all earlier frames. The first one finds the levels that the others keep: one threshold for the whole web.
 
     layout: SegmentLayout
     device: Device
@@ -66,7 +66,7 @@ class WindowSolver:
         every, own = (self._lit(times) for times in (np.ones(layout.poses), free))
         endless = every[len(every) // 2]
         self.unlit: np.ndarray = np.clip(1.0 - every / np.where(endless > 0.0, endless, 1.0), 0.0, 1.0)
-        self.unlit[: len(every) // 2] = 0.0  # by frames before those that a segment knows
+        self.unlit[: len(every) // 2] = 0.0  # from frames before those that a segment knows
         self.seen: np.ndarray = own > SEEN * endless
         self._light: DeviceArray | None = None
 
@@ -108,13 +108,13 @@ class WindowSolver:
         return light, SegmentLosses(losses[0], losses[-1]), (least, max(leak, 0.0))
 
     def _rest(self, before: FixedFrames) -> np.ndarray:
-        """Dose of the frames that are fixed, (l, rho, z)."""
+        """Dose of the fixed frames, (l, rho, z)."""
         shown = np.zeros(self.operator.range.shape, np.float32)
         shown[: self.layout.overlap] = before.light
         return self.operator.T(self.device.upload(shown)).numpy()
 
     def _first(self, fractions: np.ndarray, rest: np.ndarray, iterations: int) -> DeviceArray:
-        """Light by two thresholds over the dose that is there, in a field of its own."""
+        """Light by two thresholds with the existing dose, in a field of its own."""
         dark = self.device.upload(np.zeros(self.operator.range.shape, np.float32))
         decided = np.where(self.seen, rest, np.nan)
         given = Start(dark, np.zeros(self.layout.poses, bool), BRIGHTEST, self.layout.overlap, decided)
@@ -122,6 +122,6 @@ class WindowSolver:
         return combine(1.0, light, 0.0, light, dark)
 
     def buffer(self) -> DeviceArray:
-        """Light [pose, r, z] of the segment solved last, dark at fixed poses."""
+        """Light [angle, r, z] of the last solved segment, dark at fixed angles."""
         assert self._light is not None
         return self._light

@@ -33,8 +33,8 @@ LIMITS = {
     "light on-time": (50e-6, 100e-6),
     "lens command to trigger": (300e-6, 600e-6),
 }
-"""Allowed difference of the mean from the emulator's, and of the greatest from the least [s]; a lens byte alone takes
-260 us, and the port may send it a byte late."""
+"""Allowed difference of the mean from the emulator's, and of the greatest from the least [s]; a lens byte takes 260 us,
+and the port may send it one byte late."""
 QUIET = 5e-3  # least time between two frames on the lens's line [s]
 NUMBER = 1  # start number of the play
 

@@ -1,14 +1,12 @@
 // Reference firmware of the controller of web, trigger, lens and light, for any 32-bit board with the Arduino core.
 //
-// It speaks the line protocol described in PROTOCOL.md. Nothing here waits: loop() looks at lease, interlock, encoder,
-// steps, pulses and the line in turn, a few microseconds a turn, and hands the line no more bytes than it takes at once.
-//
-// Wiring that must hold when this program does not: a pull-down resistor on every GATE pin, so that the light is off
-// while the board starts, resets or hangs; the interlock switch in series with the light's supply as well as on its
-// pin; and the board's watchdog on (WATCHDOG_START and WATCHDOG_FEED), which resets it, and so darkens it, when a turn
-// of loop() does not end.
-//
-// What differs from machine to machine is in settings.h.
+// It implements the line protocol described in PROTOCOL.md. Nothing here waits: loop() checks lease, interlock,
+// encoder, steps, pulses and the line in turn, a few microseconds per turn, and gives the line no more bytes than it
+// can take at once. Wiring that must be safe even if this program fails: a pull-down resistor on every GATE pin, which
+// keeps the light off while the board starts, resets or hangs; the interlock switch in series with the light's supply
+// as well as on its pin; and the board's watchdog on (WATCHDOG_START and WATCHDOG_FEED), which resets the board, and so
+// turns the light off, when a turn of loop() does not end. Settings that differ from machine to machine are in
+// settings.h.
 
 #include "commands.h"
 
@@ -51,7 +49,7 @@ static void listen(int64_t now) {
       else if (length) read_line(now);
       length = 0;
       overlong = false;
-      return;  // one line a turn at most, so that the light is never kept waiting
+      return;  // at most one line per turn; the light never waits
     }
     if (c == '\r') continue;
     if (length >= LONGEST_LINE) overlong = true;

@@ -1,4 +1,4 @@
-// The line to the host: check sums, lines out, and the buffer that they wait in.
+// The line to the host: check sums, outgoing lines, and their buffer.
 #pragma once
 
 #include "settings.h"
@@ -49,7 +49,7 @@ static void write_hex(char *out, uint16_t value) {
   for (uint8_t i = 0; i < 4; i++) out[i] = "0123456789ABCDEF"[value >> (12 - 4 * i) & 15];
 }
 
-// A port whose buffer is full would keep the light waiting, so lines go through a buffer of this program's own.
+// A port with a full buffer would make the light wait; therefore lines go through a separate buffer.
 static void post(const char *text) {
   uint16_t size = strlen(text);
   if (outbox_used + size > OUTBOX) return;

@@ -1,4 +1,4 @@
-// What the machine does by itself: light, rows and web.
+// Independent actions of the machine: light, rows and web.
 #pragma once
 
 #include "line.h"
@@ -24,17 +24,17 @@ static Row current;
 
 static int64_t position, zero;        // microsteps, and the number of position 0
 static double speed, wanted, accel = RAMP;  // microsteps per second, and per second squared
-static double fraction;               // microsteps yet to go
+static double fraction;               // remaining microsteps
 static int64_t stepped;
 
-struct Ratio {                        // of counts or marks to microsteps; none with 0 counts
+struct Ratio {                        // ratio of counts or marks to microsteps; none with 0 counts
   int64_t counts, steps, limit;       // limit: the greatest error [microsteps]
 };
 
 static Ratio encoder, marking;
-static int64_t counts, counts_before, measured_before;  // of the encoder, and where it was when it was last told
-static int64_t marks, marks_since, mark_first;          // passed; since the first one, and where that was
-static int64_t home_number;                             // of the zero that the next mark becomes; 0: none
+static int64_t counts, counts_before, measured_before;  // of the encoder, and its position when it was last set
+static int64_t marks, marks_since, mark_first;          // marks passed; since the first one, and the position of that
+static int64_t home_number;                             // number of the zero that the next mark becomes; 0: none
 static bool mark_known, mark_high, astray;
 static uint8_t phase;
 
@@ -91,7 +91,7 @@ static void act_row(int64_t now) {
   }
   waiting = true;
   int64_t due = started + current.at;
-  wait_until = (steps_mode ? now : due > earliest ? due : earliest) + current.delay_us;  // a turn's delay adds nothing
+  wait_until = (steps_mode ? now : due > earliest ? due : earliest) + current.delay_us;  // a delay within a turn adds nothing
   if (wait_until < fired + TRIGGER_GAP_US) wait_until = fired + TRIGGER_GAP_US;
 }
 
@@ -127,13 +127,13 @@ static void play(int64_t now) {
   finish();
 }
 
-// ---- where the motion is: an encoder, and a mark that comes round ----------------------------------------------------
+// ---- position of the motion: an encoder, and a recurring mark -------------------------------------------------------
 static int64_t measured() {
   if (!encoder.counts) return 0;
   return measured_before + (counts - counts_before) * encoder.steps / encoder.counts;
 }
 
-// The encoder and the mark are taken to agree with the steps here.
+// The encoder and the mark count as agreeing with the steps here.
 static void call_position(int64_t there) {
   mark_first += there - position;
   position = measured_before = there;
@@ -193,7 +193,7 @@ static void see_position() {
   if (!encoder_agrees()) not_there("stall");
 }
 
-// ---- what may close the light at any time ----------------------------------------------------------------------------
+// ---- events that may close the light at any time --------------------------------------------------------------------
 static void watch(int64_t now) {
   bool shut = digitalRead(INTERLOCK_PIN) == LOW;
   if (closed && !shut) {

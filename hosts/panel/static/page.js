@@ -1,6 +1,6 @@
 "use strict";
 const PATIENCE = 2000; // longest wait for an answer [ms]
-const SILENT = 1.0; // age of the last poll of the machines from which a print with light counts as silent [s]
+const SILENT = 1.0; // age of the last status poll above which a print with light counts as silent [s]
 const SHAPES = {
   standby: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0z",
   starting: "M12 3a9 9 0 1 0 .01 0zm0 3a6 6 0 1 1-.01 0zm-2 2l5 4-5 4z",
@@ -16,7 +16,10 @@ const SHAPES = {
 const at = (id) => document.getElementById(id);
 const values = {}, images = {}, buttons = {};
 let heard = 0, wait = 0.25, lost = true, name = "lost", last = null, readings = -1, ended = null, pastDue = 0, prints = [], explained = null;
-let timer = 0, looking = false, again = false;
+let timer = 0, looking = false, again = false, drawnChecks = null, drawnClaims = null, drawnPast = null;
+const SURE = { guaranteed: "●", watched: "◐", believed: "○", "not there": "–" };
+const CHECKS = { images: "misfit of the images", conversion: "share of the conversion that the light does not explain" };
+const MOST = 2; // top of the plot of checks, in limits
 
 function made(tag, parent, text, type) {
   const element = document.createElement(tag);
@@ -24,6 +27,10 @@ function made(tag, parent, text, type) {
   if (type) element.className = type;
   parent.append(element);
   return element;
+}
+
+function put(element, text) { // an unchanged text is not announced again
+  if (element.textContent !== text) element.textContent = text;
 }
 
 function drawn(tag, parent, attributes) {
@@ -41,30 +48,49 @@ function time(seconds) {
   return hours ? `${hours} h ${minutes.padStart(2, "0")} min` : `${minutes} min ${rest} s`;
 }
 
+const total = (now) => (now.period && now.stop !== null ? Math.min(now.stop * now.period, now.slots || Infinity) : now.slots);
+
+function clock(now) { // turn k of n, and the time left
+  const turns = now.period ? Math.ceil(total(now) / now.period) : 0;
+  const turn = now.frame < 0 ? 0 : Math.min(Math.floor(now.slot / now.period) + 1, turns);
+  const left = now.ended || now.left === null ? "" : `${time(now.left)} left`;
+  return [turns ? (turn ? `turn ${turn} of ${turns}` : `${turns} turns`) : "", left].filter(Boolean).join(" · ");
+}
+
+const claim = (now, about) => now.guarantees.find((each) => each.about === about);
+
+function doubtful(now) {
+  if (!now.doubt.length) return now.frame < 0 ? ["nothing yet", ""] : ["nothing", ""];
+  const slots = now.doubt.map(([first, stop]) => (stop - first > 1 ? `${first + 1} to ${stop}` : `${stop}`)).join(", ");
+  return [`slot ${slots}: lit for an unknown time`, "warn"];
+}
+
 function rows(now) {
   const ms = (seconds) => (seconds < 1 ? `${Math.round(1000 * seconds)} ms` : `${seconds.toFixed(1)} s`);
   const fixed = (value, digits) => (value === null ? "—" : value.toFixed(digits));
   const age = now.renewed === null ? null : now.renewed + now.ago, silent = now.light && now.ago > SILENT;
+  const leased = claim(now, "lease");
   const told = {
-    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") : "off", now.light ? "lit" : ""],
+    light: [now.light ? `ON at ${100 * now.power} %`.replace(/(\.\d)\d+/, "$1") + (now.rehearsed ? ", emulated" : "") : "off", now.light ? "lit" : ""],
     "time left": [now.ended ? "none: the print has ended" : time(now.left) + (now.waits === null ? "" : " of light"), ""],
     dose: [`${fixed(100 * now.spent, 1)} % of the plan`, ""],
     frame: [now.frame < 0 ? "none yet" : `${now.frame} (slot ${now.slot + 1}${now.slots ? ` of ${now.slots}` : ""})`, ""],
     position: [`${fixed(now.position, 3)} ${now.unit}`, ""],
-    interlock: now.light ? ["closed", ""] : now.ended ? ["no longer read", ""]
+    interlock: (claim(now, "interlock") || {}).kind === "not there" ? ["not there", "warn"] : now.light && now.interlock_closed ? ["closed: the controller allows the light", ""] : now.ended ? ["no longer read", ""]
       : now.interlock_closed === null ? [now.state === "standby" ? "not read yet" : "not known", ""] : now.interlock_closed ? ["closed", ""] : ["OPEN: close the enclosure", "warn"],
-    lease: !now.light || age === null ? ["light is off", ""]
+    lease: leased && !leased.holds ? ["not there: the light may stay on if the host dies", "warn"] : !now.light || age === null ? ["light is off", ""]
       : age > now.lease ? [`not renewed for ${ms(age)}: the controller has closed the light`, "warn"]
       : [`light closes ${ms(now.lease - age)} after the host falls silent; last renewal ${ms(age)} ago`, silent ? "warn" : ""],
   };
   if (now.focus !== null) told.lens = [`${now.focus > 0 ? "+" : ""}${now.focus.toFixed(3)} dpt`, ""];
-  if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, as told in the dark`, ""];
+  if (now.lens_temperature !== null) told["lens temperature"] = [`${now.lens_temperature.toFixed(1)} °C, measured while dark`, ""];
   if (now.light) told.buffer = [`${Math.round(100 * now.fill)} % full, frames ready ${ms(now.margin / 1e9)} early`, ""];
   const step = now.unit === "deg" ? "turn" : "segment"; // of a vial, of a web
   if (now.plan || now.live) told.plan = [`version ${now.plan}, ${now.stop === null ? `all ${step}s` : `until ${step} ${now.stop}`}${now.live ? `; ${now.live}` : ""}`, now.live ? "warn" : ""];
   for (const each of now.parameters) told[each.name] = [`${+each.value.toPrecision(4)}${each.error ? ` ± ${each.error.toPrecision(2)}` : ""}`, "", each.usual && each];
+  told["in doubt"] = doubtful(now);
   told["shown black"] = [`${now.dark} frames`, now.dark ? "warn" : ""];
-  if (silent) told.light = [`last known ON, no look at the machines for ${time(now.ago)}`, "warn"];
+  if (silent) told.light = [`last known ON, no status of the machines for ${time(now.ago)}`, "warn"];
   return told;
 }
 
@@ -74,21 +100,25 @@ function show(now) {
   name = state;
   document.body.dataset.state = state;
   at("shape").firstElementChild.setAttribute("d", SHAPES[state] || SHAPES.held);
-  at("state").textContent = state;
-  at("job").textContent = now.job;
-  document.title = `${state} · ${now.job || "vamgpu"}`;
+  put(at("state"), state);
+  put(at("clock"), clock(now));
+  put(at("job"), now.job);
+  at("dry").hidden = !now.rehearsed;
+  document.title = `${now.rehearsed ? "dry run, " : ""}${state} · ${now.job || "vamgpu"}`;
   const left = now.slots - now.slot - 1;
   const none = state === "complete" || !now.slots || (left === 0 && now.frame >= 0);
   const missing = none ? "" : `${now.frame < 0 ? now.slots : left} of ${now.slots} slots were not shown. `;
   const black = now.dark ? `${now.dark} frames were shown black. ` : "";
   const waits = now.waits !== null && state !== "starting", open = now.interlock_closed === false;
-  const todo = state === "starting" ? "Frames are loaded and the motion runs up; then the light turns on. "
+  const todo = state === "starting" ? "Frames are loaded and the motion accelerates; then the light turns on. "
     : !waits || !(now.waits > 0) ? "" : open ? "Close the enclosure, then press resume. "
     : state === "held" ? "Fix the cause, then press resume. " : "Press resume to continue. ";
   explain((now.message && !now.resuming ? `${now.message}. ` : "") + todo + (now.ended ? missing + black : ""), now);
   at("waits").hidden = !waits;
   at("waits").textContent = !waits ? "" : now.waits > 0 ? `can continue for ${time(now.waits)}` : "can no longer continue: start again with fresh resin";
-  at("bar").style.width = now.slots ? `${(100 * (now.frame < 0 ? 0 : now.slot + 1)) / now.slots}%` : "0";
+  const share = total(now) ? Math.min(100, (100 * (now.frame < 0 ? 0 : now.slot + 1)) / total(now)) : 0;
+  at("bar").style.width = `${share}%`;
+  at("progress").setAttribute("aria-valuenow", share.toFixed(0));
   const told = rows(now);
   if (Object.keys(values).join() !== Object.keys(told).join()) { // their order stays the same
     at("values").replaceChildren();
@@ -100,7 +130,7 @@ function show(now) {
       values[key] = made("dd", at("values"));
       values[key].dataset.testid = key;
     }
-    if (values[key].textContent !== text) values[key].textContent = text;
+    put(values[key], text);
     values[key].className = type;
     if (estimated) bar(values[key], estimated);
   }
@@ -118,15 +148,17 @@ function show(now) {
   for (const [key, number] of Object.entries(now.images)) {
     showImage(key, number);
     const text = now.light || !key.startsWith("projector") ? key : `${key}: last frame; the light is off`;
-    if (images[key].caption.textContent !== text) images[key].caption.textContent = text;
+    put(images[key].caption, text);
   }
   for (const key of Object.keys(images)) if (!(key in now.images)) { images[key].figure.remove(); delete images[key]; }
+  checks(now);
+  claims(now);
   if (now.readings !== readings) { readings = now.readings; scatter(); }
-  const changed = now.ended !== ended; // at first the server may still tell what it read before the end
+  const changed = now.ended !== ended; // at first the server may still report values from before the end
   if (changed || Date.now() > pastDue) { ended = now.ended; pastDue = Date.now() + (changed ? 6000 : 15000); past(); }
 }
 
-function bar(parent, { name, value, error, usual: [low, high] }) { // what was usual, and on it value ± deviation
+function bar(parent, { name, value, error, usual: [low, high] }) { // the usual value, and on it value ± deviation
   const track = parent.querySelector("svg") || drawn("svg", parent, { class: "bar", preserveAspectRatio: "none", viewBox: "0 0 100 10", role: "img" });
   const from = Math.min(low, value - error), wide = Math.max(high, value + error) - from, x = (at) => (100 * (at - from)) / wide;
   track.setAttribute("aria-label", `${name}: usual from ${+low.toPrecision(3)} to ${+high.toPrecision(3)}`);
@@ -162,6 +194,57 @@ function showImage(key, number) {
   kept.image.src = `image/${encodeURIComponent(key)}?${number}`;
 }
 
+function claims(now) { // as the record of the run lists them
+  const key = JSON.stringify(now.guarantees);
+  if (key === drawnClaims) return;
+  drawnClaims = key;
+  at("machine").hidden = !now.guarantees.length;
+  at("claims").replaceChildren();
+  for (const each of now.guarantees) {
+    const row = made("tr", at("claims")), sure = each.kind;
+    made("th", row, each.about).scope = "row"; // its role stays where a phone sets the cells below each other
+    const cell = made("td", row, undefined, sure.replace(" ", "-"));
+    made("span", cell, `${SURE[sure] || ""} `).ariaHidden = "true";
+    cell.append(sure);
+    made("td", row, each.remedy ? `${each.why}; ${each.remedy}` : each.why);
+    row.role = "row";
+    for (const [number, each] of [...row.children].entries()) each.role = number ? "cell" : "rowheader";
+  }
+}
+
+function checks(now) { // value over limit of each check, turn by turn; red beyond the limit
+  const key = JSON.stringify([now.checks, now.live]);
+  if (key === drawnChecks) return;
+  drawnChecks = key;
+  at("checks").hidden = !now.checks.length;
+  if (!now.checks.length) return;
+  const plot = at("checks-plot"), turns = now.checks.map((each) => each.turn), names = new Set(now.checks.map((each) => each.name));
+  const share = (value, limit) => (limit < 1 ? `${+(100 * value).toPrecision(3)} %` : `${+value.toPrecision(3)}`);
+  const start = Math.min(...turns), end = Math.max(...turns), latest = [];
+  const x = (turn) => 40 + (270 * (turn - start)) / Math.max(end - start, 1);
+  const y = (ratio) => 130 - (118 * Math.min(Math.max(ratio, 0), MOST)) / MOST;
+  plot.replaceChildren();
+  drawn("path", plot, { class: "axis", d: "M40 10V130H310", fill: "none" });
+  drawn("line", plot, { class: "stop", x1: 40, x2: 310, y1: y(1), y2: y(1) });
+  drawn("text", plot, { x: 36, y: y(1) + 3, "text-anchor": "end" }).textContent = "limit";
+  drawn("text", plot, { x: 36, y: 133, "text-anchor": "end" }).textContent = "0";
+  drawn("text", plot, { x: 310, y: 144, "text-anchor": "end" }).textContent = `turn ${end}`;
+  drawn("text", plot, { x: 40, y: 144 }).textContent = `turn ${start}`;
+  for (const name of names) {
+    const found = now.checks.filter((each) => each.name === name), last = found[found.length - 1];
+    for (const [number, each] of found.entries()) {
+      const type = `${name}${each.value > each.limit ? " beyond" : ""}`, at = { cx: x(each.turn), cy: y(each.value / each.limit) };
+      if (number) drawn("line", plot, { class: type, x1: x(found[number - 1].turn), y1: y(found[number - 1].value / found[number - 1].limit), x2: at.cx, y2: at.cy });
+      drawn("circle", plot, { class: type, r: 2.5, ...at });
+    }
+    latest.push([`${CHECKS[name] || name} ${share(last.value, last.limit)} after turn ${last.turn}, at most ${share(last.limit, last.limit)}`, `${name}${last.value > last.limit ? " beyond" : ""}`]);
+  }
+  at("checks-reading").replaceChildren();
+  for (const [text, type] of latest) made("span", at("checks-reading"), text, type);
+  const beyond = now.checks.find((each) => each.value > each.limit);
+  if (beyond) made("strong", at("checks-reading"), `From turn ${beyond.turn} on, images do not decide; the planned light continues.`, "beyond");
+}
+
 async function scatter() {
   const told = readings > 0 ? await asked("scatter") : null;
   at("curve").hidden = !told || !told.points.length;
@@ -185,16 +268,20 @@ async function scatter() {
 
 async function past() {
   prints = (await asked("history")) || [];
+  const key = JSON.stringify([prints, last && last.state]);
+  if (key === drawnPast) return; // whoever is at a link stays there
+  drawnPast = key;
   at("past").hidden = !prints.length;
   at("history").replaceChildren();
   for (const each of prints) {
     const item = made("li", at("history"));
-    item.dataset.state = each.state;
-    drawn("path", drawn("svg", item, { viewBox: "0 0 24 24" }), { d: SHAPES[each.state] || SHAPES.held });
-    const now = last && each.name === last.run && !last.ended;
-    const gone = ["standby", "printing", "paused", "held"].includes(each.state) && !now;
-    made("strong", item, `${each.job || each.name}: ${each.state}${now ? " (this print)" : gone ? ", left by its host" : ""} `);
-    made("small", item, `${new Date(1000 * each.began).toLocaleString("sv")} · ${time(each.seconds)} · ${each.name} `);
+    const now = last && each.name === last.run, state = now ? last.state : each.state;
+    item.dataset.state = state;
+    drawn("path", drawn("svg", item, { viewBox: "0 0 24 24", "aria-hidden": true }), { d: SHAPES[state] || SHAPES.held });
+    const gone = ["standby", "printing", "paused", "held"].includes(state) && !now && !each.running;
+    made("strong", item, `${each.job || each.name}: ${state}${now ? " (this print)" : each.running ? " (running now)" : gone ? ", left by its host" : ""} `);
+    made("small", item, `${new Date(1000 * each.began).toLocaleString("sv")} · ${time(each.seconds)} · ${each.name}${each.doubt ? ` · ${each.doubt} frames in doubt` : ""} `);
+    if (each.running) made("small", item, `· watch it with vam panel --attach ${each.name} `);
     for (const page of each.reports) made("a", item, "report ").href = `runs/${encodeURIComponent(each.name)}/${page}`;
     if (each.message) { made("br", item); made("small", item, each.message); }
   }
@@ -216,7 +303,7 @@ async function press(path) {
   if (said && path === "stop") said = `THE STOP WAS NOT CONFIRMED (${said}): use the switch at the machine`;
   at("notice").textContent = said;
   at("notice").hidden = !said;
-  look(); // who pressed wants to see what came of it
+  look(); // the user who pressed sees the result
 }
 
 function connection() {
@@ -226,10 +313,10 @@ function connection() {
   document.body.dataset.state = "lost";
   document.body.classList.add("stale");
   at("shape").firstElementChild.setAttribute("d", SHAPES.lost);
-  at("state").textContent = "connection lost";
+  put(at("state"), "connection lost");
   document.title = "connection lost";
-  const closes = last && last.lease ? ` The controller closes the light ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
-  at("lost").textContent = heard ? `No answer for ${time(Math.max(1, age))}; the values below are old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "No answer yet.";
+  const leased = last && claim(last, "lease"), closes = last && last.lease && !(leased && !leased.holds) ? ` The controller closes the light ${Math.round(1000 * last.lease)} ms after its host falls silent.` : "";
+  put(at("lost"), heard ? `No answer for ${time(Math.max(1, age))}; the values below are old (${name}).${closes} A stop may not get through: use the switch at the machine.` : "No answer yet.");
   at("lost").hidden = false;
   for (const button of Object.values(buttons)) { button.disabled = true; button.title = "connection lost"; }
 }

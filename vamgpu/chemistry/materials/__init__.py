@@ -1,11 +1,10 @@
-"""Resins, inhibitors, glasses and liquids: numbers that each name their source, from files anybody can write."""
+"""Resins, inhibitors, glasses and liquids: numbers with their sources, from files that anybody can write."""
 
 from __future__ import annotations
 
 from vamgpu.chemistry.materials.clear_media import Clear, Glass, Liquid
 from vamgpu.chemistry.materials.dispersion import Dispersion
 from vamgpu.chemistry.materials.extinction import Extinction
-from vamgpu.chemistry.materials.inhibitor import Inhibitor
-from vamgpu.chemistry.materials.resin import Component, Resin
+from vamgpu.chemistry.materials.resin import Component, Inhibitor, Resin
 
 __all__ = ["Clear", "Component", "Dispersion", "Extinction", "Glass", "Inhibitor", "Liquid", "Resin"]

@@ -10,14 +10,14 @@ from vamgpu.chemistry.materials.source import Density
 
 
 class Clear(Absorbing):
-    """A transparent material: its refractive index, what it absorbs, its density; None if no source says.
+    """A transparent material: refractive index, absorption and density; None if no source gives them.
 
     Args:
         name: Name.
         index: Refractive index by wavelength.
         extinction: Absorption by wavelength.
         density: Density [mJ·s²/mm⁵].
-        note: Whatever else a reader should know.
+        note: Further remarks for the reader.
     """
 
     index: Dispersion

@@ -1,4 +1,4 @@
-"""Refractive index against wavelength, and nothing beyond the wavelengths it was measured at."""
+"""Refractive index against wavelength, only at wavelengths covered by measurements."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from vamgpu.schema.section import Listed
 from vamgpu.units import nm, um
 
 NEAR = 0.5 * nm
-"""A wavelength this near to a single measured one is taken for it."""
+"""A wavelength this close to a single measured one counts as equal to it."""
 
 
 def within(name: str, wavelength: float, low: float, high: float) -> float:
-    """The wavelength [mm], moved onto the data where it misses them by at most `NEAR`. Raises `OutsideData`."""
+    """The wavelength [mm], moved onto the data if it misses them by at most `NEAR`. Raises `OutsideData`."""
     value = positive("wavelength [mm]", wavelength)
     if not low - NEAR <= value <= high + NEAR:
         data = f"{low / nm:g} nm" if low == high else f"{low / nm:g} to {high / nm:g} nm"
@@ -54,7 +54,7 @@ class Dispersion(Spectrum):
     Args:
         form: "sellmeier": n² = 1 + constant + Σ Bᵢλ²/(λ² − Cᵢ), terms (B, C [µm²]); "powers": n² = constant + Σ aᵢλ^pᵢ,
             terms (a, p); "cauchy": n = constant + Σ aᵢλ^pᵢ; "points": ``index`` at ``wavelength``, linear between them.
-        wavelength: The first and the last one [mm] the formula holds for, or all of the points, ascending.
+        wavelength: The first and the last wavelength [mm] of the formula, or those of all points, ascending.
         constant: The formula's constant, dimensionless.
         terms: The formula's coefficients, in pairs.
         index: Refractive index at each wavelength of "points".

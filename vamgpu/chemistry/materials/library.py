@@ -17,14 +17,14 @@ DATA = Path(__file__).parent / "data"
 
 
 class Material(Sourced):
-    """A table of a file of its own; ``folder`` is where those of its kind lie that come with the library."""
+    """A table of a file of its own; ``folder`` is the bundled folder for its kind."""
 
     folder: ClassVar[str]
     name: str
 
     @classmethod
     def load(cls, name: str | Path) -> Self:
-        """Read a bundled one by its name, or the file at a path.
+        """Read a bundled material by its name, or the file at a path.
 
         Args:
             name: The name, or a path that ends in .toml.
@@ -33,7 +33,7 @@ class Material(Sourced):
             The material.
 
         Raises:
-            MaterialError: No such material is known, or its file is wrong, naming every wrong value.
+            MaterialError: No such material is known, or its file is wrong; the message names every wrong value.
         """
         if isinstance(name, Path) or str(name).endswith(".toml"):
             return cls._read(Path(name))
@@ -45,7 +45,7 @@ class Material(Sourced):
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Names of those that come with the library."""
+        """Names of the bundled ones."""
         return tuple(sorted(path.stem for path in (DATA / cls.folder).glob("*.toml")))
 
     @classmethod

@@ -6,11 +6,12 @@ from typing import Annotated, Any, ClassVar
 
 from vamgpu.chemistry.diffusivity import wilke_chang
 from vamgpu.chemistry.materials.dispersion import Dispersion
-from vamgpu.chemistry.materials.inhibitor import Inhibitor
-from vamgpu.chemistry.materials.library import Absorbing
+from vamgpu.chemistry.materials.library import Absorbing, Material
 from vamgpu.chemistry.materials.source import (
     Concentration,
     CriticalDose,
+    Density,
+    Duration,
     MolarMass,
     Share,
     Source,
@@ -22,8 +23,24 @@ from vamgpu.errors import MaterialError, OutsideData
 from vamgpu.schema.section import Listed
 
 
+class Inhibitor(Material):
+    """A dissolved inhibitor. Numbers have a ``.value`` and its ``.source``; unknown ones are None.
+
+    Args:
+        name: Name.
+        molar_mass: Molar mass [g/mol].
+        density: Density of the liquid at its boiling point [mJ·s²/mm⁵].
+        lifetime: Natural lifetime [s].
+    """
+
+    folder: ClassVar[str] = "inhibitors"
+    molar_mass: MolarMass | None = None
+    density: Density | None = None
+    lifetime: Duration | None = None
+
+
 class Component(Sourced):
-    """A component of a resin. At most one of share and concentration is given: the one that the source gives.
+    """A component of a resin. At most one of share and concentration is given, the one in the source.
 
     Args:
         name: Name.
@@ -41,7 +58,7 @@ class Component(Sourced):
 
 
 class Resin(Absorbing):
-    """A resin and what its sources say of it; None for what they do not. Numbers have a ``.value`` and its ``.source``.
+    """A resin with the numbers from its sources, or None. Numbers have a ``.value`` and its ``.source``.
 
     Args:
         name: Name.
@@ -52,7 +69,7 @@ class Resin(Absorbing):
         oxygen: Oxygen dissolved in air-saturated resin [mol/m³].
         critical_dose: Dose [mJ/mm³] from which it is solid.
         index, extinction: Refractive index and absorption by wavelength.
-        note: Whatever else a reader should know.
+        note: Further remarks for the reader.
     """
 
     folder: ClassVar[str] = "resins"

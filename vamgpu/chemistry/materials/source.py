@@ -1,4 +1,4 @@
-"""Rules of every table of a material's file: nothing unknown, nothing without a source."""
+"""Rules of every table of a material's file: no unknown keys, and a source for every number."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _quantities(kind: str) -> BeforeValidator:
 
 
 Source = Annotated[str, Field(min_length=12, pattern=r"\S")]
-"""Where a number was found, so that somebody else finds it there."""
+"""Source of a number, precise enough to find it again."""
 Wavelengths = Annotated[tuple[float, ...], _quantities("a wavelength"), Field(min_length=1)]
 Numbers = Annotated[tuple[float, ...], Listed, Field(min_length=1)]
 

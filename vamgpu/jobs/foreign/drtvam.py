@@ -80,7 +80,7 @@ def read_task(path: Path) -> tuple[dict[str, Any], Solid, tuple[str, ...]]:
 
 @contextmanager
 def _explaining(path: Path) -> Iterator[None]:
-    """For a configuration that cannot be read, report what was expected."""
+    """Report what was expected in place of a configuration that cannot be read."""
     try:
         yield
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -97,7 +97,7 @@ def _explaining(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class _SetUp:
-    """All of a configuration but its patterns."""
+    """All of a configuration except its patterns."""
 
     pitch: float
     voxel: float
@@ -194,7 +194,7 @@ def export_drtvam(frames: Frames, path: str | Path) -> Path:
 def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
     """A set-up as a configuration of Dr.TVAM. Raises `BadInput` if Dr.TVAM does not support it."""
     if A.motion.theta is not None or A.motion.dwell is not None:
-        raise BadInput(f"got {A.motion} angles; expected equal steps and times over a full turn: Dr.TVAM has no others")
+        raise BadInput(f"got angles of {A.motion}; expected equal steps and times over a full turn, as in Dr.TVAM")
     vessel = A.vessel
     medium: dict[str, Any] = {"albedo": 0.0, "extinction": float(getattr(vessel, "absorption", 0.0))}
     if isinstance(vessel, Vial):
@@ -205,8 +205,8 @@ def _configuration(A: Projection, target: Target | None) -> dict[str, Any]:
         medium["ior"] = getattr(vessel, "resin_index", 1.0)
         vial = {"type": "index_matched", "r": getattr(vessel, "radius", None) or 2.0 * A.grid.inscribed_radius}
     else:
-        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel: Dr.TVAM has no other "
-                       "round vessel")  # fmt: skip
+        raise BadInput(f"got {vessel!r}; expected a Vial, a Vat with a radius or no vessel, because Dr.TVAM has no "
+                       "other round vessel")  # fmt: skip
     (columns, rows), pitch = A.beam.pixels, A.beam.pitch
     film = {"type": "vfilm"} | {f"res{axis}": n for axis, n in zip("xyz", A.grid.shape, strict=True)}
     scales = {f"scale{axis}": n * A.grid.pitch for axis, n in zip("xyz", A.grid.shape, strict=True)}
@@ -232,7 +232,7 @@ def _table(said: Any, name: str) -> dict[str, Any]:
 
 def _number(said: Mapping[str, Any], name: str, default: float | None = None, *, least: float = 0.0,
             zero: bool = False) -> float:  # fmt: skip
-    """A number above (with ``zero``: or equal to) ``least``."""
+    """A number above ``least`` (with ``zero``: at least ``least``)."""
     value = said[name] if default is None else said.get(name, default)
     real = isinstance(value, int | float) and not isinstance(value, bool)
     if not real or not (value > least or (zero and value == least)):
@@ -265,7 +265,7 @@ def _projector(said: Mapping[str, Any]) -> list[str]:
 
 
 def _vessel(said: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The table of a vessel, and what is left out of it. Raises `BadInput` if this library has no model of it."""
+    """The table of a vessel, and what is left out of it. Raises `BadInput` if this library cannot model the vessel."""
     medium, kind, notes = _table(said, "medium"), said.get("type"), []
     albedo, extinction = _number(medium, "albedo", 0.0, zero=True), _number(medium, "extinction", zero=True)
     if albedo > 1.0:
@@ -300,7 +300,7 @@ def _beside(path: Path, said: Mapping[str, Any]) -> Path:
     tried = [place / name for place in places for name in PATTERNS]
     found = next((each for each in tried if each.exists()), None)
     if found is None:
-        raise StorageError(f"no patterns beside {str(path)!r}: looked for {', '.join(PATTERNS)}; name them with "
+        raise StorageError(f"no patterns beside {str(path)!r}: searched for {', '.join(PATTERNS)}; name them with "
                            "--patterns, or let `vam solve` optimize patterns: --out job.toml")  # fmt: skip
     return found
 

@@ -54,7 +54,7 @@ def import_patterns(
     overwrite: bool = False,
     progress: StageProgress = quiet,
 ) -> Imported:
-    """Convert another program's patterns to a job folder, which ``vam prove`` can prove."""
+    """Convert another program's patterns to a job folder for ``vam prove``."""
     place, origin = Path(path), Path(source)
     check_place(place, overwrite=overwrite)
     progress("patterns", 0.0)
@@ -63,7 +63,7 @@ def import_patterns(
     folder = Path(job).parent if job is not None else origin.parent
     own: dict[str, Any] = {}
     if job is not None:
-        read_text(job)  # raises as for a missing job file
+        read_text(job)  # raises the same error as for a missing job file
         own = load_toml(job, "the job file", missing=JobError, wrong=JobError)
     try:
         checked = Job.of(_merged(found.tables, own), settings, folder=folder, name=origin.stem)
@@ -98,8 +98,8 @@ def _with_pixels(file: JobFile, found: ForeignPatterns, source: str | Path) -> J
     """A job with the pixels of patterns. Raises `BadInput` if the job has others."""
     _, columns, rows = found.light.shape
     if file.beam.pixels not in (None, (columns, rows)):
-        raise BadInput(f"{str(source)!r} has patterns of {columns} × {rows} pixels, the job's beam {file.beam.pixels}; "
-                       "leave beam.pixels out")  # fmt: skip
+        raise BadInput(f"{str(source)!r} has patterns of {columns} × {rows} pixels, but the job's beam has "
+                       f"{file.beam.pixels}; leave beam.pixels out")  # fmt: skip
     return file.model_copy(update={"beam": file.beam.model_copy(update={"pixels": (columns, rows)})})
 
 
@@ -108,8 +108,8 @@ def _motion(file: JobFile, found: ForeignPatterns, own: dict[str, Any], folder: 
     count = found.light.shape[0]
     motion = motion_of(file.turntable.model_copy(update={"angles": file.turntable.angles or count}), folder)
     if motion.angles != count:
-        raise BadInput(f"{str(source)!r} has patterns for {count} angles, the job {motion.angles}; expected as many: "
-                       "leave out [turntable], or set the angle of each pattern")  # fmt: skip
+        raise BadInput(f"{str(source)!r} has patterns for {count} angles, but the job has {motion.angles}; expected "
+                       "the same number: leave out [turntable], or set the angle of each pattern")  # fmt: skip
     if found.motion is None or "range" in own.get("turntable", {}) or isinstance(file.turntable.angles, str):
         return motion
     if "lit_share" not in own.get("turntable", {}):
@@ -121,7 +121,7 @@ def import_task(source: str | Path, path: str | Path, *, overwrite: bool = False
     """Write a job file for ``vam solve`` from another program's configuration, with the part beside it."""
     origin, place = Path(source), Path(path)
     if origin.suffix.lower() != ".json":
-        raise BadInput(f"a job file is made from a configuration of Dr.TVAM in JSON, and {str(source)!r} is not one; "
+        raise BadInput(f"a job file is made from a configuration of Dr.TVAM in JSON, but {str(source)!r} is not one; "
                        "import patterns into a folder: --out job.vam")  # fmt: skip
     mesh = place.with_name(f"{place.stem}-part.ply")
     for taken in (place, mesh):
@@ -141,10 +141,10 @@ def found_in(
     """Patterns in a file or folder of another program; arguments and errors as for `import_patterns`."""
     ending = source.suffix.lower()
     if target is not None and ending not in ENDINGS:
-        raise BadInput(f"--target is for a sinogram of VAMToolbox, and {str(source)!r} is not one; leave it out")
+        raise BadInput(f"--target is for a sinogram of VAMToolbox, but {str(source)!r} is not one; leave it out")
     if patterns is not None and ending != ".json":
-        raise BadInput(f"--patterns is for a configuration of Dr.TVAM, and {str(source)!r} is not one; import "
-                       "the patterns themselves, with a job")  # fmt: skip
+        raise BadInput(f"--patterns is for a configuration of Dr.TVAM, but {str(source)!r} is not one; import the "
+                       "patterns themselves, with a job")  # fmt: skip
     if source.is_dir() or ending in FORMATS:
         return read_pictures(source, layout)
     if ending == ".json":

@@ -29,7 +29,7 @@ DESCRIPTION = "frames.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """Orientation of images without a description; None takes the middle, every image, and linear gray levels."""
+    """Orientation of images without a description. None means the middle, all images, or linear gray levels."""
 
     flip_r: bool = False  # column 0 is the largest r
     flip_z: bool = False  # row 0 is the smallest z, as in videos of VAMToolbox
@@ -50,7 +50,7 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
         return _ours(levels, remark, path)
     turn = levels.shape[0] if layout.angles is None else layout.angles
     if not 0 < turn <= levels.shape[0]:
-        raise BadInput(f"{str(path)!r} has {levels.shape[0]} images; expected at least the {turn} of a turn")
+        raise BadInput(f"{str(path)!r} has {levels.shape[0]} images; expected at least the {turn} of one turn")
     light = _light(levels[:turn], layout.gray)
     light = light[:, ::-1] if not layout.flip_z else light  # now row 0 is the smallest z
     light = light[:, :, ::-1] if layout.flip_r else light
@@ -71,7 +71,7 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
 
 
 def images_of(folder: Path) -> tuple[np.ndarray, str]:
-    """The images of a folder [image, row, column] in the order of their numbers, and ``frames.json`` there as text."""
+    """The images of a folder [image, row, column] in numeric order, and the text of its ``frames.json``."""
     names = [each for each in folder.iterdir() if each.suffix.lower() in IMAGES and is_file(each)]
     kinds = {each.suffix.lower() for each in names}
     if len(kinds) != 1:
@@ -88,8 +88,8 @@ def images_of(folder: Path) -> tuple[np.ndarray, str]:
             raise StorageError(f"cannot read the image {str(file)!r}: {error}; export it again") from error
         afford(found[0].nbytes * len(names), f"the {len(names)} images of {str(folder)!r}")
         if found[-1].shape != found[0].shape or found[-1].dtype != found[0].dtype:
-            raise BadInput(f"{file.name} is {found[-1].dtype} {found[-1].shape}, the first image {found[0].dtype} "
-                           f"{found[0].shape}; expected images of one size and kind")  # fmt: skip
+            raise BadInput(f"{file.name} is {found[-1].dtype} {found[-1].shape}, but the first image is "
+                           f"{found[0].dtype} {found[0].shape}; expected images of one size and kind")  # fmt: skip
     try:
         remark = read_text(folder / DESCRIPTION) if is_file(folder / DESCRIPTION) else ""
     except (OSError, UnicodeDecodeError) as error:
@@ -102,7 +102,7 @@ def _by_number(file: Path) -> list[tuple[int, str]]:
 
 
 def _light(levels: np.ndarray, gray: GrayCurve | None) -> np.ndarray:
-    """Light of gray levels, 1 for a full-on pixel; images of floats stay as they are."""
+    """Light of gray levels, 1 for a full-on pixel; images of floats are not changed."""
     top = TOP.get(levels.dtype.name)
     if top is None:
         if levels.dtype.kind != "f" or not np.isfinite(levels).all():
@@ -129,17 +129,17 @@ def _around(lit: np.ndarray, middle: float, path: Path) -> slice:
 
 
 def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
-    """Light of this library's exports, which state their orientation. Raises `StorageError`, `BadInput`."""
+    """Light of this library's exports, which contain their orientation. Raises `StorageError`, `BadInput`."""
     try:
         said = parse_json(remark)
         if "canvas" in said:
             raise BadInput(f"{str(path)!r} was exported onto a canvas; expected plain frames: export them without")
         if "flat_field" in said:
-            raise BadInput(f"{str(path)!r} was made for a projector's flat field, which it does not hold; expected "
-                           "plain frames: prove the job that it was exported from")  # fmt: skip
+            raise BadInput(f"{str(path)!r} was made for a projector's flat field, which it does not contain; expected "
+                           "plain frames: prove the job from which it was exported")  # fmt: skip
         settings = Placement(**{**said["settings"], "shift": tuple(said["settings"]["shift"])})
         bits, columns = int(said["bits"]), int(said["columns"])
-        levels = levels[:, : int(said["rows"]), :columns]  # videos of an even size have some more
+        levels = levels[:, : int(said["rows"]), :columns]  # videos of an even size have an extra row or column
         images = levels if bits == 8 else np.packbits(levels > (127 if levels.dtype == np.uint8 else 0), axis=2)
         frames = Frames.from_bytes(np.ascontiguousarray(images), "numpy", bits=bits, columns=columns,
                                    gray=GrayCurve.parse(said["gray"]), scale=float(said["scale"]),

@@ -1,7 +1,7 @@
 """VAMToolbox (Berkeley): sinograms and targets, pickled or saved as arrays.
 
-A sinogram is [r, angle, z] in degrees, a target [y, x, z]; r grows along x·cos a − y·sin a and light runs along x·sin a
-+ y·cos a, which is our angle θ = −(a + 90°). Lengths are in centimeters. Code in a pickle is never run.
+A sinogram is [r, angle, z] in degrees, a target [y, x, z]. r grows along x·cos a − y·sin a and light travels along
+x·sin a + y·cos a; in this library that is the angle θ = −(a + 90°). Lengths are in cm. Code in a pickle never runs.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class _Part:
 
 
 def _volume(path: Path, what: str) -> tuple[np.ndarray, Bag | None]:
-    """An array of three axes and the geometry it was made with. Raises `StorageError`, `BadInput`."""
+    """An array of three axes, and the geometry for which it was made. Raises `StorageError`, `BadInput`."""
     held = map_npy(path) if path.suffix.lower() == ".npy" else read_pickle(path, PACKAGES)
     array = held.get("array") if isinstance(held, Bag) else held
     geometry = held.get("proj_geo") if isinstance(held, Bag) else None

@@ -40,12 +40,12 @@ class Colors:
 
     Args:
         visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
-            of its color: light of the color → dose is ``.T``, their exact transposes.
-        projector: Operator that turns a pattern of dose into light in the rules of passes, e.g. one without absorption;
-            None for each color's own.
+            of its color. ``.T`` maps light of the color to dose and is the exact transpose.
+        projector: Operator that turns a pattern of dose into light in the rules with passes, for example one without
+            absorption; None for each color's own.
         strength: Visible dose that one unit of UV dose cancels.
-        whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter; otherwise
-            only the inscribed cylinder, for methods that use it.
+        whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter. Otherwise,
+            methods that use it count only the inscribed cylinder.
 
     Raises:
         BadInput: A value is out of its range.
@@ -114,7 +114,7 @@ class Pass:
     Args:
         number: Number of the pass, from 1.
         evaluations: Projector evaluations so far, both colors.
-        undersupply, oversupply: Root mean squares over all voxels, a dose in units of the design.
+        undersupply, oversupply: Root mean squares over all voxels; doses in units of the design.
     """
 
     number: int

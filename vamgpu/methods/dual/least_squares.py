@@ -1,4 +1,4 @@
-"""Two sinograms that are never negative, in the sense of least squares; for volumes of any size."""
+"""Two sinograms that are never negative, by least squares; for volumes of any size."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.ring_projection import RingProjection
 
 SPAN = 0.25
-"""Share of the columns that the preconditioner reaches over."""
+"""Share of the columns that the preconditioner extends over."""
 ROUNDS = 8
-"""Power iterations for the length of a step."""
+"""Number of power iterations for the length of a step."""
 
 
 @dataclass(frozen=True)
 class LeastSquares(Rule):
-    """Least ½‖visible dose − strength·UV dose − design‖² over light ≥ 0, by accelerated projected gradients.
+    """Minimize ½‖visible dose − strength·UV dose − design‖² over light ≥ 0, by accelerated projected gradients.
 
-    Each color has its own operator and its exact transpose; a capped ramp along r preconditions both
-    where the operator is a `Projection`. An iteration is two projector evaluations.
+    Each color has its own operator and its exact transpose. If the operator is a `Projection`, a capped ramp along r
+    preconditions both colors. An iteration is two projector evaluations.
 
     Args:
         iterations: Total number of iterations.
-        below: Dose below zero that a voxel outside the part may have without a penalty (an inhibited void need not be
+        below: Negative dose that a voxel outside the part may have without a penalty (an inhibited void need not be
             exactly zero).
-        cost: Weight of the light of both colors in the loss, per unit, so that the same light is not sent twice with
+        cost: Weight of the light of both colors in the loss, per unit; it avoids that the same light is sent twice with
             opposite effects.
         cap: Frequency [cycles per column] beyond which the ramp is level.
 
@@ -61,7 +61,7 @@ class LeastSquares(Rule):
         state.evaluations += ROUNDS * len(difference.channels)
         signs = (1.0, state.colors.strength)
         gain = sum(each.gain(ROUNDS) * sign**2 for each, sign in zip(difference.channels, signs, strict=True))
-        # half of what the gains allow: gradients held at dark light have gaps, which the ramp turns into coarse light
+        # half of what the gains allow: gradients held for dark light have gaps, from which the ramp makes coarse light
         pace = StepRule(0.5 / gain, soon=3.0, possible=True)
         for _ in zip(range(self.iterations), minimize(difference, difference.channels, pace)):  # noqa: B905
             state.light, state.uv = difference.light
@@ -69,7 +69,7 @@ class LeastSquares(Rule):
 
 
 class _Difference(ColorObjective):
-    """The square error of the difference of two doses, and the cost of the light of both."""
+    """The square error of the difference of two doses, and the cost of the light of both colors."""
 
     def __init__(self, state: DualState, method: LeastSquares) -> None:
         loss = Band((-0.5 * method.below, 1.0), (0.5 * method.below, 0.0), (0.5, 0.5))

@@ -1,4 +1,4 @@
-"""The loss of a dose that light of both colors makes, which `minimize` lowers over both at once."""
+"""The loss of a dose made by light of both colors; `minimize` minimizes it over both at once."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from vamgpu.methods.state import OptimizerState
 
 
 class ColorObjective:
-    """The loss of a model's dose, where a model has ``expose`` and ``gradient``; a channel for each color."""
+    """The loss of a model's dose; the model has ``expose`` and ``gradient``, and there is a channel for each color."""
 
-    # The point that momentum carries ahead is cut off at darkness too: every dose is that of possible light.
+    # The point that momentum extrapolates is also clipped at 0: every dose is then that of possible light.
 
     model: Any
     channels: tuple[Channel, ...]
@@ -27,12 +27,12 @@ class ColorObjective:
 
     @property
     def light(self) -> Pair:
-        """The light of least loss so far, or the first."""
+        """The light with the least loss so far, or the first light."""
         return Pair(*(channel.state.memory.get("best", channel.light) for channel in self.channels))
 
     @property
     def ahead(self) -> Pair:
-        """The light that momentum carries ahead, at which the loss is evaluated."""
+        """The light extrapolated by momentum, at which the loss is evaluated."""
         return Pair(*(channel.ahead for channel in self.channels))
 
     def value(self, carried: float = 0.0) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Rules that compare a buildup with the design and project missing and excess dose: SC, SC2 and DC.
 
-Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The text
-leaves scales open; what is chosen here is said where it is chosen.
+Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Periodicity", Figs 6 and 8. The paper
+leaves scales open; comments mark each choice made here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vamgpu.operators.reductions import dot, extent
 PASSES = 23
 """The paper's limit."""
 ENOUGH = 1e-6
-"""Root mean square of undersupply at which the paper stops; not expected to be reached."""
+"""Root mean square of undersupply at which the paper stops; it is usually not reached."""
 
 
 class DualState(OptimizerState):
@@ -52,7 +52,7 @@ class DualState(OptimizerState):
         return max(extent(field)[1], 1e-30)
 
     def start(self, dose: DeviceArray) -> None:
-        """Light projected from the design and its buildup, both scaled so that the greatest dose is the design's."""
+        """Light projected from the design, and its buildup, both scaled to give the design's greatest dose."""
         self.light_of(self.target, self.colors.visible, self.light)
         self.dose_of(self.light, self.colors.visible, dose)
         factor = self.greatest(self.target) / self.greatest(dose)
@@ -60,7 +60,7 @@ class DualState(OptimizerState):
         self.scale(factor, dose, dose)
 
     def gain(self, operator: LinearOperator) -> float:
-        """A bound of the greatest eigenvalue of projecting and exposing: the greatest dose of a projected 1."""
+        """Upper bound of the greatest eigenvalue of projecting and exposing: the greatest dose of a volume of ones."""
         nx, ny, nz = self.target.shape
         one, light = constant(1.0, (nx, ny, nz), self.target), self.sinogram()
         self.light_of(one, operator, light)
@@ -68,7 +68,7 @@ class DualState(OptimizerState):
         return self.greatest(one)
 
     def descent_step(self, operator: LinearOperator) -> float:
-        """Length of a step that is sure to descend."""
+        """Length of a step that is certain to descend."""
         return 1.5 / self.gain(operator)
 
     def compare(self, dose: DeviceArray, most: DeviceArray, under: DeviceArray, over: DeviceArray) -> Pass:
@@ -89,7 +89,7 @@ class Rule(Protocol):
         """Improve ``state.light`` and ``state.uv``.
 
         Args:
-            state: State of the run; its light is in units of the design whenever a pass is yielded.
+            state: State of the run; whenever a pass is yielded, its light is in units of the design.
 
         Returns:
             The records of the passes, one after each.
@@ -99,7 +99,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class SingleColor(Rule):
-    """SC: only the projected design; the greatest dose is the design's."""
+    """SC: only the projected design, scaled to give the design's greatest dose."""
 
     papers: ClassVar[tuple[str, ...]] = (PAPER,)
 
@@ -113,12 +113,12 @@ class SingleColor(Rule):
 class Tolerant(Rule):
     """SC2: one color, corrected by the missing dose and by the dose above a one-sided tolerance.
 
-    The scale of the first pass is kept, so that passes are steps of a projected descent.
+    The scale of the first pass is kept; the passes are then steps of a projected descent.
 
     Args:
-        tolerance: Dose allowed anywhere, relative to the greatest of the design; gray values below it are ignored where
-            the dose is too high, as in the paper.
-        passes: Most passes, one projector evaluation each.
+        tolerance: Dose allowed anywhere, relative to the greatest of the design. As in the paper, gray values below it
+            are ignored where the dose is too high.
+        passes: Largest number of passes, one projector evaluation each.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 
     Raises:
@@ -152,17 +152,17 @@ class Tolerant(Rule):
 
 @dataclass(frozen=True)
 class DualColor(Rule):
-    """DC: excess dose becomes UV light, missing dose becomes more visible light.
+    """DC: excess dose becomes UV light, missing dose becomes additional visible light.
 
     Args:
         recompute: True, the default, is the rule of the paper's text, with open points as in the erratum. In every
             pass, the oversupply of the visible buildup, scaled by its maximum, is projected again as UV light, while
-            undersupply adds up in the visible light; both buildups are then scaled by one factor, the maximum of their
-            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer if it would undo
-            more than the greatest oversupply: otherwise a thin part in a wide void would have no dose left. With the
-            passes, undersupply falls and oversupply grows, because only the visible light grows: read both, and use
+            undersupply is added to the visible light. Both buildups are then scaled by one factor, the maximum of their
+            difference (never by minimum and maximum). UV light is as bright as projected, or dimmer if it would remove
+            more than the greatest oversupply: otherwise a thin part in a wide void would have no dose left. With more
+            passes, undersupply falls and oversupply grows, because only the visible light grows: check both, and use
             False for contrast. False keeps the scale of the first pass, compares the difference of the buildups, and
-            adds to both colors: a projected descent that lowers both.
+            corrects both colors: a projected descent that lowers both errors.
         passes: Most passes.
         enough: Undersupply at which it stops, a root mean square in units of dose.
 

@@ -1,4 +1,4 @@
-"""A greyscale slice reproduced exactly by light that may be negative: points one after another.
+"""A grayscale slice reproduced exactly by light that may be negative, one point after another.
 
 Source: B. Wang et al., Lateral contrast enhancement via binary photoinhibition, "Necessity of dose subtraction".
 """
@@ -25,7 +25,7 @@ class Slice:
     """A square slice of points, its diagonal the diameter of the curing volume [pixels]. Raises `BadInput`."""
 
     pixels: int  # points along x and y
-    angles: int = 360  # how many, even over a full turn
+    angles: int = 360  # how many, evenly spaced over a full turn
     width: float = 0.02  # of a bin along r, in pixels of the slice
     extinction: float = 1.0  # μR of positive light, Beer–Lambert extinction times the radius
     subtraction: float | None = None  # μR of negative light; None for the same
@@ -76,7 +76,7 @@ class Slice:
 
 @dataclass(frozen=True, eq=False)
 class ExactPlan:
-    """Light of the exact reconstruction, and the points that it leaves wrong."""
+    """Light of the exact reconstruction, and the points that it does not reproduce."""
 
     slice: Slice  # its geometry
     light: Floats  # I′ [angle, bin], dose per rad at the wall of the curing volume, negative where dose is subtracted
@@ -93,7 +93,7 @@ class ExactPlan:
         return np.maximum(-self.light, 0.0)
 
     def buildup(self, factor: int = 1) -> Floats:
-        """Absolute dose [x, y] at ``factor`` places along each side of a pixel, never rescaled."""
+        """Absolute dose [x, y] at ``factor`` positions along each side of a pixel, never rescaled."""
         at, angle = self.slice, np.arange(self.slice.angles)
         x, y = at.points(factor)
         dose = np.empty(x.size, self.light.dtype)
@@ -104,7 +104,7 @@ class ExactPlan:
         return dose.reshape(at.pixels * factor, -1)
 
     def error(self, design: npt.ArrayLike, factor: int = 1) -> float:
-        """Root mean square of buildup − design [x, y], between the points too for a factor above 1."""
+        """Root mean square of buildup − design [x, y]; a factor above 1 includes positions between the points."""
         target = np.kron(np.asarray(design, np.float64), np.ones((factor, factor)))
         return float(np.sqrt(np.mean((self.buildup(factor).astype(np.float64) - target) ** 2)))
 
@@ -119,9 +119,9 @@ def reconstruct(
     dtype: npt.DTypeLike = np.float64,
     progress: Callable[[float], None] | None = None,
 ) -> ExactPlan:
-    """Light of two signs whose buildup is the design [x, y] where points keep a free angle. Raises `BadInput`."""
-    # Points go in raster order. Each gets what it lacks, or loses what it has too much, spread evenly over the angles
-    # at which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I; such bins never change again.
+    """Light of two signs whose buildup is the design [x, y] at all points that keep a free angle. Raises `BadInput`."""
+    # Points are processed in raster order. Each gets its missing dose, or loses its excess, spread evenly over the
+    # angles at which no earlier point shares its bin: I′ = I·e^{μl}, μ by the sign of I; these bins stay as they are.
     target = np.asarray(design, dtype)
     if target.ndim != 2 or target.shape[0] != target.shape[1] or not np.isfinite(target).all():
         raise BadInput(f"the design has shape {target.shape}; expected a square of finite grey values [x, y]")
@@ -152,14 +152,14 @@ def _received(at: Slice, light: Floats, path: Floats) -> Floats:
 
 def _spread(at: Slice, light: Floats, angle: npt.NDArray[np.intp], bins: npt.NDArray[np.intp], path: Floats,
             dose: float) -> None:  # fmt: skip
-    """Put a dose on bins nobody has passed, equal shares as received."""
+    """Put a dose on unused bins, in equal shares at the point."""
     extinction = (at.negative if dose < 0 else at.extinction) / at.radius
     light[angle, bins] = dose / (len(angle) * at.step) * np.exp(extinction * path)
 
 
 def sufficient(pixels: int, spacing: float = 1.0) -> tuple[int, float]:
-    """Angles, and width of a bin [pixels], that surely leave every point a free angle. Raises `BadInput`."""
-    # More than 2N angles, N = pixels², as two trajectories cross twice; bins narrower than spacing·sin Δθ.
+    """Number of angles and width of a bin [pixels] that leave every point a free angle. Raises `BadInput`."""
+    # More than 2N angles, N = pixels², because two trajectories cross twice; bins narrower than spacing·sin Δθ.
     (across,) = counts("pixels", (pixels,), 1)
     angles = 2 * across**2 + 1
     return angles, positive("spacing [pixels]", spacing) * float(np.sin(2.0 * pi / angles))

@@ -22,7 +22,7 @@ METHODS: dict[str, Callable[[], Any]] = {
     "dc kept": lambda: DualColor(recompute=False),
     "least squares": LeastSquares,
 }
-"""Names a rule can be chosen by, with default parameters."""
+"""Names of rules with default parameters."""
 
 
 def superpose(
@@ -50,7 +50,7 @@ def superpose(
     Raises:
         BadInput: A value is out of its range.
         ShapeMismatch: Shapes do not fit.
-        EmptyMesh: Nothing is in the part, or nothing out of it.
+        EmptyMesh: No voxel is in the part, or none is outside.
         DeviceError: Arrays are on different devices.
     """
     rule = _rule(method)

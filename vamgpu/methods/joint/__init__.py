@@ -1,4 +1,4 @@
-"""Light of two colors found together, through the kinetics of photoinhibition turn by turn."""
+"""Light of two colors optimized together, with the kinetics of photoinhibition turn by turn."""
 
 from __future__ import annotations
 

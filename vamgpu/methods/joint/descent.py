@@ -1,4 +1,4 @@
-"""Accelerated, preconditioned descent of the light of both colors at once."""
+"""Accelerated, preconditioned descent for the light of both colors at once."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from vamgpu.methods.ramp import capped_ramp
 from vamgpu.methods.state import OptimizerState
 
 CAP, SPAN = 0.25, 0.25
-"""Frequency [cycles a column] beyond which the ramp is level, and share of the columns it reaches over."""
+"""Frequency [cycles per column] beyond which the ramp is level, and share of the columns that it extends over."""
 ROUNDS = 6
-"""Power iterations for the length of a step."""
+"""Number of power iterations for the length of a step."""
 PACE = StepRule(1.0, growth=1.04, shrink=0.6, calm=0.5, back=1.5, possible=True)
-"""The first step is as long as the linear model stands, and later ones grow, for what decays and depletes answers more
-weakly than the first light promises; where the loss rises steps are shorter, and then grow half as fast."""
+"""The first step has the length for the linear model. Later steps grow, because a decaying and depleting resin reacts
+more weakly than the first light suggests. If the loss rises, steps become shorter, and then grow half as fast."""
 
 
 def gains_of(model: Model, target: DeviceArray) -> tuple[float, ...]:
-    """Gain of each color, by which steps are as long as they may be: `ROUNDS` evaluations each."""
+    """Gain of each color, which sets the longest possible steps: `ROUNDS` evaluations each."""
     return tuple(
         Channel(OptimizerState(A, target, {}, "loss"), capped_ramp(A, CAP, SPAN)).gain(ROUNDS) for A in model.operators
     )
 
 
 class ColorDescent(ColorObjective):
-    """Steps that lower the loss of the effective dose of both colors; ``memories`` hold what going on needs."""
+    """Steps that lower the loss of the effective dose of both colors; ``memories`` hold the state to continue."""
 
     def __init__(
         self, model: Model, target: DeviceArray, loss: Loss, memories: tuple[dict[str, Any], ...], share: float,
@@ -48,7 +48,7 @@ class ColorDescent(ColorObjective):
         super().__init__(model, channels, loss)
 
     def steps(self) -> Steps:
-        """Loss and strict window of the effective dose that each step evaluated, or went back to."""
+        """Loss and strict window of the effective dose that each step evaluated, or returned to."""
         for record in minimize(self, self.channels, PACE):
             self.state.iteration += 1
             yield record

@@ -1,23 +1,58 @@
-"""Effective dose of light of two colors, and which way it changes: through the kinetics, or as a plain difference."""
+"""Effective dose of light of two colors, and its derivatives: through the kinetics, or as a plain difference."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts, positive
-from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step
+from vamgpu.kernels.inhibition import inhibition_adjoint, inhibition_step, put_poses, take_poses
 from vamgpu.kernels.update import fill_background
 from vamgpu.methods.dual.colors import Pair, subtracted, subtracted_gradient
-from vamgpu.methods.joint.poses import PoseRuns
 from vamgpu.methods.joint.resin import TwoColorResin
 from vamgpu.operators.compose import combine, same_device
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import EVERYWHERE
 from vamgpu.operators.space import require
+
+
+class PoseRuns:
+    """The operators of the runs that the poses of a turn are cut into. Raises `BadInput` for fewer poses than runs."""
+
+    def __init__(self, operator: Projection, count: int) -> None:
+        if not isinstance(operator, Projection):
+            raise BadInput(f"got {operator!r}; expected a Projection, which can be cut into runs of angles")
+        angles = operator.motion.angles
+        if isinstance(count, bool) or int(count) != count or not 1 <= count <= angles:
+            raise BadInput(f"{count!r} runs of {angles} angles; expected a whole number of 1 to {angles}")
+        runs = np.array_split(np.arange(angles), int(count))
+        self.whole = operator
+        self.first: tuple[int, ...] = tuple(int(run[0]) for run in runs)
+        self.parts: tuple[Projection, ...] = tuple(
+            operator.turned(operator.motion.part(int(run[0]), int(run[-1]) + 1)) for run in runs
+        )
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def expose(self, run: int, light: DeviceArray, out: DeviceArray) -> None:
+        """out = dose [x, y, z] of one run of poses of a turn's light [angle, r, z]."""
+        device, part = self.whole.device, self.parts[run]
+        rows = device.empty(part.range.shape)
+        device.launch(take_poses, light=light, first=self.first[run], part=rows)
+        part.T(rows, out=out)
+
+    def project(self, run: int, volume: DeviceArray, light: DeviceArray) -> None:
+        """Write the projection of a volume [x, y, z] into the poses of a run."""
+        device, part = self.whole.device, self.parts[run]
+        rows = device.empty(part.range.shape)
+        part(volume, out=rows)
+        device.launch(put_poses, part=rows, first=self.first[run], light=light)
 
 
 class SpeciesFields(NamedTuple):
@@ -37,7 +72,7 @@ class SpeciesFields(NamedTuple):
         """Compute 1 + X − [A] − [B]/α.
 
         Args:
-            resin: Of these species.
+            resin: The resin with these species.
 
         Returns:
             Effective dose [x, y, z].
@@ -47,7 +82,7 @@ class SpeciesFields(NamedTuple):
 
 
 class Model(Protocol):
-    """Effective dose of the light of a turn, repeated; 1 where the induction ends."""
+    """Effective dose of the light of a turn, repeated; it is 1 at the end of the induction."""
 
     operators: tuple[Projection, Projection]
     resin: TwoColorResin
@@ -91,7 +126,7 @@ def _checked(visible: Projection, ultraviolet: Projection, turns: int) -> int:
 
 
 class LinearModel(Model):
-    """turns·(visible·A_visᵀ light − k·A_uvᵀ light), k the resin's `subtraction`: no order, no depletion, no decay.
+    """turns·(visible·A_visᵀ light − k·A_uvᵀ light), with the resin's `subtraction` k: no order, no depletion, no decay.
 
     Args:
         visible, ultraviolet: Operators of both colors.
@@ -116,22 +151,22 @@ class LinearModel(Model):
 
 
 class KineticModel(Model):
-    """The state of every voxel through all turns, light arriving in the order of rotation.
+    """The state of every voxel through all turns; light arrives in the order of rotation.
 
     Effective dose = 1 + X − [A] − [B]/α, relative to the induction: the visible exposure so far, minus the exposure
-    that consumes the inhibitors made by ultraviolet. Below 1 only the share given by ε polymerizes, above 1 the
+    that consumes the inhibitors made by ultraviolet. Below 1, only the share given by ε polymerizes; above 1, the
     exposure X.
 
-    Memory, in volumes: 4·runs for light and slopes, 3·turns for the states at the beginnings of turns, 3·runs·steps for
-    those of the turn that is recomputed, and about 10.
+    Memory, in volumes: 4·runs for light and gradients, 3·turns for the states at the beginnings of turns, 3·runs·steps
+    for those of the turn that is recomputed, and about 10.
 
     Args:
-        visible, ultraviolet: Operators of both colors on one grid, turntable and device; vessels that absorb attenuate
-            each color by itself.
+        visible, ultraviolet: Operators of both colors on one grid, turntable and device; absorbing vessels attenuate
+            each color separately.
         resin: Response of the resin to light.
         turns: Number of times that the light of a turn is shown.
         period: Time of a turn [s], needed for pairing.
-        runs: Runs of angles per turn; the light of a run arrives at once.
+        runs: Number of runs of angles per turn; the light of a run arrives at once.
         steps: Depletion substeps within a run.
         start: The state before the first of these turns; None for fresh resin.
 
@@ -152,10 +187,10 @@ class KineticModel(Model):
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
         self.period: float = positive("period [s]", period, zero=True)
         if resin.pairing and not self.period:
-            raise BadInput("the resin's B pairs up, so the period of a turn [s] counts; expected period > 0")
+            raise BadInput("the resin's B pairs up, which makes the period of a turn [s] matter; expected period > 0")
         if resin.pairing and visible.motion.dwell is not None:
-            raise BadInput(f"the resin's B pairs up while {visible.motion} angles are lit for unequal times; expected "
-                           "equal times, as runs of angles last alike: leave dwell out of Turntable")  # fmt: skip
+            raise BadInput(f"the resin's B pairs up, but {visible.motion} angles are lit for unequal times; expected "
+                           "equal times: leave dwell out of Turntable")  # fmt: skip
         self.steps: int = counts("steps", (steps,), 1)[0]
         self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
         self.shape: tuple[int, int, int] = visible.domain.shape
@@ -167,12 +202,12 @@ class KineticModel(Model):
         self, turns: int, start: SpeciesFields | None = None, *, visible: float = 1.0, ultraviolet: float = 1.0,
         operators: tuple[Projection, Projection] | None = None,
     ) -> KineticModel:  # fmt: skip
-        """The same resin for other turns, with lamps that may have changed.
+        """The same resin for other turns; the lamps may have changed.
 
         Args:
             turns: Number of times that the light of a turn is shown.
             start: The state before; None for fresh resin.
-            visible, ultraviolet: Light of each lamp relative to that of this model, dimensionless.
+            visible, ultraviolet: Light of each lamp, relative to this model's lamp.
             operators: Operators of both colors, if they have changed; None for this model's.
 
         Returns:
@@ -251,7 +286,7 @@ class KineticModel(Model):
         return light
 
     def _given(self, sub: int) -> dict[str, object]:
-        """Arguments of a step that its adjoint shares."""
+        """Arguments of a step, shared with its adjoint."""
         dose, resin, share = self._doses[sub // self.steps], self.resin, 1.0 / self.steps
         pairing = resin.pairing * self.period / (len(self._doses) * self.steps)
         gains = {"visible_gain": resin.visible * share, "ultraviolet_gain": resin.ultraviolet * share}
@@ -274,7 +309,7 @@ class KineticModel(Model):
         self.device.launch(inhibition_adjoint, **self._given(sub), **states, **ends, **by_light)
 
     def _start(self) -> tuple[DeviceArray, ...]:
-        """The state before the first turn; x of fresh resin begins at the 1 that the effective dose adds."""
+        """The state before the first turn; x of fresh resin starts at 1, the constant of the effective dose."""
         if self.start is not None:
             return tuple(combine(1.0, part, 0.0, part, self.device.empty(self.shape)) for part in self.start)
         return tuple(self._constant(value) for value in (1.0, 0.0, self.resin.supply, 1.0))

@@ -23,9 +23,8 @@ class TwoColorResin:
         supply: [C]₀/[A]₀.
         alpha: Ratio k_B/k_A, visible light's preference for B.
         pairing: Rate k₂·[A]₀ [1/s] at which B recombines to C.
-        cross: Share of the induction that a unit of ultraviolet dose consumes by starting chains itself.
-        floor: ε, the share of [A]₀ by which the monomer competes for radicals; it smooths eqs 5-7, which are its limit
-            0.
+        cross: Share of the induction that a unit of ultraviolet dose consumes, because it also starts chains.
+        floor: ε, the share of [A]₀ by which the monomer competes for radicals; eqs 5-7 are the limit ε = 0.
 
     Raises:
         BadInput: A value is out of its range.
@@ -48,12 +47,12 @@ class TwoColorResin:
     def of(
         cls, rates: Rates, visible: Projection, ultraviolet: Projection, *, cross: float = 0.0, floor: float = 0.02
     ) -> TwoColorResin:  # fmt: skip
-        """Convert rate constants, for light in mJ/mm² of every pose, measured in air.
+        """Convert rate constants, for light in mJ/mm² per angle, measured in air.
 
         Args:
             rates: Rate constants, of order 1 in [C].
             visible, ultraviolet: Operators of both colors.
-            cross: Ratio of the radicals that ultraviolet light starts to those of as much visible light, as in
+            cross: Number of radicals that ultraviolet light starts, relative to the same amount of visible light, as in
                 `Reaction`.
             floor: ε, a share; see the class.
 
@@ -61,11 +60,11 @@ class TwoColorResin:
             The resin.
 
         Raises:
-            BadInput: The rates are of order 0 in [C], which would need an end of the supply within a step, or C is
+            BadInput: The rates are of order 0 in [C], which would need the supply to end within a step, or C is
                 missing.
         """
         if not rates.supply:
-            raise BadInput("the resin has a supply of 0; expected [C] > 0, or nothing answers the ultraviolet")
+            raise BadInput("the resin has a supply of 0; expected [C] > 0, on which ultraviolet light acts")
         if rates.order != 1:
             raise BadInput("the rates are of order 0 in [C]; expected order 1, which equals it while [C] is the supply")
         a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
@@ -74,16 +73,16 @@ class TwoColorResin:
 
     @property
     def subtraction(self) -> float:
-        """k of the linear model: share of the induction that a unit of ultraviolet dose gives back at first."""
+        """k of the linear model: share of the induction that a unit of ultraviolet dose restores at first."""
         return 2.0 * self.supply * self.ultraviolet / self.alpha - self.cross
 
     @property
     def lowest(self) -> float:
-        """Bound below every effective dose: all of C as B."""
+        """Lower bound of the effective dose: all of C as B."""
         return -2.0 * self.supply / self.alpha
 
 
 def _fluence(operator: Projection) -> float:
-    """Fluence [mJ/mm²] at a voxel for a unit of dose as the operator gives it from light in mJ/mm²."""
+    """Fluence [mJ/mm²] at a voxel for a unit of the operator's dose from light in mJ/mm²."""
     absorbed = 1.0 if operator.vessel is None else operator.vessel.absorption or 1.0
     return operator.beam.pixel_area / operator.grid.voxel_volume / absorbed

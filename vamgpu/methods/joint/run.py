@@ -11,11 +11,10 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.chemistry.species import PAPER
-from vamgpu.errors import BadInput, Cancelled
+from vamgpu.errors import BadInput, Cancelled, EmptyMesh
 from vamgpu.geometry import counts
 from vamgpu.losses.band import Band
 from vamgpu.methods.dual.colors import Pair
-from vamgpu.methods.joint.contrast import EffectiveContrast
 from vamgpu.methods.joint.descent import ColorDescent
 from vamgpu.methods.joint.models import LinearModel, Model
 from vamgpu.methods.joint.resin import TwoColorResin
@@ -26,8 +25,44 @@ from vamgpu.methods.run import optimize
 from vamgpu.operators.compose import combine
 from vamgpu.operators.space import require
 
+
+@dataclass(frozen=True)
+class EffectiveContrast:
+    """Effective doses, 1 at the end of the induction, in the part (fraction ≥ ½) and out of it."""
+
+    in_least: float
+    in_most: float
+    out_most: float
+    in_low: float  # fifth percentile in the part
+    out_high: float  # ninety-fifth percentile out of it
+    uncured: float  # share of the part below 1
+    overcured: float  # share of the rest at 1 or above
+
+    @property
+    def window(self) -> float:
+        """(Least dose in the part − greatest out of it) / the greatest in the part."""
+        return (self.in_least - self.out_most) / max(self.in_most, 1e-30)
+
+    @property
+    def bulk(self) -> float:
+        """The same of the fifth and the ninety-fifth percentile."""
+        return (self.in_low - self.out_high) / max(self.in_most, 1e-30)
+
+    @classmethod
+    def of(cls, dose: Any, target: Any, counted: np.ndarray | None = None) -> EffectiveContrast:
+        """Compare a dose with a target's fractions [x, y, z] where ``counted``. Raises `EmptyMesh`."""
+        got, fraction = (np.asarray(value, np.float64) for value in (dose, target))
+        chosen = np.ones(got.shape, bool) if counted is None else np.broadcast_to(counted, got.shape)
+        part, rest = got[chosen & (fraction >= 0.5)], got[chosen & (fraction < 0.5)]
+        if not part.size or not rest.size:
+            raise EmptyMesh("no voxel is in the part, or none is out of it; contrast needs both")
+        numbers = (part.min(), part.max(), rest.max(), np.percentile(part, 5), np.percentile(rest, 95),
+                   np.mean(part < 1.0), np.mean(rest >= 1.0))  # fmt: skip
+        return cls(*map(float, numbers))
+
+
 LINEAR = 4
-"""Iterations of the linear model for each one with only visible light; they cost little."""
+"""Iterations of the linear model for each iteration with only visible light; they take little time."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +72,10 @@ class LossWeights:
     Args:
         outside: Greatest effective dose out of the part.
         inside, most: Least and greatest effective dose in the part; inside is T_mec/T_opt or more.
-        share: Share of a step that ultraviolet takes over, 0 … 1.
+        share: Share of a step that ultraviolet light takes over, 0 … 1.
 
     Raises:
-        BadInput: Unless 0 < outside < 1 < inside ≤ most.
+        BadInput: The values are not 0 < outside < 1 < inside ≤ most.
     """
 
     outside: float = 0.85
@@ -60,7 +95,7 @@ class LossWeights:
             resin: The resin whose effective dose is judged.
 
         Returns:
-            The loss. Out of the part less is never wrong, however far below 0 B takes it.
+            The loss. Outside the part a lower dose is never wrong, however far below 0 B takes it.
         """
         depth = 0.5 * (self.outside - min(resin.lowest, 0.0)) + 1.0
         middle, half = 0.5 * (self.inside + self.most), 0.5 * (self.most - self.inside)
@@ -69,11 +104,11 @@ class LossWeights:
 
 @dataclass(frozen=True, eq=False)
 class ColorPlan:
-    """Light of both colors for one turn, repeated ``model.turns`` times: that of least loss, not the last.
+    """Light of both colors for one turn, repeated ``model.turns`` times: the light with the least loss, not the last.
 
     Args:
         visible, ultraviolet: Light [angle, r, z] ≥ 0 on the device.
-        model, weights: What made it.
+        model, weights: The model and the weights of the run.
         target: Fractions [x, y, z].
         history: One `Step` per iteration; an evaluation is one forward and one back projection of both colors.
         papers: Papers of the method.
@@ -102,7 +137,7 @@ class ColorPlan:
         """Compute the effective dose after the last turn.
 
         Args:
-            model: Another model that judges the same light; that of the plan by default.
+            model: Another model that evaluates the same light; by default the plan's.
 
         Returns:
             Effective dose [x, y, z].
@@ -113,7 +148,7 @@ class ColorPlan:
         """Contrast of the effective dose.
 
         Args:
-            model: Another model that judges the same light; that of the plan by default.
+            model: Another model that evaluates the same light; by default the plan's.
 
         Returns:
             The contrast.
@@ -135,10 +170,10 @@ def optimize_colors(
         weights: Required effective doses.
         iterations: Total number, including those of ``resume``.
         start: Initial light, copied; by default that of the linear model.
-        warm: Iterations for only the visible light; four times as many follow for both colors in the linear model.
+        warm: Iterations with only visible light; four times as many follow for both colors in the linear model.
         progress: Gets every `Step`.
         cancel: Called before each step; returns whether to stop.
-        resume: A plan of the same model and weights to continue, bit for bit; it does not change.
+        resume: A plan of the same model and weights to continue, bit for bit; the plan does not change.
 
     Returns:
         The plan with the light of least loss.
@@ -194,11 +229,11 @@ def _memories(light: Pair) -> tuple[dict[str, Any], ...]:
 
 
 def _resumed(model: Model, weights: LossWeights, start: Any, plan: ColorPlan) -> tuple[dict[str, Any], ...]:
-    """Copies of the memories of a plan. Raises `BadInput` if it is of another run."""
+    """Copies of the memories of a plan. Raises `BadInput` if the plan is from another run."""
     if start is not None:
         raise BadInput("got both start and resume; expected one: start begins a new run, resume continues one")
     if plan.model is not model or plan.weights != weights or not plan.state:
-        raise BadInput(f"the plan to resume is by {plan.model!r} for {plan.weights!r}; expected one of this very "
+        raise BadInput(f"the plan to resume is by {plan.model!r} for {plan.weights!r}; expected one of this same "
                        f"model, for {weights!r}: give start= for a new run from its light")  # fmt: skip
     return copied(plan.state)
 
@@ -222,7 +257,7 @@ def _warm(model: Model, target: DeviceArray, weights: LossWeights, iterations: i
 
 
 def _copied(model: Model, start: Pair | ColorPlan) -> Pair:
-    """The light to start from, checked, so that what was given stays as it is."""
+    """The initial light, checked and copied; the given light does not change."""
     copies = []
     for A, light in zip(model.operators, start.light if isinstance(start, ColorPlan) else start, strict=True):
         require(A.range, light, "the light to start from")

@@ -1,4 +1,4 @@
-"""An endless array of closed shells, the carriers of something enclosed."""
+"""An endless array of closed shells that can enclose something."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Array = npt.NDArray[np.float64]
 class Capsules(Distance):
     """Hollow cylinders with round ends along x (l on a web), repeated along x and z about y = ``depth``.
 
-    The first is centered half a spacing from x = 0, and on z = 0.
+    The first one is centered at x = half a spacing and z = 0.
 
     Args:
         radius: Radius of the outside [mm].
         length: Length of the straight part [mm].
-        wall: Thickness [mm]; ``radius`` for solid ones.
-        spacing: From one to the next along x and z [mm].
+        wall: Thickness of the wall [mm]; ``radius`` for solid capsules.
+        spacing: Distance from one capsule to the next along x and z [mm].
         depth: Depth of their axes [mm].
 
     Raises:
-        BadInput: A value is out of its range, or they would touch.
+        BadInput: A value is out of its range, or the capsules would touch.
     """
 
     radius: float = 0.8
@@ -47,8 +47,7 @@ class Capsules(Distance):
         if len(self.spacing) != 2 or not self.spacing[0] > long or not self.spacing[1] > 2.0 * radius:
             raise BadInput(
                 f"Capsules spacing is {self.spacing!r} mm; expected more than ({long:g}, {2 * radius:g}) along x and "
-                "z, "
-                "or they touch"
+                "z, or they touch"
             )
 
     def __call__(self, x: Array, y: Array, z: Array, /) -> Array:

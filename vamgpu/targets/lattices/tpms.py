@@ -1,8 +1,8 @@
 """Solids bounded by triply periodic minimal surfaces and their level sets.
 
-Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table S4, with k = 2π/cell and
-the sheet |f| < c, which is its f² − c² < 0. Values are the function over the norm of its gradient: the distance [mm]
-to first order near the surface, of the right sign everywhere, and no distance far away.
+Source: J. Toombs et al., Roll-to-roll tomographic volumetric additive manufacturing, Table S4, with k = 2π/cell. The
+sheet is |f| < c, written there as f² − c² < 0. Values are the function divided by the norm of its gradient: the
+distance [mm] to first order near the surface. Far away, only the sign is right.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Array = npt.NDArray[np.float64]
 Sampled = tuple[Array, Array]
 
 STEEPEST = sqrt(3.0)
-"""No function here has a partial derivative by phase beyond 1, so none rises faster than this."""
+"""The partial derivatives of all functions here are at most 1; no function rises faster than this."""
 _FLATTEST = 0.05
-"""Gradients by phase are taken to be at least this, where a function has a summit or a saddle."""
+"""Lower limit of the gradient by phase, at maxima and saddles of a function."""
 GYROID_PINCH = sqrt(2.0)
 DIAMOND_PINCH = sqrt(0.5)
 
@@ -44,7 +44,7 @@ class _Periodic(ABC):
 
     @abstractmethod
     def _sampled(self, x: Array, y: Array, z: Array, *, slopes: bool) -> Sampled:
-        """The function at phases, and the norm of its gradient (its own value where slopes are not needed)."""
+        """The function at phases, and the norm of its gradient (its own value if slopes are not needed)."""
 
     @property
     def _scale(self) -> float:
@@ -73,7 +73,7 @@ def _gyroid(x: Array, y: Array, z: Array, slopes: bool) -> Sampled:
 
 @dataclass(frozen=True)
 class SheetGyroid(_Periodic):
-    """The wall |f| < level along the gyroid f = 0.
+    """The wall |f| < level around the gyroid surface f = 0.
 
     Args:
         cell: Period [mm].

@@ -1,7 +1,7 @@
-"""Lattices of struts: true distances outside, and inside of one strut; inside a joint, at most the distance.
+"""Lattices of struts: true distances outside and inside one strut; inside a joint, at most the distance.
 
-Every lattice here is symmetric about the planes that bound its smallest region, so the strut nearest to a point is one
-of that region's own.
+Every lattice here is symmetric about the planes that bound its smallest region. The strut nearest to a point therefore
+belongs to the point's own region.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Pentamode(Distance):
     Args:
         cell: Edge of the cubic diamond cell [mm].
         touch: Diameter of a ball [mm].
-        middle: Diameter of a cone's middle [mm].
+        middle: Diameter of a cone in the middle of a bond [mm].
     """
 
     cell: float = 3.2
@@ -100,7 +100,7 @@ class Pentamode(Distance):
         return np.minimum(value, np.sqrt(apart) - 0.5 * self.touch)
 
     def _cone(self, along: Array, across: Array, half: float) -> Array:
-        """Distance to a double cone at ``along`` from its middle and ``across`` its axis."""
+        """Distance to a double cone, at ``along`` its axis from its middle and ``across`` the axis."""
         wide, narrow = 0.5 * self.middle, 0.5 * self.touch
         side = np.array([half, narrow - wide])
         t = np.clip((along * side[0] + (across - wide) * side[1]) / (side @ side), 0.0, 1.0)
@@ -142,7 +142,7 @@ def _about_atom(x: Array, y: Array, z: Array, cell: float) -> list[Array]:
     point = np.stack(np.broadcast_arrays(x, y, z)) / (0.5 * cell) - 0.5
     whole = np.round(point)
     rest = point - whole
-    # Face centers have an even sum: where it is odd, the coordinate nearest to its rounding limit goes the other way.
+    # Face centers have an even sum: if odd, the coordinate nearest to its rounding limit is rounded the other way.
     odd = whole.sum(axis=0) % 2 != 0
     axis = np.abs(rest).argmax(axis=0)
     turn = (np.arange(3).reshape(3, *(1,) * odd.ndim) == axis) & odd

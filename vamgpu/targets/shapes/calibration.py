@@ -25,15 +25,15 @@ def exposure_disk(
 ) -> Solid:
     """A disk with 14 half disks around it: seven on two spokes of 1..7 pixels, seven behind gaps of 2..8 pixels.
 
-    Gaps are concentric with the disk, so that each has one width; spokes bridge the widest gap. A flawless print keeps
-    the seven spoked half disks and none of the others: a figure of merit of 7 (their eq. 2).
+    The gaps are concentric with the disk and therefore have constant widths; the spokes bridge the widest gap. A
+    flawless print keeps the seven half disks on spokes and none of the others: a figure of merit of 7 (their eq. 2).
 
     Args:
         diameter: Diameter of the disk [mm].
         thickness: Thickness of the disk [mm].
         pixel: Unit of the spokes and gaps [mm].
         half_disk_radius: Radius of each half disk [mm].
-        spoke_spacing: Between the two spokes of a half disk [mm].
+        spoke_spacing: Distance between the two spokes of a half disk [mm].
 
     Returns:
         The disk.
@@ -46,7 +46,7 @@ def exposure_disk(
 def exposure_outline(
     diameter: float = 12.0, pixel: float = 0.067, half_disk_radius: float = 1.0, spoke_spacing: float = 1.0
 ) -> CrossSection:
-    """The plane figure of exposure_disk, arguments in mm."""
+    """The plane figure of exposure_disk; arguments in mm."""
     rim = 0.5 * diameter
     parts = [CrossSection.circle(rim, _SEGMENTS)]
     turn = 360.0 / (len(SPOKES_PX) + len(GAPS_PX))
@@ -65,5 +65,5 @@ def exposure_outline(
 
 def _half_disk(inner_radius: float, radius: float) -> CrossSection:
     whole = CrossSection.circle(radius, 64).translate((inner_radius, 0.0))
-    # The chords of a polygon lie inside its circle; the cut uses the circle around them, to keep the gap at its width.
+    # A polygon's edges lie inside its circle; the cut uses a polygon around the circle to keep the gap's width.
     return whole - CrossSection.circle(inner_radius / float(np.cos(np.pi / _SEGMENTS)), _SEGMENTS)

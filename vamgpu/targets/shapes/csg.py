@@ -53,7 +53,7 @@ def rod(start: Point, end: Point, radius: float, end_radius: float | None = None
 
 
 def along(body: Manifold, start: Point, end: Point) -> Manifold:
-    """Lay a body that runs along +z from the origin so that it runs from start towards end."""
+    """Move a body that extends along +z from the origin to extend from start towards end."""
     axis = np.subtract(end, start)
     x, y, z = (axis / np.linalg.norm(axis)).tolist()
     polar, azimuth = np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(y, x))
@@ -61,7 +61,7 @@ def along(body: Manifold, start: Point, end: Point) -> Manifold:
 
 
 def stroke(path: npt.ArrayLike, width: float, segments: int = 16) -> CrossSection:
-    """A line of round pen strokes through the points (n, 2) [mm], of the given width [mm]."""
+    """A line of strokes with a round pen of the given width [mm] through the points (n, 2) [mm]."""
     points = np.asarray(path, dtype=np.float64)
     dots = [CrossSection.circle(0.5 * width, segments).translate((float(x), float(y))) for x, y in points]
     return CrossSection.batch_boolean([(a + b).hull() for a, b in zip(dots, dots[1:], strict=False)], OpType.Add)

@@ -30,7 +30,7 @@ def screw(length: float = 6.35, clearance: float = 0.0) -> Solid:
 
     Args:
         length: Length of the threaded part [mm].
-        clearance: Taken off the thread's radius [mm].
+        clearance: Amount by which the thread's radius is reduced [mm].
 
     Returns:
         The screw.
@@ -63,7 +63,7 @@ def nut(clearance: float = 0.1) -> Solid:
     """A 1/4-20 UNC hex nut, 7/16 in across flats, 7/32 in high.
 
     Args:
-        clearance: Added to the thread's radius [mm].
+        clearance: Amount by which the thread's radius is increased [mm].
 
     Returns:
         The nut.
@@ -110,7 +110,7 @@ def threaded_rod(low: float, high: float, clearance: float = 0.0) -> Manifold:
 
 
 def _helix_faces(rows: int) -> np.ndarray:
-    """Triangles of a helical strip; past the seam row k continues as row k + one turn."""
+    """Triangles of a helical strip; at the seam, row k continues one turn higher."""
     turn = len(_PROFILE)
 
     def at(column: int, row: int) -> int:

@@ -20,17 +20,17 @@ PRESSURE_ANGLE = np.radians(25.0)
 PIN_DIAMETER = 3.0
 """Pins of the base [mm], as in the source."""
 CENTER_DISTANCE = TEETH * MODULE
-"""Distance of the two pins [mm]."""
+"""Distance between the two pins [mm]."""
 
 
 def gears(gap: float = 0.1, thickness: float = 3.0, apart: float = 0.4) -> Solid:
-    """Two spur gears side by side, to be printed and then put on the pins of `gear_base`.
+    """Two spur gears side by side; after the print they go on the pins of `gear_base`.
 
     Args:
-        gap: Between pin wall and bore wall, and also the backlash at the pitch circle [mm] (the source prints 0, 0.05
-            and 0.1 mm).
+        gap: Distance between pin and bore walls, and also the backlash at the pitch circle [mm] (the source prints 0,
+            0.05 and 0.1 mm).
         thickness: Face width [mm].
-        apart: Free distance of the tip circles as printed [mm].
+        apart: Distance between the tip circles as printed [mm].
 
     Returns:
         Both gears.
@@ -62,7 +62,7 @@ def gear_base(thickness: float = 1.5, pin_height: float = 4.5) -> Solid:
 
 
 def gear_outline(backlash: float = 0.0) -> CrossSection:
-    """One gear in the plane, without bore; the pair together has the given backlash at the pitch circle [mm]."""
+    """One gear in the plane, without a bore; a pair has the given backlash at the pitch circle [mm]."""
     pitch_radius = 0.5 * TEETH * MODULE
     base, tip, root = pitch_radius * np.cos(PRESSURE_ANGLE), pitch_radius + MODULE, pitch_radius - 1.25 * MODULE
     tooth = 0.5 * np.pi * MODULE - 0.5 * backlash

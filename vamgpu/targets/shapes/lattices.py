@@ -33,7 +33,7 @@ def gyroid_sphere(radius: float = 6.0, cell: float = 4.0, wall: float = 0.5, pit
     axis = (np.arange(-count, count + 1, dtype=np.float64) + 0.5) * pitch
     field = 0.5 * wall - np.abs(_gyroid_distance(axis, cell, wall))
     sheet = _level_surface(field, pitch) ^ Manifold.sphere(radius, 128)
-    # Crumbs of the sheet that the sphere cuts loose would float in the resin.
+    # Fragments of the sheet that the sphere cuts off would float in the resin.
     largest = max(sheet.decompose(), key=lambda body: body.volume())
     return to_solid(largest.simplify(0.02 * pitch), "gyroid_sphere")
 
@@ -42,7 +42,7 @@ def cubic_lattice(cells: int = 5, cell: float = 1.8, strut: float = 0.5) -> Soli
     """A cube of cells × cells × cells open cells with round struts.
 
     Args:
-        cells: Along an edge.
+        cells: Number of cells along an edge.
         cell: Edge of a cell [mm].
         strut: Diameter of a strut [mm].
 
@@ -65,7 +65,7 @@ def pentamode(cells: int = 3, cell: float = 3.2, touch: float = 0.13, middle: fl
     """A diamond lattice whose bonds are double cones, thick in the middle, that meet in touch points.
 
     Args:
-        cells: Along an edge.
+        cells: Number of cells along an edge.
         cell: Edge of the cubic diamond cell [mm].
         touch: Diameter of a bond at its ends [mm].
         middle: Diameter of a bond in its middle [mm].
@@ -109,11 +109,11 @@ def _diamond(cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def _gyroid_distance(axis: Array, cell: float, reach: float) -> Array:
-    """Distance [mm] to the gyroid on the cube axis x axis x axis, good below reach: one Newton step and its rest."""
+    """Distance [mm] to the gyroid on the grid axis × axis × axis, accurate below reach: a Newton step and its rest."""
     scale = 2.0 * np.pi / cell
     phase = scale * axis
     value, gradient = _gyroid(phase[:, None, None], phase[None, :, None], phase[None, None, :])
-    # The gradient vanishes only far from the surface, where any large value will do.
+    # The gradient vanishes only far from the surface, where any large value is acceptable.
     distance = value / np.sqrt(np.maximum(sum(part * part for part in gradient), 0.05))
     near = np.nonzero(np.abs(distance) < 1.5 * reach * scale)
     at = [phase[index] for index in near]

@@ -1,4 +1,4 @@
-"""The test boat: one small part with every feature that is hard to print."""
+"""The test boat: one small part with every kind of feature that is hard to print."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _DECK = 1.9
 """Height of the well's floor above the keel."""
 _STATIONS, _LEVELS = 64, 24
 _HEIGHT = 11.5
-"""The boat is drawn at this height [mm]; all other numbers here are in the same measure."""
+"""Height at which the boat is drawn [mm]; all other numbers here refer to it."""
 _FLAG, _FLAG_TOP = (-5.75, 0.0), _DEPTH + 0.75
 _GLYPHS: dict[str, tuple[float, list[list[tuple[float, float]]]]] = {
     "V": (0.9, [[(0.0, 1.0), (0.45, 0.0), (0.9, 1.0)]]),
@@ -31,7 +31,7 @@ def boat(height: float = 11.5) -> Solid:
     mm wall, and raised text on both sides. At 11.5 mm it needs a printable radius of 6.6 mm.
 
     Args:
-        height: Height of the boat [mm]; everything scales with it.
+        height: Height of the boat [mm]; all its dimensions scale with it.
 
     Returns:
         The boat.
@@ -53,14 +53,14 @@ def _sheer(s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _stem(s: npt.NDArray[np.float64], t: float) -> npt.NDArray[np.float64]:
-    """Position along the boat: the stem rakes forward, the transom a little aft."""
+    """Position along the boat: the stem leans forward, the transom slightly aft."""
     aft, fore = -0.5 * _LENGTH + 0.5 * (1.0 - t), 0.5 * _LENGTH - 1.9 * (1.0 - t) ** 1.3
     return aft + s * (fore - aft)
 
 
 def _loft(levels: npt.NDArray[np.float64], swell: float = 0.0, shrink: float = 1.0, lift: float = 0.0) -> Manifold:
     """A body between waterlines: swollen sideways by swell, shrunk in plan, raised by lift above the last level."""
-    s = 1.0 - np.linspace(1.0, 0.0, _STATIONS) ** 1.5  # denser near the round of the stem
+    s = 1.0 - np.linspace(1.0, 0.0, _STATIONS) ** 1.5  # denser near the rounded stem
     rings = []
     for index, t in enumerate(levels):
         z = t * _sheer(s) + (lift if index == len(levels) - 1 else 0.0)
@@ -174,7 +174,7 @@ def _lettering(text: str, size: float = 1.35, raised: float = 0.16) -> Manifold:
     flat = CrossSection.batch_boolean(glyphs, OpType.Add).translate((0.5 * (space - cursor), 0.0))
     starboard = flat.extrude(8.0).rotate((90.0, 0.0, 0.0)).translate((-0.4, 0.0, 1.2))
     port = starboard.rotate((0.0, 0.0, 180.0)).translate((-0.8, 0.0, 0.0))
-    # The letters reach into the wall, not through it into the well.
+    # The letters extend into the wall, but not through it into the well.
     inner = _loft(np.linspace(0.0, 1.0, _LEVELS), shrink=0.94, lift=1.0)
     return ((starboard + port) ^ _loft(np.linspace(0.05, 0.9, _LEVELS), swell=raised)) - inner
 

@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput, EmptyMesh, ShapeMismatch
 
 @dataclass(frozen=True)
 class Contrast:
-    """Doses in the part (design ≥ ½) and out of it, over the greatest in the part, D_in,max."""
+    """Doses inside the part (design ≥ ½) and outside it, relative to the greatest in the part, D_in,max."""
 
     in_least: float  # least and mean dose and standard deviation in the part
     in_mean: float
@@ -28,7 +28,7 @@ class Contrast:
 
     @property
     def window(self) -> float:
-        """Least dose in the part − greatest dose out of it: above zero one exposure prints all of it right."""
+        """Least dose in the part − greatest dose outside: above zero, one exposure prints all of it correctly."""
         return self.in_least - self.out_most
 
     @property

@@ -1,4 +1,4 @@
-"""Energy that leaves every ray, scattered onto the voxels: the book-keeping that the gathering operators cannot do."""
+"""Scatter the energy that every ray loses onto the voxels: an energy balance, unlike the gathering operators."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def deposit(
     pitch: float,
     step: float = 0.25,
 ) -> Floats:
-    """Power absorbed per volume [mW/mm³] in a slice of voxels, (nx, ny), of the whole disc. Raises `BadInput`."""
+    """Power absorbed per volume [mW/mm³] in a slice of voxels, (nx, ny), over the whole disc. Raises `BadInput`."""
     # u: columns [mm], (columns,).  power: of each column at each pose [mW], (poses, columns).  angles: poses [rad].
-    # pitch: of voxels [mm].  step: longest segment [pitches]. Beer-Lambert's law is exact over each segment, which the
-    # four voxels around its middle share: sum(result) · pitch³ = sum(power · transmittance · (1 − exp(−absorption ·
-    # length))) where the grid covers the resin. Clear resin counts 1 per mm of path.
+    # pitch: of voxels [mm].  step: longest segment [pitches]. Beer-Lambert's law is exact over each segment, whose
+    # power is divided among the four voxels around its middle: sum(result) · pitch³ = sum(power · transmittance · (1 −
+    # exp(−absorption · length))) if the grid covers the resin. Clear resin counts 1 per mm of path.
     columns, powers, poses = as_offsets("u", u), as_offsets("power", power), as_offsets("angles", angles)
     pitch, step = positive("pitch [mm]", pitch), positive("step [pitches]", step)
     if columns.ndim != 1 or poses.ndim != 1 or powers.shape != (poses.size, columns.size):
@@ -42,7 +42,7 @@ def deposit(
 
 
 def _segments(chords: Chords, absorption: float, longest: float) -> tuple[Floats, Floats, Floats]:
-    """Laboratory position of each segment's middle [mm] and the share of its column's power that it absorbs."""
+    """Middle of each segment in the fixed frame [mm], and the absorbed share of its column's power."""
     count = max(1, int(np.ceil(np.max(chords.length, initial=0.0) / longest)))
     edges = chords.length[:, None] * np.linspace(0.0, 1.0, count + 1)
     size = np.diff(edges, axis=1)
@@ -54,7 +54,7 @@ def _segments(chords: Chords, absorption: float, longest: float) -> tuple[Floats
 
 
 def _scatter(x: Floats, y: Floats, value: Floats, shape: tuple[int, int]) -> Floats:
-    """Share values between the four voxels around each place, given in voxels from the middle of the grid."""
+    """Divide values among the four voxels around each position, given in voxels from the middle of the grid."""
     across, along = x + 0.5 * (shape[0] - 1), y + 0.5 * (shape[1] - 1)
     i, j = np.floor(across).astype(np.int64), np.floor(along).astype(np.int64)
     fx, fy = across - i, along - j
