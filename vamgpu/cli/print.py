@@ -80,18 +80,15 @@ def print_(
 
     screen, config = console(), read_rig(rig, settings or ())
     _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
-    if live and (stop is not None or len(jobs) != 1):
-        raise BadInput("a print with --live takes one job, and its planner ends it; leave out other jobs and --stop")
+    _check_live(live, jobs, stop)
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(
         _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
     )
-    exposure, planner = None, None
-    if resume is not None and not live:
-        turns, exposure = _begun(resume, turns)
+    exposure = planner = None
+    turns, exposure = _begun(resume, turns) if resume is not None and not live else (turns, None)
     if live:
-        planned, planner = _watching(screen, folders[0], config, turns, resume, speed, dry_run, device)
-        turns = len(planned.schedule) // planned.schedule.frames
+        planned, planner, turns = _watching(screen, folders[0], config, turns, resume, speed, dry_run, device)
     else:
         planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
     exposure = False if planned.dose is None else planned.dose.proved
@@ -158,6 +155,12 @@ def _agreed(question: str) -> bool:
         return False
 
 
+def _check_live(live: bool, jobs: tuple[str, ...], stop: float | None) -> None:
+    """Reject options that a print with a planner does not take. Raises `BadInput`."""
+    if live and (stop is not None or len(jobs) != 1):
+        raise BadInput("a print with --live takes one job, and its planner ends it; leave out other jobs and --stop")
+
+
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
     """Turns and exposure of the run to resume; the rest then gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
@@ -173,8 +176,8 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
 def _watching(
     screen: Console, job: Path, config: RigConfig, turns: int | None, resume: Path | None, speed: str | None,
     dry_run: bool, device: str | None,
-) -> tuple[PrintPlan, LiveOrder]:  # fmt: skip
-    """The plan of a print that the camera watches, new or resumed, and the order of its planner."""
+) -> tuple[PrintPlan, LiveOrder, int]:  # fmt: skip
+    """The plan of a print that the camera watches, new or resumed, the order of its planner, and its turns."""
     from vamgpu.hosts.live.cameras import unmeasured
     from vamgpu.hosts.live.live_print import PLACE, watched_plan
     from vamgpu.live import LiveRecord
@@ -189,7 +192,7 @@ def _watching(
     )  # fmt: skip
     if note := unmeasured(made.planned):
         screen.print(f"camera  [yellow]{escape(note)}[/]")
-    return made.planned, made.order
+    return made.planned, made.order, made.setup.longest
 
 
 def _live_demo(rig: str, turns: int | None, out: Path | None, plain: bool) -> int:
