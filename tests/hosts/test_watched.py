@@ -256,6 +256,11 @@ def test_a_camera_of_its_own_size_and_orientation_watches_as_well(nut: Path, run
     assert 0.5 < ended.decisions[0]["misfit"] < 1.5, "the noise of the resampled images is as it is said"
 
 
+def test_the_command_s_dry_run_cures_resin_and_writes_the_report(nut: Path, run: Path, capsys: Any) -> None:
+    assert print_(str(nut), rig="emulated", live=True, turns=3, speed="90", out=run) == 0
+    assert "proved overlap" in capsys.readouterr().out and (run / "live.html").is_file()
+
+
 class Replayed:
     """A planner's connection that gives the messages of a recorded print, and answers each proposal."""
 

@@ -423,11 +423,10 @@ def _status(state: PrintState) -> int:
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
     """Do a dry run in this process, as fast as it computes; return how it ended."""
     from vamgpu.hosts.process.order import printed
-    from vamgpu.hosts.rig import rehearsal
 
     asked = _asked(screen) if order.asks else None
     return printed(
-        order, planned, rehearsal(planned), board,
+        order, planned, order.stand(planned), board,
         told=partial(_show_line, screen), go_on=lambda job: asked is not None and asked(job.states.message),
     )  # fmt: skip
 
