@@ -61,6 +61,9 @@ name = "lab"
 machine = "vial"
 [controller]
 port = "/dev/none"
+[motion]
+driver = "controller"
+microsteps = 100.0
 [display]
 driver = "alp"
 library = "none.so"
@@ -278,6 +281,8 @@ class Replayed:
         self.proposals.append(turn)
 
     def estimate(self, *_: Any) -> None: ...
+
+    def checked(self, *_: Any, **__: Any) -> None: ...
 
 
 def test_a_resumed_print_decides_as_one_that_never_stopped(nut: Path, run: Path) -> None:
