@@ -9,12 +9,13 @@ from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate.machines import CalibrationMachines, SteppedTurntable, need
 from vamgpu.hosts.calibrate.patterns import PatternScreen
 from vamgpu.hosts.calibrate.truth import USUAL
+from vamgpu.hosts.calibrate.turn import TurnMachines
 from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
-from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics
+from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics, marked_vial
 from vamgpu.hosts.rigs.config import RigConfig, RigFile
 from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.schedules.clock import Clock, RealClock
@@ -67,6 +68,21 @@ def _view(rig: RigFile) -> dict[str, Any]:
         return {}
     turned = {"flip": rig.camera.flip, "rotation": rig.camera.rotation}
     return turned if rig.camera.crop is None else turned | {"view": rig.camera.view}
+
+
+RATIO = 1.009  # degrees of an emulated vial in one that its stage reports
+
+
+def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[TurnMachines, float | None]:
+    """Open a rig's motion and camera, without light and mirrors; and the truth if they are emulated."""
+    rig, camera = config.setup, need(config.setup.camera, "camera")
+    if rig.emulated:
+        return TurnMachines(rig, *marked_vial(ratio)), ratio
+    if driver_of(rig.motion) == "controller":
+        raise BadInput("the controller's own motor has index and encoder; expected another driver in [motion]")
+    stage = rig.motion.open("deg")
+    with closed_on_error(stage):
+        return TurnMachines(rig, RealClock(), stage, camera.open()), None
 
 
 def _assembled(

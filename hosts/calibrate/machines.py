@@ -13,7 +13,7 @@ from vamgpu.hosts.calibrate.patterns import PatternScreen
 from vamgpu.hosts.drivers.camera import CameraDriver
 from vamgpu.hosts.drivers.cleanup import close_all
 from vamgpu.hosts.drivers.controller import Controller
-from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.rigs.config import RigFile
@@ -79,7 +79,7 @@ class CalibrationMachines:
     controller: Controller
     screens: tuple[PatternScreen, ...]
     channels: tuple[int, ...]
-    lens: LensDriver | None = None
+    lens: Lens | None = None
     camera: CameraDriver | None = None
     stage: Stage | None = None
     meter: PowerMeter | None = None

@@ -23,7 +23,7 @@ Line = tuple[str, str]
 class CalibrationResult:
     """A calibration's outcome."""
 
-    kind: str  # focus, axis, gray, flat, mtf or runout
+    kind: str  # focus, axis, gray, flat, mtf, runout or turn
     numbers: Mapping[str, Any]  # plain values by name
     readings: Mapping[str, np.ndarray]
     lines: tuple[Line, ...]  # names and values to show

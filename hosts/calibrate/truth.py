@@ -59,6 +59,10 @@ def _runout(found: CalibrationResult, optics: Any, machines: CalibrationMachines
     return truth, f"column {optics.axis:.3f}, pin {out:.3f}, wobble {edge * wobble:.3f} columns"
 
 
+def _turn(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
+    return {"ratio": optics}, f"{optics:.6f} deg of the vial"
+
+
 def _mtf(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
     frequency, places, pixel = (
         np.linspace(0.0, HIGHEST, 20001),
@@ -84,5 +88,6 @@ def _live(found: CalibrationResult, optics: Any, machines: CalibrationMachines) 
 
 
 TRUTHS: dict[str, Callable[[CalibrationResult, Any, CalibrationMachines], Truth]] = {
-    "focus": _focus, "axis": _axis, "gray": _gray, "mtf": _mtf, "flat": _flat, "runout": _runout, "live": _live,
+    "focus": _focus, "axis": _axis, "gray": _gray, "mtf": _mtf, "flat": _flat, "runout": _runout,
+    "turn": _turn, "live": _live,
 }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from ctypes import POINTER, Structure, byref, c_int32, c_uint32, c_void_p
+from ctypes import POINTER, Structure, byref, c_int32, c_uint8, c_uint32, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from vamgpu.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused,
 
 DEFAULT = 0
 DEVICE_NUMBER, AVAILABLE_MEMORY, TRIGGER_EDGE, TRIGGER_TIME_OUT = 2000, 2003, 2005, 2014
-EDGE_FALLING, EDGE_RISING, TIME_OUT_DISABLE = 2008, 2009, 1
+EDGE_FALLING, EDGE_RISING, TIME_OUT_DISABLE, GATE_BEFORE_FIRST = 2008, 2009, 1, 2022
 DISPLAY_HEIGHT, DISPLAY_WIDTH, DMD_MODE, DMD_FLOAT = 2057, 2058, 2064, 1
 LAST_FRAME, BINARY_MODE, BINARY_UNINTERRUPTED, DATA_FORMAT, DATA_BINARY_TOPDOWN = 2102, 2104, 2106, 2110, 2
 MAX_TRIGGER_IN_DELAY, MIN_PICTURE_TIME, MIN_ILLUMINATE_TIME, MAX_PICTURE_TIME, ON_TIME = 2210, 2211, 2212, 2213, 2214
@@ -56,11 +56,19 @@ class Progress(Structure):
     ]  # fmt: skip
 
 
+class SynchGate(Structure):
+    """A gated synch output: frames of a period (0: it is not driven), active level, and which of them it pulses for."""
+
+    _pack_ = 1
+    _fields_ = [("period", c_uint8), ("high", c_uint8), ("frames", c_uint8 * 16)]
+
+
 _LONG, _ID = c_int32, c_uint32
 SIGNATURES: dict[str, tuple[Any, ...]] = {
     "AlpDevAlloc": (_LONG, _LONG, POINTER(_ID)),
     "AlpDevInquire": (_ID, _LONG, POINTER(_LONG)),
     "AlpDevControl": (_ID, _LONG, _LONG),
+    "AlpDevControlEx": (_ID, _LONG, c_void_p),
     "AlpDevHalt": (_ID,),
     "AlpDevFree": (_ID,),
     "AlpSeqAlloc": (_ID, _LONG, _LONG, POINTER(_ID)),

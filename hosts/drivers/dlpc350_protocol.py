@@ -1,10 +1,16 @@
-"""Messages of TI's DLPC350, the controller of a LightCrafter 4500, over USB HID: reports of 64 bytes."""
+"""Messages of TI's DLPC350, the controller of a LightCrafter 4500, over USB HID: reports of 64 bytes.
+
+The DLPC900 has the same reports, light and start; its patterns are in `dlpc900_protocol`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
 
-VENDOR, PRODUCT = 0x0451, 0x6401
+VENDOR = 0x0451
 REPORT = 64
 READ, REPLY, REFUSED = 0x80, 0x40, 0x20
 DISPLAY_MODE, SOURCE, TRIGGER_MODE, DISPLAY = 0x1A1B, 0x1A22, 0x1A23, 0x1A24
@@ -43,10 +49,36 @@ def parse_reply(raw: bytes, sequence: int, what: str) -> bytes:
     return bytes(raw[4 : 4 + size])
 
 
-def times(bits: int, count: int, exposure_us: int, period_us: int, refresh_us: int) -> bytes:
+class Step(NamedTuple):
+    """A command, or without data a query that is repeated until the bits of ``mask`` are ``value``."""
+
+    command: int
+    data: bytes | None
+    what: str
+    mask: int = 0
+    value: int = 0
+    faults: Callable[[int], tuple[str, ...]] = lambda status: ()  # in the answer to the query
+
+
+class Dlpc(NamedTuple):
+    """A kind of controller."""
+
+    name: str
+    product: int
+    shortest_us: dict[int, int]  # exposure by bits
+    rest_us: int  # time of a video frame that its patterns leave
+    inverted: bool  # code 255 is an LED without current
+    # steps that show patterns of video frames: channels, bits, exposure [us], period [us], bits of the LEDs
+    video: Callable[[tuple[int, ...], int, int, int, int], tuple[Step, ...]]
+
+
+def times(
+    bits: int, count: int, exposure_us: int, period_us: int, refresh_us: int,
+    shortest_us: dict[int, int] = SHORTEST_US,
+) -> bytes:  # fmt: skip
     """Exposure and period of ``count`` patterns in a video frame; BadInput if they cannot be shown."""
-    if bits not in SHORTEST_US or exposure_us < SHORTEST_US[bits]:
-        raise BadInput(f"patterns of {bits} bits cannot be shown for {exposure_us} us; shortest: {SHORTEST_US}")
+    if bits not in shortest_us or exposure_us < shortest_us[bits]:
+        raise BadInput(f"patterns of {bits} bits cannot be shown for {exposure_us} us; shortest: {shortest_us}")
     if exposure_us != period_us and exposure_us > period_us - DARK_US:
         raise BadInput(
             f"an exposure of {exposure_us} us does not fit a period of {period_us} us; make them equal, or the "
@@ -76,3 +108,25 @@ def sequence(count: int) -> bytes:
 def faults(status: int) -> tuple[str, ...]:
     """Faults that the controller finds in a table."""
     return tuple(text for bit, text in enumerate(INVALID) if status >> bit & 1)
+
+
+def video(channels: tuple[int, ...], bits: int, exposure_us: int, period_us: int, leds: int) -> tuple[Step, ...]:
+    """Steps that show patterns of each video frame, checked by the projector before they start."""
+    return (
+        Step(DISPLAY, b"\0", "the stop"),
+        Step(DISPLAY_MODE, b"\1", "the pattern mode"),
+        Step(SOURCE, b"\0", "patterns from video"),
+        Step(SEQUENCE, sequence(len(channels)), "the number of patterns"),
+        Step(TRIGGER_MODE, b"\0", "the trigger by vertical blanking"),
+        Step(TIMES, exposure_us.to_bytes(4, "little") + period_us.to_bytes(4, "little"), "exposure and period"),
+        Step(MAILBOX, b"\2", "the table's opening"),
+        Step(MAILBOX_PLACE, b"\0", "the table's place"),
+        Step(MAILBOX_DATA, patterns(channels, bits, leds), "the table"),
+        Step(MAILBOX, b"\0", "the table's closing"),
+        Step(VALIDATE, b"", "the check"),
+        Step(VALIDATE, None, "the check's result", BUSY, 0, faults),
+        Step(DISPLAY, b"\2", "the start"),
+    )
+
+
+DLPC350 = Dlpc("LightCrafter 4500", 0x6401, SHORTEST_US, 0, True, video)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from ctypes import byref
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +14,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceBusy, DeviceRefused, OutOfMemory, WrongDevice
 from vamgpu.hosts.drivers import alp
-from vamgpu.hosts.drivers.alp import Alp, Progress
+from vamgpu.hosts.drivers.alp import Alp, Progress, SynchGate
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -39,11 +39,15 @@ class SequenceLimits:
 
 
 class Dmd(ClosedOnce):
-    """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first."""
+    """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first.
+
+    rising: the trigger's edge.
+    """
 
     called = "the DMD"
 
-    def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None) -> None:
+    def __init__(self, library: Any, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> None:
+        self._rising = rising
         self._alp = Alp(library)
         self.device: int = self._alp.number("AlpDevAlloc", serial, alp.DEFAULT)
         with closed_on_error(self):
@@ -56,9 +60,9 @@ class Dmd(ClosedOnce):
         log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
 
     @classmethod
-    def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None) -> Self:
+    def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> Self:
         """Open the device with a serial number (0: the first) through the maker's library at ``path``."""
-        return cls(alp.load(path), serial, size)
+        return cls(alp.load(path), serial, size, rising)
 
     @property
     def row_bytes(self) -> int:
@@ -84,10 +88,16 @@ class Dmd(ClosedOnce):
 
     def slave(self) -> None:
         """Show the next frame of the queue at each edge of the trigger, without a timeout."""
-        self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING)
+        self.call("AlpDevControl", alp.TRIGGER_EDGE, alp.EDGE_RISING if self._rising else alp.EDGE_FALLING)
         self.call("AlpDevControl", alp.TRIGGER_TIME_OUT, alp.TIME_OUT_DISABLE)
         self.call("AlpProjControl", alp.PROJECTION_MODE, alp.SLAVE)
         self.call("AlpProjControl", alp.QUEUE_MODE, alp.QUEUE_SEQUENCES)
+
+    def pulse(self, outputs: Sequence[int], high: bool = True) -> None:
+        """Pulse the gated synch outputs 1 to 3 of these numbers with every frame; the others are not driven."""
+        for number in (1, 2, 3):
+            gate = SynchGate(int(number in outputs), int(high), (1,))
+            self.call("AlpDevControlEx", alp.GATE_BEFORE_FIRST + number, byref(gate))
 
     def master(self) -> None:
         """Show frames by the device's own clock, in a queue."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Set
-from typing import Self
+from typing import Protocol, Self
 
 from vamgpu.errors import DeviceError, DeviceRefused, ProtocolError, WrongDevice
 from vamgpu.hosts.drivers import optotune_protocol as ld4
@@ -13,6 +13,20 @@ from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 log: logging.Logger = logging.getLogger(__name__)
 WINDOW = (20.0, 45.0)  # temperatures [degC] in which the lens keeps its focal power
+
+
+class Lens(Protocol):
+    """A tunable lens that the host sets."""
+
+    # set the focal power [1/m]; returns before the lens has settled
+    def set_power(self, diopters: float) -> None: ...
+    def power(self) -> float: ...  # the focal power set [1/m]
+    def temperature(self) -> float: ...  # of the lens [degC]; DeviceRefused without a sensor
+    def status(self) -> tuple[str, ...]: ...  # faults
+    # raise `DeviceError` for a fault, or for a power that is none of those expected
+    def inspect(self, powers: Set[float]) -> None: ...
+    def revive(self) -> None: ...  # start again after it lost its power, at its last focal power
+    def close(self) -> None: ...  # release it
 
 
 class LensDriver(Closing):

@@ -1,4 +1,4 @@
-"""The LightCrafter 4500 on USB: its pattern mode for video frames, and its LEDs as light."""
+"""LightCrafters on USB: the pattern mode for video frames, and its LEDs as light."""
 
 from __future__ import annotations
 
@@ -20,27 +20,29 @@ class LightCrafter(ClosedOnce):
     called = "the projector"
 
     def __init__(
-        self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 5.0
-    ) -> None:
+        self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 15.0,
+        dlpc: dlpc350.Dlpc = dlpc350.DLPC350,
+    ) -> None:  # fmt: skip
+        self._dlpc = dlpc
         self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
         self._number, self._lit, self._lock = 0, False, threading.RLock()
         with closed_on_error(device):
             self.off()
 
     @classmethod
-    def open(cls, serial: str | None = None, timeout_s: float = 1.0) -> Self:
+    def open(cls, serial: str | None = None, timeout_s: float = 1.0, dlpc: dlpc350.Dlpc = dlpc350.DLPC350) -> Self:
         """Open the projector with a serial number, or the first; its LEDs are off."""
         with extra("lightcrafter", "LightCrafters need hidapi"):
             import hid  # type: ignore[import-not-found]
         device = hid.device()
         try:
-            device.open(dlpc350.VENDOR, dlpc350.PRODUCT, serial)
+            device.open(dlpc350.VENDOR, dlpc.product, serial)
         except (OSError, ValueError) as error:
             raise DeviceNotFound(
-                f"LightCrafter {serial or ''} does not open ({error}); check plug, power and permissions, and close "
+                f"{dlpc.name} {serial or ''} does not open ({error}); check plug, power and permissions, and close "
                 "other programs that use it"
             ) from error
-        return cls(device, timeout_s)
+        return cls(device, timeout_s, dlpc=dlpc)
 
     def _ask(self, command: int, data: bytes, what: str, read: bool = False) -> bytes:
         with self._lock:  # a stop comes from any thread
@@ -68,42 +70,36 @@ class LightCrafter(ClosedOnce):
         chosen = (leds,) if isinstance(leds, str) else leds
         if not chosen or not set(chosen) <= set(dlpc350.COLORS):
             raise BadInput(f"LEDs {chosen}; expected some of {', '.join(dlpc350.COLORS)}")
-        times = dlpc350.times(bits, len(channels), exposure_us, period_us, int(1e6 / refresh_hz))
-        table = dlpc350.patterns(channels, bits, sum(1 << dlpc350.COLORS.index(name) for name in set(chosen)))
-        for command, data, what in (
-            (dlpc350.DISPLAY, b"\0", "the stop"),
-            (dlpc350.DISPLAY_MODE, b"\1", "the pattern mode"),
-            (dlpc350.SOURCE, b"\0", "patterns from video"),
-            (dlpc350.SEQUENCE, dlpc350.sequence(len(channels)), "the number of patterns"),
-            (dlpc350.TRIGGER_MODE, b"\0", "the trigger by vertical blanking"),
-            (dlpc350.TIMES, times, "exposure and period"),
-            (dlpc350.MAILBOX, b"\2", "the table's opening"),
-            (dlpc350.MAILBOX_PLACE, b"\0", "the table's place"),
-            (dlpc350.MAILBOX_DATA, table, "the table"),
-            (dlpc350.MAILBOX, b"\0", "the table's closing"),
-            (dlpc350.VALIDATE, b"", "the check"),
-        ):
-            self._ask(command, data, what)
-        if found := dlpc350.faults(self._checked()):
-            raise DeviceRefused(f"the projector finds its patterns invalid: {', '.join(found)}", "validate")
-        self._ask(dlpc350.DISPLAY, b"\2", "the start")
+        dlpc350.times(bits, len(channels), exposure_us, period_us, int(1e6 / refresh_hz), self._dlpc.shortest_us)
+        lit = sum(1 << dlpc350.COLORS.index(name) for name in set(chosen))
+        for step in self._dlpc.video(channels, bits, exposure_us, period_us, lit):
+            if step.data is not None:
+                self._ask(step.command, step.data, step.what)
+            elif found := step.faults(self._awaited(step)):
+                raise DeviceRefused(f"the projector finds its patterns invalid: {', '.join(found)}", "validate")
 
-    def _checked(self) -> int:
+    def _awaited(self, step: dlpc350.Step) -> int:
+        """The answer to a query, once it has the bits that are expected."""
         waited = 0.0
-        while not (data := self._ask(dlpc350.VALIDATE, b"", "the check's result", read=True)) or data[0] & dlpc350.BUSY:
+        while True:
+            data = self._ask(step.command, b"", step.what, read=True)
             if not data:
-                raise DeviceRefused("the projector has no answer to the check's result", "empty")
+                raise DeviceRefused(f"the projector has no answer to {step.what}", "empty")
+            if data[0] & step.mask == step.value:
+                return data[0]
             if waited > self._wait:
-                raise DeviceLost(f"the projector still checks after {self._wait} s; turn it off and on")
+                raise DeviceLost(
+                    f"the projector has not reached {step.what} in {self._wait} s; check its video cable, or "
+                    "turn it off and on"
+                )
             self._pause(0.05)
             waited += 0.05
-        return data[0]
 
     def drive(self, red: float = 0.0, green: float = 0.0, blue: float = 0.0) -> None:
-        """Set the LEDs' currents as shares of the greatest; the code decreases with the current."""
+        """Set the LEDs' currents as shares of the greatest."""
         if not all(0 <= each <= 1 for each in (red, green, blue)):
             raise BadInput(f"LEDs cannot be driven at {red}, {green}, {blue} of their greatest current; give 0..1")
-        codes = bytes(255 - round(each * 255) for each in (red, green, blue))
+        codes = bytes(round(each * 255) ^ (255 if self._dlpc.inverted else 0) for each in (red, green, blue))
         self._ask(dlpc350.LED_CURRENTS, codes, "the LEDs' currents")
 
     def on(self, power: float = 1.0) -> None:

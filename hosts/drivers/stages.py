@@ -8,6 +8,7 @@ import time
 import types
 from collections.abc import Callable
 from functools import partial
+from math import copysign
 from typing import Any, Protocol, Self, runtime_checkable
 
 from vamgpu.errors import (
@@ -53,6 +54,14 @@ class PolledStage(ClosedOnce):
     def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
         self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
 
+    def position(self) -> float:
+        """Reported position of the axis."""
+        raise NotImplementedError
+
+    def run(self, speed: float) -> None:
+        """Start moving at a constant speed."""
+        raise NotImplementedError
+
     def busy(self) -> bool:
         """Whether the axis moves."""
         raise NotImplementedError
@@ -74,9 +83,26 @@ class PolledStage(ClosedOnce):
             self._pause(POLL)
             waited += POLL
 
+    def run_to(self, position: float, speed: float) -> None:
+        """Run until the axis has passed a position, then stop it; for motors that only know speeds."""
+        way, waited = position - self.position(), 0.0
+        self.run(copysign(speed, way))
+        while (position - self.position()) * way > 0.0:
+            if waited > abs(way) / speed + self._patience:
+                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
+            self._pause(POLL)
+            waited += POLL
+        self.run(0.0)
+
     def endings(self) -> tuple[Callable[[], object], ...]:
         """Stop, and release the line."""
         return self.stop, self.release
+
+
+def geared(microsteps: float, unit: str) -> None:
+    """Raise `BadInput` for impossible microsteps per unit."""
+    if not microsteps > 0 or unit not in ("mm", "deg"):
+        raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
 
 
 def above_zero(speed: float) -> None:
@@ -165,20 +191,22 @@ class ZaberConnection:
 
 
 class ZaberStage(PolledStage):
-    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``."""
+    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``.
+
+    output: digital output that triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both.
+    """
 
     microsteps: float
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
         patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, encoder: bool = False,
+        output: int = 1, gate: int | None = None,
     ) -> None:  # fmt: skip
-        if not microsteps > 0 or unit not in ("mm", "deg"):
-            link.close()
-            raise BadInput(f"{microsteps} microsteps per {unit!r} are impossible; give those of its gear, in mm or deg")
         super().__init__(f"stage {device}", unit, patience_s, pause)
-        self.microsteps, self._device, self._axis = microsteps, device, axis
+        self.microsteps, self._device, self._axis, self._output, self._gate = microsteps, device, axis, output, gate
         with closed_on_error(link):
+            geared(microsteps, unit)
             self._link = ZaberLines(link) if isinstance(link, Wire) else link
             self._place = "get encoder.pos" if encoder else "get pos"
             self.kind: int = self._start()
@@ -186,11 +214,10 @@ class ZaberStage(PolledStage):
     @classmethod
     def open(
         cls, url: str, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1, timeout_s: float = 0.5,
-        encoder: bool = False,
+        **options: Any,
     ) -> Self:  # fmt: skip
         """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
-        link = ZaberConnection(url, f"stage {device}", timeout_s)
-        return cls(link, microsteps, unit, device, axis, encoder=encoder)
+        return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis, **options)
 
     def _start(self) -> int:
         """The kind of device, once its encoder and its microsteps per turn are those of the rig's file."""
@@ -265,9 +292,9 @@ class ZaberStage(PolledStage):
         """Start to stop the axis."""
         self.ask("stop")
 
-    def trigger_every(self, distance: float, output: int = 1) -> None:
-        """Raise a digital output each time the axis has traveled a distance, first after half of it; 0 ends it."""
-        half = round(distance * self.microsteps / 2)
+    def trigger_every(self, distance: float) -> None:
+        """Raise the output each time the axis has traveled a distance, first after half of it; 0 ends it."""
+        half, output = round(distance * self.microsteps / 2), self._output
         if distance != 0 and half < 1:
             raise BadInput(
                 f"a trigger every {distance} {self.unit} is finer than two microsteps; give a longer distance"
@@ -278,6 +305,8 @@ class ZaberStage(PolledStage):
                 "whole number"
             )
         texts = [f"trigger {output} disable", f"io set do {output} 0"]
+        if self._gate is not None:
+            texts.append(f"io set do {self._gate} {int(half > 0)}")
         if half:
             texts.append(f"trigger {output} when {self._axis} dist {half}")
             texts.append(f"trigger {output} action a io set do {output} t")
@@ -312,8 +341,7 @@ class StandaStage(ClosedOnce):
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
-        if not steps > 0 or unit not in ("mm", "deg"):
-            raise BadInput(f"{steps} steps per {unit!r} are impossible; give those of screw or gear, in mm or deg")
+        geared(steps, unit)
         self._axis, self.steps, self.unit, self._fraction = axis, steps, unit, fraction
         self._call("open_device")
 

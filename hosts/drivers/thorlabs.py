@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, WrongDevice
 from vamgpu.hosts.drivers.cleanup import closed_on_error, extra
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero
+from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -45,8 +45,7 @@ class ThorlabsStage(PolledStage):
         super().__init__("the Thorlabs stage", unit, patience_s, pause)
         self._wire, self.counts, self._ended = wire, counts, True
         with closed_on_error(wire):
-            if not counts > 0 or unit not in ("mm", "deg"):
-                raise BadInput(f"{counts} counts per {unit!r} are not possible; give the maker's number, in mm or deg")
+            geared(counts, unit)
             self._start()
 
     @classmethod

@@ -22,6 +22,7 @@ ENTRIES: dict[str, tuple[Any, ...]] = {
     "AlpDevAlloc": (N, N, IDS),
     "AlpDevInquire": (U, N, LONGS),
     "AlpDevControl": (U, N, N),
+    "AlpDevControlEx": (U, N, P),
     "AlpDevHalt": (U,),
     "AlpDevFree": (U,),
     "AlpSeqAlloc": (U, N, N, IDS),
@@ -48,6 +49,7 @@ class EmulatedAlp(EmulatedArray):
         self._next_id = self._next_queue = 1
         self.allocated: bool = False
         self.floating: bool = False
+        self.gates: dict[int, bytes] = {}  # what was set of each gated synch output
         self.rising: bool = True
         self.crash: BaseException | None = None
         entries = {name: self._entry(name, types) for name, types in ENTRIES.items()}
@@ -192,6 +194,13 @@ class EmulatedAlp(EmulatedArray):
             self.floating = value == 1
         else:
             return INVALID
+        return 0
+
+    def _AlpDevControlEx(self, kind: int, address: int) -> int:  # noqa: N802
+        gate = ctypes.string_at(address, 18)
+        if kind not in (2023, 2024, 2025) or gate[0] > 16 or gate[1] > 1 or max(gate[2 : 2 + gate[0]], default=0) > 1:
+            return INVALID
+        self.gates[kind - 2022] = gate
         return 0
 
     def _AlpDevHalt(self) -> None:  # noqa: N802

@@ -367,3 +367,17 @@ class EmulatedCalibrationRig:
 
         meter = EmulatedMeter(light, optics.noise, seed=optics.seed)
         return PowerMeter(Wire(plug(meter, self.clock, 1.0), "the photodiode"))
+
+
+def marked_vial(ratio: float) -> tuple[VirtualClock, ZaberStage, EmulatedCamera]:
+    """A stage whose vial turns by ``ratio`` of what it reports, and a camera that sees a mark on the vial's front."""
+    clock, steps = VirtualClock(), 1000.0
+    machine = EmulatedStage(rotary=True, acceleration=200_000.0, scale=ratio)
+    rows, columns = np.mgrid[-1.0:1.0:48j, -1.0:1.0:64j]
+
+    def scene(now: int) -> np.ndarray:
+        angle = np.radians(machine.true_position(now) / steps)
+        mark = np.exp(-(((rows - 0.7 * np.sin(angle)) / 0.1) ** 2) - (columns / 0.3) ** 2)
+        return 1e6 * (0.3 + 0.5 * max(float(np.cos(angle)), 0.0) * mark)
+
+    return clock, ZaberStage(Wire(plug(machine, clock, 0.02), "the stage"), steps), EmulatedCamera(clock, scene)

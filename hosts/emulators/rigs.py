@@ -9,7 +9,7 @@ from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
 from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.drivers.lens import LensDriver
-from vamgpu.hosts.drivers.projector import ONE_GRAY, THREE_OF_7, TWO_OF_8, HdmiProjector
+from vamgpu.hosts.drivers.projector import THREE_OF_7, TWO_OF_8, HdmiProjector, SlotLayout
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.stepper import StepperStage
 from vamgpu.hosts.drivers.wire import Wire
@@ -46,7 +46,8 @@ class _EmulatedRig:
     def _plug_stage(self, microsteps: float, unit: str) -> ZaberStage:
         self.stage_port: VirtualPort = plug(self.stage, self.clock, 0.02)
         pause = lambda seconds: self.clock.sleep(round(seconds * 1e9))  # noqa: E731
-        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause)
+        outputs = {"output": self.stage.wired, "gate": self.stage.joined}
+        return ZaberStage(Wire(self.stage_port, "the stage"), microsteps, unit, pause=pause, **outputs)
 
 
 class _TriggeredRig(_EmulatedRig):
@@ -121,10 +122,11 @@ class EmulatedStageRig(_TriggeredRig):
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
         lamp: bool = True, controller: bool = False, clock: VirtualClock | None = None, power: float = 1.0,
+        outputs: tuple[int, int | None] = (1, None),
     ) -> None:  # fmt: skip
         super().__init__(clock, model, engines)
         self.microsteps, self.unit = microsteps, unit
-        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0)
+        self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, wired=outputs[0], joined=outputs[1])
         self.controller = EmulatedController(channels=max(2, engines)) if controller else None
         self.line: EmulatedLine | None = EmulatedLine(self._enabled) if lamp and not controller else None
         self._record(DoseRecorder(
@@ -162,7 +164,7 @@ class EmulatedVideoRig(_EmulatedRig):
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,
         scale: float = 1.0, rate_hz: int = 60, clock: VirtualClock | None = None, stepper: float | None = None,
-        indexed: bool = False, gated: bool = True, slots: int | None = None,
+        indexed: bool = False, gated: bool = True, layout: SlotLayout | None = None,
         pose: float | None = None, unit: str = "deg", power: float = 1.0,
     ) -> None:  # fmt: skip
         self.clock = clock or VirtualClock()
@@ -172,7 +174,8 @@ class EmulatedVideoRig(_EmulatedRig):
         self._indexed, self.gated = indexed, gated
         self.stage = EmulatedStage(rotary=True, acceleration=200_000.0, scale=scale)
         self.controller: EmulatedController = EmulatedController()
-        order = "G" if slots == 1 else "GR" if bits == 8 else "GRB"
+        self._layout = layout or (TWO_OF_8 if bits == 8 else THREE_OF_7)
+        order = "".join("RGB"[channel] for channel in self._layout.channels)
         self.screen: EmulatedScreen = EmulatedScreen(self.clock, size, rate_hz, order, bits, latency, share)
         self.faults: Faults = Faults()
         self._unit, self._microsteps = unit, MICROSTEPS if unit == "deg" else FINER * MICROSTEPS
@@ -206,8 +209,7 @@ class EmulatedVideoRig(_EmulatedRig):
             stage = StepperStage(self.stepper, self.clock, MICROSTEPS, index=index)
         else:
             stage = self._plug_stage(self._microsteps, self._unit)
-        layouts = {"G": ONE_GRAY, "GR": TWO_OF_8, "GRB": THREE_OF_7}
-        projector = HdmiProjector(self.screen, layouts[self.screen.order], latency)
+        projector = HdmiProjector(self.screen, self._layout, latency)
         return VideoMachines(self.clock, controller, stage, projector)
 
 

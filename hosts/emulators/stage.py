@@ -24,6 +24,8 @@ class EmulatedStage(LineDevice):
     device: int = 1
     latency_us: float = 90.0
     scale: float = 1.0  # ratio of true to reported position, as with a slipping belt
+    wired: int = 1  # number of the output on the mirrors' trigger
+    joined: int | None = None  # number of the output that a board joins with it
 
     def __post_init__(self) -> None:
         super().__init__(self.latency_us)
@@ -33,9 +35,9 @@ class EmulatedStage(LineDevice):
         self.fault = ""
         self.rejected: list[str] = []
         self.on_trigger: Callable[[int], None] | None = None
-        self.output: bool = False
+        self.levels: set[int] = set()  # outputs that are high
         self.edges: int = 0
-        self._half = 0
+        self._half, self._number = 0, "1"
         self._next: float | None = None
         self._after = 0
 
@@ -50,8 +52,9 @@ class EmulatedStage(LineDevice):
     def advance(self, now: int) -> None:
         """Toggle the output if due: at each half distance on the way up."""
         while self._next is not None and (at := self.due()) is not None and at <= now:
-            self._next, self._after, self.output = self._next + self._half, at, not self.output
-            if self.output:
+            self._next, self._after, number = self._next + self._half, at, int(self._number)
+            self.levels ^= {number}
+            if number in self.levels and number == self.wired and self.joined in {None, *self.levels}:
                 self.edges += 1
                 if self.on_trigger is not None:
                     self.on_trigger(at)
@@ -124,16 +127,16 @@ class EmulatedStage(LineDevice):
     def _triggers(self, words: list[str], now: int) -> tuple[bool, str]:
         """One trigger that toggles one output as the axis moves."""
         match words:
-            case ["trigger", "1", "when", "1", "dist", distance]:
-                self._half = int(distance)
-            case ["trigger", "1", "action", "a", "io", "set", "do", "1", "t"]:
+            case ["trigger", "1" | "2" | "3" | "4" as number, "when", "1", "dist", distance]:
+                self._half, self._number = int(distance), number
+            case ["trigger", number, "action", "a", "io", "set", "do", output, "t"] if output == number == self._number:
                 pass
-            case ["trigger", "1", "enable"] if self._half:
+            case ["trigger", number, "enable"] if self._half and number == self._number:
                 self._next, self._after, self.edges = self.track.position(now) + self._half, now, 0
-            case ["trigger", "1", "disable"]:
+            case ["trigger", "1" | "2" | "3" | "4", "disable"]:
                 self._next, self.edges = None, 0
-            case ["io", "set", "do", "1", "0" | "1" as level]:
-                self.output = level == "1"
+            case ["io", "set", "do", "1" | "2" | "3" | "4" as output, "0" | "1" as level]:
+                self.levels = self.levels - {int(output)} | ({int(output)} if level == "1" else set())
             case _:
                 return False, "BADDATA"
         return True, "0"

@@ -77,7 +77,7 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         )
         self._lost = approach.lost
         self._origin = approach.to(start, self._origin, alive)
-        code = None if self.machines.lens is None else self.machines.lens.code
+        code = getattr(self.machines.lens, "code", None)  # only a lens driver on the controller's line has one
         channels = (1 << self.schedule.engines) - 1
         self._rows = RowTable(self.schedule, self.machines.microsteps, self._origin.at, code, channels)
         self._motion = SpeedMonitor(self.schedule, self.machines.microsteps)

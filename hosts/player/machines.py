@@ -15,7 +15,7 @@ from vamgpu.hosts.drivers.camera import CameraDriver
 from vamgpu.hosts.drivers.cleanup import close_all
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
-from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.frames.lateness import LatePolicy, VialLatePolicy, WebLatePolicy
@@ -37,7 +37,7 @@ class MirrorMachines:
     controller: Controller
     mirrors: Sequence[Dmd]
     microsteps: float  # microsteps of the motion per unit of the schedule
-    lens: LensDriver | None = None
+    lens: Lens | None = None
     camera: CameraDriver | None = None  # camera that watches the resin
 
 
@@ -58,7 +58,7 @@ class StageMachines:
     microsteps: float  # microsteps of the stage per unit of the schedule
     controller: Controller | None = None  # gates the light; None: there is none
     lamp: Lamp | None = None  # lamp that the host switches; None: dark mirrors switch it off
-    lens: LensDriver | None = None
+    lens: Lens | None = None
     camera: CameraDriver | None = None
 
 
@@ -124,6 +124,7 @@ class VideoMachines:
     projector: HdmiProjector
     camera: CameraDriver | None = None
     lamp: Lamp | None = None  # lamp that the host switches; None: black frames turn it off
+    lens: Lens | None = None
 
     def check(self, schedule: Schedule, display: HdmiTiming) -> None:
         """Raise `BadInput` for a schedule without whole turns or a web, `WrongDevice` for one of another projector."""
@@ -157,7 +158,7 @@ def senses(machines: Machines) -> dict[str, bool | float | None]:
         if machines.controller is not None:
             told["interlock_closed"] = machines.controller.status().interlock_closed
     with suppress(DeviceError):
-        if not isinstance(machines, VideoMachines) and machines.lens is not None:
+        if machines.lens is not None:
             told["lens_temperature"] = machines.lens.temperature()
     return told
 

@@ -44,9 +44,13 @@ class SlotLight:
 
 
 class SlotCounter:
-    """Counts slots by the stage, evenly if it is near enough, and stores the sent frames until they are read."""
+    """Counts slots by the stage, evenly if it is near enough, and stores the sent frames until they are read.
 
-    def __init__(self, display: HdmiTiming) -> None:
+    step: slots in which the stage makes a microstep, to which it rounds its position.
+    """
+
+    def __init__(self, display: HdmiTiming, step: float = 0.0) -> None:
+        self._aside = ASIDE + step / 2
         self._patterns, self._ahead = display.patterns, display.latency * display.patterns
         self._slot = float(SECOND / display.slot_rate)
         self._frames: deque[tuple[int, tuple[int, ...]]] = deque([(0, ()), (0, ())], maxlen=2)
@@ -58,7 +62,7 @@ class SlotCounter:
         """Update from the reported position. slots: at the last refresh.  since: refreshes after the last frame's."""
         nearest = floor(slots + 0.5)
         expected = nearest if self.begins is None else self.begins + self._patterns
-        self.begins = expected if abs(slots - expected) <= ASIDE else nearest
+        self.begins = expected if abs(slots - expected) <= self._aside else nearest
         slipped = max((self.begins - expected) // self._patterns, 0)
         (_, before), (first, last) = self._frames
         for sent, repeated in ((before, max(slipped - since, 0)), (last, since)):
@@ -241,7 +245,9 @@ class SpinningPlayer:
         self._first, self._kept, self._limit = first, first, len(self.schedule)
         self._sent, self._polls, self._stopped = first * self._repeats - 1, 0, False
         self._sure = self._confirmed = first
-        self._lit = SlotCounter(self.display)
+        per_slot = self._repeats / float(self.schedule.advance)
+        fine: float | None = getattr(self.machines.stage, "microsteps", None)
+        self._lit = SlotCounter(self.display, per_slot / fine if fine else 0.0)
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:

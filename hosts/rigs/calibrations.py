@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,9 @@ from vamgpu.printing.pack import repack
 from vamgpu.storage.numpy_files import read_npz
 from vamgpu.storage.reading import parse_toml, read_text
 
-KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "live")
+KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn", "live")
+OWN_STEPS = ("zaber", "grbl")  # motions whose device states its microsteps
+SURE = 4.0  # times its standard error by which a turn must differ before the motion is corrected
 SUFFIX = ".calibration"  # name of the folder beside the rig's file
 STAMP = "%Y-%m-%dT%H%M%S"
 NAME = re.compile(rf"({'|'.join(KINDS)})-(\d{{4}}-\d\d-\d\dT\d{{6}})(?:-\d+)?")
@@ -155,12 +157,21 @@ class MachineCalibration:
     shift: float | None = None  # position of the axis [columns]
     lens: tuple[float, float] | None = None  # power that focuses on the axis [dpt], focus shift per power [mm/dpt]
     runout: MeasuredRunout | None = None
+    turn: float = 1.0  # degrees of the vial in one that the motion reports
     turning: bool = False  # whether prints have the turntable's angle
     used: Mapping[str, str] = field(default_factory=dict)  # kind → name of the applied calibration
     notes: tuple[str, ...] = ()  # warnings for the user
 
     def __bool__(self) -> bool:
         return bool(self.used)
+
+    def motion(self, rig: RigConfig) -> RigConfig:
+        """A rig whose microsteps are those of the vial."""
+        if self.turn == 1.0 or driver_of(rig.setup.motion) in OWN_STEPS:
+            return rig
+        motion = rig.setup.motion
+        right = motion.model_copy(update={"microsteps": motion.microsteps / self.turn})
+        return replace(rig, setup=rig.setup.model_copy(update={"motion": right}))
 
     def frames(self, frames: Frames, projector: int = 0, *, vial: bool = True) -> Frames:
         """A job's frames corrected for a projector of this machine. Raises `BadInput`, `ShapeMismatch`."""
@@ -205,7 +216,21 @@ def calibration_of(rig: RigConfig, now: datetime | None = None) -> MachineCalibr
             "clock do not have the turntable's angle, so the pin's eccentricity of "
             f'{runout.found.eccentricity:.2g} columns stays: center the vial, or use [clock] driver = "stage"'
         )
-    return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turning, used, tuple(notes))
+    turn = _turn(chosen["turn"], measured["turn"]) if "turn" in measured else 1.0
+    if turn != 1.0 and (driver := driver_of(rig.setup.motion)) in OWN_STEPS:
+        notes.append(
+            f"the vial turns {turn:.5g} deg for each that its {driver} reports ({chosen['turn'].name}); the device "
+            "states its own microsteps: check coupling and belt"
+        )
+    return MachineCalibration(tuple(gray), tuple(flat), shift, lens, runout, turn, turning, used, tuple(notes))
+
+
+def _turn(found: Calibration, numbers: Mapping[str, Any]) -> float:
+    try:
+        ratio, error = float(numbers["ratio"]), float(numbers["error"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise StorageError(f"{str(found.path)!r} has malformed numbers: {error}; measure the turn again") from error
+    return ratio if abs(ratio - 1.0) > SURE * error else 1.0
 
 
 def _runout(found: Calibration, numbers: Mapping[str, Any]) -> MeasuredRunout:

@@ -88,6 +88,7 @@ class CalibrationSection(Section):
     mtf: Chosen = None
     runout: Chosen = None
     live: Chosen = None
+    turn: Chosen = None
     warn_after: Time = 90 * 86400.0
 
 

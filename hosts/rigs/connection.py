@@ -42,7 +42,7 @@ def opened(rig: RigConfig, camera: bool = False, focus: Sequence[float] = ()) ->
         machines = _opened(rig.setup, camera, hold)
         lens = rig.setup.lens
         if lens is not None and lens.controlled_by == "host":
-            assert not isinstance(machines, VideoMachines) and machines.lens is not None
+            assert machines.lens is not None
             machines.lens.set_power(focus[0] if focus else lens.axis)
         return machines
     except BaseException:
@@ -76,7 +76,7 @@ def _opened(setup: RigFile, camera: bool, hold: Any) -> Machines:
     watching = hold(setup.camera.open()) if camera and setup.camera is not None else None
     if setup.video:
         assert stage is not None
-        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp)
+        return VideoMachines(RealClock(), controller, stage, shown[0], watching, lamp, lens)
     if stage is not None:
         return StageMachines(RealClock(), stage, shown, motion.microsteps, controller, lamp, lens, watching)
     assert controller is not None

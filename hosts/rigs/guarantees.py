@@ -125,7 +125,7 @@ def _on_a_cable(setup: RigFile, motion: str, clock: str, display: str, by_rows: 
          f'"web", got "{machine}"', "rig.machine"),
         (motion == "controller", f'driver "{display}": expected [motion] with a stage, whose angle chooses the frames, '
          'or a stepper; got "controller"', "motion"),
-        (setup.lens is not None, f'driver "{display}" prints with one focus, without a lens; remove [lens]',
+        (by_rows, f'driver "{display}" prints with one focus, which the host sets; expected controlled_by = "host"',
          "lens"),
         (clock not in ("vblank", "free"), f'driver "{clock}": a video cable has no trigger input; expected "vblank", '
          'or "free" with an accepted drift', "clock"),

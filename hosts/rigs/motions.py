@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+import re
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -12,10 +13,17 @@ from vamgpu.hosts.drivers.controller_protocol import STEEPEST
 from vamgpu.hosts.drivers.micromanager import MicroManagerStage
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
 from vamgpu.hosts.drivers.stepper import GpioIndex
+from vamgpu.hosts.drivers.text_stage import Dialogue, GrblStage, TextStage, grbl
 from vamgpu.hosts.drivers.thorlabs import ThorlabsStage
-from vamgpu.hosts.rigs.roles import CRYSTAL, Microsteps, MotionPart, Part, Ppm, StagePart
+from vamgpu.hosts.drivers.tic import TicStage
+from vamgpu.hosts.drivers.tmc2209 import Tmc2209Stage
+from vamgpu.hosts.rigs.roles import CRYSTAL, Baud, Microsteps, MotionPart, Part, Ppm, StagePart
 from vamgpu.hosts.schedules.clock import RealClock
 from vamgpu.schema.quantities import Count
+
+Output = Annotated[int, Field(ge=1, le=4)]  # Zaber's stages have at most four digital outputs
+
+FIELD = re.compile(r"\{(speed|rate|steps_per_s|position|steps)(:\.?\d{0,2}[dfg])?\}")  # in the lines of a firmware
 
 
 class ControllerMotion(MotionPart):
@@ -40,6 +48,8 @@ class ZaberMotion(StagePart):
     """A stage by Zaber, whose trigger output can fire at every pose.
 
     port: serial port, or socket://host:port.  device: device number on the line.  axis: axis number of the device.
+    output: digital output that triggers the mirrors.  gate: digital output that is high while the other triggers, for
+    a board that joins both.
     """
 
     triggers: ClassVar[bool] = True
@@ -48,9 +58,18 @@ class ZaberMotion(StagePart):
     microsteps: Microsteps = 6400.0 / 3.0
     device: Count = 1
     axis: Count = 1
+    output: Output = 1
+    gate: Output | None = None
+
+    @model_validator(mode="after")
+    def _apart(self) -> ZaberMotion:
+        if self.gate == self.output:
+            raise ValueError(f"output and gate are both {self.gate}; expected two outputs of the stage")
+        return self
 
     def open(self, unit: str) -> Stage:
-        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis, encoder=self.encoder)
+        options = {"encoder": self.encoder, "output": self.output, "gate": self.gate}
+        return ZaberStage.open(self.port, self.microsteps, unit, self.device, self.axis, **options)
 
 
 class StandaMotion(StagePart):
@@ -119,6 +138,84 @@ class StepperMotion(MotionPart):
         pulses = stepper.SysfsPwm(self.chip, self.channel)
         index = None if pin is None else GpioIndex.open(pin, clock)
         return stepper.StepperStage(pulses, clock, self.microsteps, unit, self.ramp, index)
+
+
+class TicMotion(MotionPart):
+    """A stepper on Pololu's Tic.  port: serial port, or usb, or usb: and its serial number.  baud: of the port."""
+
+    port: str = "usb"
+    baud: Baud = 9600
+    microsteps: Microsteps = 3200.0 / 360.0
+
+    def open(self, unit: str) -> Stage:
+        return TicStage.open(self.port, self.microsteps, unit, self.baud)
+
+
+class Tmc2209Motion(MotionPart):
+    """A stepper on a TMC2209 at its UART.
+
+    port: serial port.  address: address of the chip.  microsteps: 1/256 of full steps per millimeter or degree.
+    """
+
+    port: str
+    address: Annotated[int, Field(ge=0, le=3)] = 0
+    baud: Baud = 115200
+    microsteps: Microsteps = 200.0 * 256.0 / 360.0
+
+    def open(self, unit: str) -> Stage:
+        return Tmc2209Stage.open(self.port, self.microsteps, unit, self.address, self.baud)
+
+
+class GrblMotion(MotionPart):
+    """A stepper on a board with GRBL 1.1, whose mm are millimeters or degrees.  port: serial port.  axis: its axis."""
+
+    port: str
+    axis: Literal["X", "Y", "Z"] = "X"
+    baud: Baud = 115200
+    microsteps: Microsteps = 3200.0 / 360.0
+
+    def open(self, unit: str) -> Stage:
+        return GrblStage.open(self.port, grbl(self.axis), self.microsteps, unit, self.baud)
+
+
+class TextMotion(MotionPart):
+    """A stepper on a board whose firmware, such as a lab's own on an Arduino, takes lines of text.
+
+    Lines may hold {speed} in deg/s or mm/s, {rate} per minute, {steps_per_s}, {position} and {steps}.
+
+    port: serial port.  ask: line that queries the position.  answer: pattern of the answer, with a group ``position``
+    or ``steps``.  run: line that starts a motion at a speed.  stop: line that ends it.  move: line that moves to a
+    position; by default the axis runs to it.  accepted: pattern of the answer to these lines; by default there is none.
+    """
+
+    port: str
+    ask: str
+    answer: str
+    run: str
+    stop: str
+    move: str = ""
+    accepted: str = ""
+    baud: Baud = 115200
+    microsteps: Microsteps = 3200.0 / 360.0
+
+    @model_validator(mode="after")
+    def _readable(self) -> TextMotion:
+        try:
+            groups = re.compile(f"{self.answer}|{self.accepted}").groupindex
+            for line in (self.run, self.stop, self.move):
+                if "{" in FIELD.sub("", line):
+                    raise ValueError(line)
+                line.format(speed=1.0, rate=60.0, steps_per_s=1.0, position=0.0, steps=0)
+        except (re.error, ValueError) as error:
+            raise ValueError(f"a line or pattern is malformed: {error}; see the fields in hosts/README.md") from error
+        if len({"position", "steps"} & set(groups)) != 1:
+            raise ValueError("answer has no place; expected a pattern with a group (?P<position>...) or (?P<steps>...)")
+        return self
+
+    def open(self, unit: str) -> Stage:
+        lines = [f"{line}\n" if line else "" for line in (self.run, self.stop, self.move)]
+        says = Dialogue(f"{self.ask}\n", self.answer, *lines, accepted=self.accepted)
+        return TextStage.open(self.port, says, self.microsteps, unit, self.baud)
 
 
 class EmulatedMotion(MotionPart):

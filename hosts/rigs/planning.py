@@ -168,6 +168,7 @@ def plan(
     if wrong := [path for path in paths if not isinstance(path, (str, Path))]:
         raise BadInput(f"a job is {wrong[0]!r}; expected the path of its folder")
     calibration = calibration_of(rig)
+    rig = calibration.motion(rig)
     packs = device or ("numpy" if rehearsed else None)
     loaded = tuple(print_job(path, packs, calibration, number) for number, path in enumerate(paths))
     if turns is not None:
@@ -309,7 +310,7 @@ def _screen(first: PrintJob, rig: RigConfig, rehearsed: bool) -> tuple[tuple[Mir
     screen.place(*first.shape)
     display = HdmiTiming(
         refresh=section.refresh, bits=section.bits, latency=section.latency, pixels=(columns, rows),
-        slots=section.slots,
+        slots=section.layout.slots, dark=section.dark, exposures=section.shortest,
     )  # fmt: skip
     return (screen,), display
 

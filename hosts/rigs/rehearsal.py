@@ -175,6 +175,7 @@ def _stage_rig(planned: PrintPlan, clock: Any) -> tuple[Any, StageMachines]:
     emulated = EmulatedStageRig(
         FINE, model, len(planned.jobs), table.unit, setup.light.gate == "line", setup.light.gate == "controller", clock,
         power=float(table.power[0, 0]),
+        outputs=(getattr(setup.motion, "output", 1), getattr(setup.motion, "gate", None)),
     )  # fmt: skip
     return emulated, emulated.machines(FINE / float(table.advance))
 
@@ -188,7 +189,8 @@ def _video_rig(planned: PrintPlan, display: HdmiTiming, clock: Any) -> tuple[Any
     free = not setup.motion.reports  # its clock and the cable's differ by the greatest errors in the file
     emulated = EmulatedVideoRig(
         planned.schedule.frames, (rows, columns), bits=display.bits, latency=display.latency,
-        rate_hz=round(float(display.refresh)), clock=clock, slots=display.slots,
+        rate_hz=round(float(display.refresh)), clock=clock, layout=cable.layout,
+        share=1.0 - float(display.dark * display.slot_rate),
         pose=float(planned.schedule.advance), unit=planned.schedule.unit,
         stepper=setup.motion.tolerance + cable.tolerance if free else None,
         indexed=any(driver_of(each) == "index" for each in setup.feedback), gated=setup.light.gate == "controller",

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.safety.light import Lamp
 from vamgpu.optics.lens import TunableLens
@@ -93,9 +93,13 @@ class DisplayPart(Part):
 
 
 class MirrorPart(DisplayPart):
-    """Mirrors that show a frame at each trigger.  frame_time: shortest time of a frame of 8 bits."""
+    """Mirrors that show a frame at each trigger.
+
+    frame_time: shortest time of a frame of 8 bits.  duty: greatest share of its time slot for which a frame is lit.
+    """
 
     frame_time: ExposureTime = 1.0 / 266.0
+    duty: Share = 1.0
 
 
 Color = Literal["red", "green", "blue"]
@@ -109,12 +113,13 @@ class CablePart(DisplayPart):
 
     refresh: refresh rate of the cable.  bits: bits per pixel of a frame, 7 or 8.  screen: number of the output.  order:
     color channels of a video frame in the order in which they are shown.  slots: 1 if the projector shows all colors at
-    once.  latency: delay from cable to mirrors in video frames.  tolerance: error of the clock that sets the refresh
-    [ppm].
+    once; with one color in order, that color alone carries the frame.  latency: delay from cable to mirrors in video
+    frames.  tolerance: error of the clock that sets the refresh [ppm].
     """
 
     triggered: ClassVar[bool] = False
     usual: ClassVar[tuple[int, int]] = SCREEN
+    colors: ClassVar[dict[int, tuple[Color, ...]]] = ORDERS  # bits → usual order
     screen: Annotated[int, Field(ge=0)] = 0
     refresh: Rate = 60.0
     bits: Literal[7, 8] = 8
@@ -125,10 +130,13 @@ class CablePart(DisplayPart):
 
     def model_post_init(self, _: Any) -> None:
         """Raise `ValueError` for channels that do not match the bits."""
-        if self.order is not None and self.slots == 1:
-            raise ValueError("slots = 1 shows all colors at once; remove order")
-        if self.order is not None and sorted(self.order) != sorted(ORDERS[self.bits]):
-            names = ", ".join(ORDERS[self.bits])
+        if self.slots == 1:
+            if self.order is not None and len(self.order) != 1:
+                raise ValueError(
+                    "slots = 1 shows one frame at once; expected the one color that has light, or no order"
+                )
+        elif self.order is not None and sorted(self.order) != sorted(self.colors[self.bits]):
+            names = ", ".join(self.colors[self.bits])
             raise ValueError(f"{self.bits} bits go to {names}, each once; expected them in order, in any sequence")
 
 
@@ -173,7 +181,7 @@ class LensPart(Part):
         if not self.lowest < self.highest:
             raise ValueError(f"powers go from {self.lowest:g} to {self.highest:g} dpt; expected lowest below highest")
 
-    def open(self) -> LensDriver:
+    def open(self) -> Lens:
         """Open the lens in focal power mode. Raises as its driver does."""
         raise NotImplementedError
 

@@ -42,6 +42,12 @@ def frame_times(rig: RigConfig, engines: int) -> list[dict[int, float]]:
     return [{8: section.frame_time, 1: 1e-4} for section in sections[:engines]]
 
 
+def duties(rig: RigConfig, engines: int) -> list[float]:
+    """Greatest lit share of a time slot, for each array."""
+    sections: Any = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
+    return [section.duty for section in sections[:engines]]
+
+
 def triggered_schedule(
     first: PrintJob, rig: RigConfig, speed: float, turns: int, mirrors: tuple[MirrorArray, ...],
     focus: tuple[float, ...],
@@ -53,9 +59,9 @@ def triggered_schedule(
     engines = tuple(
         MirrorTiming(
             frame=times, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
-            dark=round(GUARD * pose / planes, 6),
+            dark=round(max(GUARD, 1.0 - duty) * pose / planes, 6),
         )
-        for each, times in zip(mirrors, frame_times(rig, len(mirrors)), strict=True)
+        for each, times, duty in zip(mirrors, frame_times(rig, len(mirrors)), duties(rig, len(mirrors)), strict=True)
     )  # fmt: skip
     common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": setup.light.power}
     if first.advance is None:

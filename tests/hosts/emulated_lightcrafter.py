@@ -1,8 +1,9 @@
-"""An emulated LightCrafter 4500 behind hidapi's device: it keeps its settings, and checks its table."""
+"""Emulated LightCrafters behind hidapi's device: they keep their settings, and check their tables."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from vamgpu.errors import ProtocolError
@@ -37,6 +38,7 @@ class EmulatedLightCrafter:
         self.settings: dict[int, bytes] = {p.LED_ENABLE: b"\x08"}
         self.locked = True  # to the video cable
         self.refuse: set[int] = set()
+        self.on_lit: Callable[[bool], None] | None = None
         self.silent = self.unplugged = self.closed = False
         self.polls, self._left, self._status = polls, 0, 0
         self._in, self._out = bytearray(), deque[bytes]()
@@ -62,16 +64,24 @@ class EmulatedLightCrafter:
         if command in self.refuse:
             flags |= p.REFUSED
         elif flags & p.READ:
-            data = bytes([self._check()]) if command == p.VALIDATE else self.settings.get(command, b"")
-            if command == p.MAIN_STATUS:
-                data = bytes([p.RUNNING if self.locked and self.settings.get(p.DISPLAY) == b"\2" else 0])
+            data = self._value(command)
         else:
-            self.settings[command] = message.data
+            self._set(command, message.data)
             if command == p.VALIDATE:
                 self._left, self._status = self.polls, self._judge()
         head = bytes([flags, message.sequence, len(data), 0])
         if not self.silent:
             self._out.append((head + data).ljust(p.REPORT, b"\0"))
+
+    def _value(self, command: int) -> bytes:
+        if command == p.MAIN_STATUS:
+            return bytes([p.RUNNING if self.locked and self.settings.get(p.DISPLAY) == b"\2" else 0])
+        return bytes([self._check()]) if command == p.VALIDATE else self.settings.get(command, b"")
+
+    def _set(self, command: int, data: bytes) -> None:
+        self.settings[command] = data
+        if self.on_lit is not None:
+            self.on_lit(self.lit)
 
     def _check(self) -> int:
         self._left -= 1
@@ -96,3 +106,38 @@ class EmulatedLightCrafter:
     def close(self) -> None:
         """Let go."""
         self.closed = True
+
+
+class EmulatedDlpc900(EmulatedLightCrafter):
+    """A LightCrafter 6500: modes that take time, a cable that may have no signal, and a table of patterns."""
+
+    def __init__(self, polls: int = 2, signal: bool = True) -> None:
+        super().__init__(polls)
+        self.signal = signal
+        self.patterns: list[bytes] = []
+        self.error = 0
+        self.sent: list[tuple[int, bytes]] = []
+
+    def _set(self, command: int, data: bytes) -> None:
+        self.sent.append((command, data))
+        if command == 0x1A1B:
+            self._left = self.polls
+            self.error = 0 if data != b"\2" or self._locked() else 5
+        elif command == 0x1A34:
+            self.patterns = [*self.patterns[: int.from_bytes(data[:2], "little")], data]
+            self.error = self.error or (0 if self.settings.get(0x1A1B) == b"\2" and len(data) == 12 else 6)
+        elif command == 0x1A31:
+            self.error = self.error or (0 if int.from_bytes(data[:2], "little") == len(self.patterns) else 6)
+        super()._set(command, data)
+
+    def _locked(self) -> bool:
+        return self.signal and self.settings.get(0x1A01) == b"\1" and self.settings.get(0x1A00) == b"\x08"
+
+    def _value(self, command: int) -> bytes:
+        self._left -= 1
+        if command == 0x1A0C:
+            runs = self.settings.get(0x1A24) == b"\2" and not self.error
+            return bytes([runs << 1 | (self._locked() and self._left < 0) << 3])
+        if command == 0x1A1B:
+            return self.settings[command] if self._left < 0 else b"\0"
+        return bytes([self.error]) if command == 0x0100 else self.settings.get(command, b"")

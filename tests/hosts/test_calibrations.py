@@ -106,6 +106,7 @@ def test_none_is_replaced_and_the_newest_is_in_force(rig: RigConfig, tmp_path: P
 
 
 NUMBERS = {
+    "turn": {"ratio": 1.009, "error": 1e-5},
     "axis": {"shift_columns": 1.5},
     "focus": {"axis_dpt": 0.1, "slope_mm_dpt": -40.0},
     "mtf": {"positions_mm": [0.0], "blur_mm": [0.04], "pixel_mm": 0.0078},

@@ -66,7 +66,7 @@ def test_what_cannot_be_shown_is_refused() -> None:
 def test_a_projector_that_is_gone_is_told() -> None:
     device = EmulatedLightCrafter(polls=10**6)
     projector = LightCrafter(device, pause=lambda seconds: None)
-    with pytest.raises(DeviceLost, match="still checks"):
+    with pytest.raises(DeviceLost, match="has not reached the check"):
         projector.show_video((1,), 8, 8333, 8333, "blue")
     device.silent = True
     with pytest.raises(DeviceLost, match="light on"):

@@ -125,7 +125,7 @@ def test_an_index_at_a_pin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_lightcrafter_is_display_and_light(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     device, asked = EmulatedLightCrafter(), []
-    monkeypatch.setattr(LightCrafter, "open", lambda serial: asked.append(serial) or LightCrafter(device))
+    monkeypatch.setattr(LightCrafter, "open", lambda serial, **_: asked.append(serial) or LightCrafter(device))
     window = SimpleNamespace(size=(8, 12), rate_hz=60.0, close=lambda: None)
     monkeypatch.setattr(projector, "PygletWindow", lambda *_: window)
     with PtyServer(EmulatedStage(rotary=True)) as stage:

@@ -67,8 +67,40 @@ def test_the_zaber_stage_gives_an_edge_each_pose() -> None:
         stage.trigger_every(1.0015)
     with pytest.raises(BadInput, match="two microsteps"):
         stage.trigger_every(0.0001)
+    stage.close()
     with pytest.raises(DeviceRefused, match="BADDATA"):
-        stage.trigger_every(3.0, output=7)
+        ZaberStage(_wire(machine, clock), 1000.0, output=7).trigger_every(3.0)
+
+
+def test_any_output_triggers_and_another_gates_it() -> None:
+    clock, machine = VirtualClock(), EmulatedStage(rotary=True, acceleration=1e9, wired=2, joined=1)
+    heard: list[bytes] = []
+    receive = machine.receive
+
+    def record(data: bytes, now: int) -> None:
+        heard.append(data[1:].split(b":")[0].split(b" ", 3)[3])
+        receive(data, now)
+
+    machine.receive = record
+    stage = ZaberStage(_wire(machine, clock), 1000.0, output=2, gate=1)
+    heard.clear()
+    stage.trigger_every(3.0)
+    assert heard == [
+        b"trigger 2 disable", b"io set do 2 0", b"io set do 1 1", b"trigger 2 when 1 dist 1500",
+        b"trigger 2 action a io set do 2 t", b"trigger 2 enable",
+    ]  # fmt: skip
+    stage.run(30.0)
+    clock.sleep(SECOND)
+    assert machine.edges == 10 and 1 in machine.levels
+    heard.clear()
+    stage.trigger_every(0.0)
+    assert heard == [b"trigger 2 disable", b"io set do 2 0", b"io set do 1 0"] and not machine.levels
+    stage.close()
+    wrong = ZaberStage(_wire(machine, clock), 1000.0, output=2)
+    wrong.trigger_every(3.0)
+    wrong.run(30.0)
+    clock.sleep(SECOND)
+    assert not machine.edges, "the board passes no edge while output 1 is low"
 
 
 def test_a_zaber_stage_that_is_unplugged_is_lost() -> None:

@@ -81,7 +81,7 @@ def test_what_fails_is_told() -> None:
         stage_of(EmulatedCube("BSC203"), clock)
     with pytest.raises(WrongDevice, match="does not answer as a Thorlabs cube"):
         stage_of(EmulatedCube(), clock, faults=Faults(dead=True))
-    with pytest.raises(BadInput, match="not possible"):
+    with pytest.raises(BadInput, match="are impossible"):
         stage_of(EmulatedCube(), clock, counts=0.0)
     faults, cube = Faults(), EmulatedCube()
     stage = stage_of(cube, clock, faults=faults, patience=0.1)

@@ -1,10 +1,10 @@
-"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | live | list``."""
+"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | live | list``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from rich.markup import escape
@@ -13,8 +13,8 @@ from vamgpu.cli.commands import app
 from vamgpu.cli.options import Overwrite, Settings, console
 
 if TYPE_CHECKING:
-    from vamgpu.hosts.calibrate.machines import CalibrationMachines
     from vamgpu.hosts.calibrate.report import CalibrationResult
+    from vamgpu.hosts.rigs.config import RigConfig
     from vamgpu.live.turbidity import MeasuredTurbidity
 
 group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; --rig emulated is a dry run.")
@@ -187,6 +187,26 @@ def runout(
 
 
 @group.command
+def turn(
+    *, rig: str, out: Path | None = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
+    overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Measure the vial's speed, and its turn in degrees that the motion reports: a camera watches a mark on the vial.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        out: folder of the result; beside the rig's file by default, where prints find it
+        turns: number of turns that are watched
+        speed: speed of the vial [deg/s]
+    """
+    from vamgpu.hosts.calibrate.connection import opened_turn
+    from vamgpu.hosts.calibrate.turn import turn
+
+    _run("turn", rig, (), out, settings, overwrite, lambda machines, progress: turn(
+        machines, speed=speed, turns=turns, progress=progress), opened_turn)  # fmt: skip
+
+
+@group.command
 def live(
     *, rig: str, out: Path | None = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
     projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
@@ -226,7 +246,8 @@ def _turbidity(cured: Path) -> MeasuredTurbidity:
 
 def _run(
     kind: str, rig: str, tables: tuple[str, ...], out: Path | None, settings: list[str] | None, overwrite: bool,
-    measure: Callable[[CalibrationMachines, Callable[[float], None]], CalibrationResult],
+    measure: Callable[[Any, Callable[[float], None]], CalibrationResult],
+    opening: Callable[[RigConfig], tuple[Any, Any]] | None = None,
 ) -> None:  # fmt: skip
     """Open the machines, measure, and write the result."""
     from rich.progress import Progress
@@ -242,7 +263,9 @@ def _run(
         out = Path(kind)
     if out is not None:
         free(out, overwrite)
-    if config.setup.emulated:
+    if opening is not None:
+        stand, optics = opening(config)
+    elif config.setup.emulated:
         stand, optics = rehearsal(config, tables, kind=kind)
     else:
         stand, optics = opened(config, tables), None

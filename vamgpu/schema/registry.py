@@ -122,6 +122,10 @@ FAMILIES: dict[str, Family] = {
             "thorlabs": "vamgpu.hosts.rigs.motions:ThorlabsMotion",
             "micromanager": "vamgpu.hosts.rigs.motions:MicroManagerMotion",
             "stepper": "vamgpu.hosts.rigs.motions:StepperMotion",
+            "grbl": "vamgpu.hosts.rigs.motions:GrblMotion",
+            "text": "vamgpu.hosts.rigs.motions:TextMotion",
+            "tic": "vamgpu.hosts.rigs.motions:TicMotion",
+            "tmc2209": "vamgpu.hosts.rigs.motions:Tmc2209Motion",
             "emulated": "vamgpu.hosts.rigs.motions:EmulatedMotion",
         },
         word="driver",
@@ -139,6 +143,7 @@ FAMILIES: dict[str, Family] = {
         {
             "alp": "vamgpu.hosts.rigs.displays:AlpDisplay",
             "lightcrafter": "vamgpu.hosts.rigs.displays:LightCrafterDisplay",
+            "dlpc900": "vamgpu.hosts.rigs.displays:Dlpc900Display",
             "video": "vamgpu.hosts.rigs.displays:VideoDisplay",
             "emulated": "vamgpu.hosts.rigs.displays:EmulatedDisplay",
         },
@@ -148,6 +153,7 @@ FAMILIES: dict[str, Family] = {
         {
             "controller": "vamgpu.hosts.rigs.optics:ControllerLight",
             "laser": "vamgpu.hosts.rigs.optics:LaserLight",
+            "diode laser": "vamgpu.hosts.rigs.optics:DiodeLaserLight",
             "display": "vamgpu.hosts.rigs.optics:DisplayLight",
         },
         word="driver",
@@ -155,6 +161,7 @@ FAMILIES: dict[str, Family] = {
     "rig_lens": Family(
         {
             "optotune": "vamgpu.hosts.rigs.optics:OptotuneLens",
+            "optotune-icc": "vamgpu.hosts.rigs.optics:IccLensPart",
             "emulated": "vamgpu.hosts.rigs.optics:EmulatedLensPart",
         },
         word="driver",
