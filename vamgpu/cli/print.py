@@ -78,30 +78,26 @@ def print_(
     if jobs == ("demo", "live"):
         given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
         return _live_demo(rig, turns, out, plain=not given)
-    if live and mend:
-        raise BadInput("--mend lights frames again by the plan, and --live replans every turn; expected one of the two")
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
     _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
-    _check_live(live, jobs, stop)
+    _check_live(live, jobs, stop, mend)
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(
         _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
     )
     exposure = planner = None
-    if resume is not None and not live:
-        turns, exposure = _begun(resume, turns)
     if live:
         planned, planner, turns = _watching(screen, folders[0], config, turns, resume, speed, dry_run, device)
     else:
+        turns, exposure = (turns, None) if resume is None else _begun(resume, turns)
         with warnings.catch_warnings():
             if stop is not None:  # its turns are the most, and the scatter decides on the dose
                 warnings.simplefilter("ignore", DoseWarning)
-            planned = plan(
-                folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure
-            )
+            given = {"speed": speed, "turns": turns, "rehearsed": dry_run, "device": device, "exposure": exposure}
+            planned = plan(folders, config, **given)
     exposure = False if planned.dose is None else planned.dose.proved
     if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
@@ -119,14 +115,19 @@ def print_(
     board = Board(job=" ".join(jobs))
     if not (planned.rehearsed or order.resume or anyway):
         _consented(planned, order.asks)
-    if not panel:
+    with _page(screen, board, host, port, place, stay) if panel else nullcontext():
         return _printed(screen, planned, order, board)
+
+
+@contextmanager
+def _page(screen: Console, board: Board, host: str, port: int, place: Path, stay: bool) -> Iterator[None]:
+    """Serve the live page of a print, and with ``stay`` until Ctrl-C."""
     from vamgpu.hosts.panel import Panel
 
     with Panel(board, host, port, runs=place.resolve().parent, run=place.name) as page:
         screen.print(f"page    [bold]{escape(page.url)}[/]")
         with _outlived(screen) if stay else nullcontext():
-            return _printed(screen, planned, order, board)
+            yield
 
 
 def _check_options(
@@ -166,10 +167,11 @@ def _agreed(question: str) -> bool:
         return False
 
 
-def _check_live(live: bool, jobs: tuple[str, ...], stop: float | None) -> None:
+def _check_live(live: bool, jobs: tuple[str, ...], stop: float | None, mend: bool) -> None:
     """Reject options that a print with a planner does not take. Raises `BadInput`."""
-    if live and (stop is not None or len(jobs) != 1):
-        raise BadInput("a print with --live takes one job, and its planner ends it; leave out other jobs and --stop")
+    if live and (stop is not None or mend or len(jobs) != 1):
+        raise BadInput("a print with --live takes one job, and its planner plans every turn and the end; "
+                       "leave out other jobs, --stop and --mend")  # fmt: skip
 
 
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
