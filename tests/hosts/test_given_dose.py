@@ -113,7 +113,7 @@ class Recorder:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.seconds: dict[int, np.ndarray] = {}
-        monkeypatch.setattr("vamgpu.hosts.rig.rehearsal", self._rehearsed)
+        monkeypatch.setattr("vamgpu.hosts.process.order.rehearsal", self._rehearsed)
 
     def _rehearsed(self, *planned: Any, **options: Any) -> Rehearsal:
         stand = rehearsal(*planned, **options)
