@@ -72,7 +72,7 @@ class OpenclDevice(Device):
 
     def __init__(self, name: str, context: cl.Context, memory: int | None = None) -> None:
         named = all_devices().get(name.partition("@")[0])
-        device = named if named in context.devices else context.devices[0]
+        device = next((each for each in context.devices if each == named), context.devices[0])
         super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
