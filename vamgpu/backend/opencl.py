@@ -208,7 +208,8 @@ class OpenclDevice(Device):
         """Pinned memory, and the event after which it is free."""
         access: Any = cl.map_flags.READ | cl.map_flags.WRITE
         buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR, nbytes)
-        return cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
+        mapped: Any = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
+        return mapped
 
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True
