@@ -72,14 +72,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class CornerDose:
-    """Doses of one light at a corner, in units of the light.
-
-    Attributes:
-        name: Name of the corner.
-        least: Least dose inside the part.
-        leak: Greatest dose outside the part.
-        greatest: Dose anywhere.
-    """
+    """Least dose inside, greatest outside and greatest anywhere of one light at a corner, in units of the light."""
 
     name: str
     least: float
@@ -94,11 +87,7 @@ class CornerDose:
 
 @dataclass(frozen=True)
 class CornerDoses:
-    """Doses of one light at every corner, the nominal one first.
-
-    Attributes:
-        corners: All of them.
-    """
+    """Doses of one light at every corner, the nominal one first."""
 
     corners: tuple[CornerDose, ...]
 
@@ -124,11 +113,7 @@ class CornerDoses:
         return (self.darkest.least - max(self.leakiest.leak, 0.0)) / greatest if greatest > 0.0 else -1.0
 
     def statement(self) -> str:
-        """The window in words, and the two corners that limit it.
-
-        Returns:
-            One sentence.
-        """
+        """The window in a sentence, with the two corners that limit it."""
         return (
             f"strict window {self.window:+.3f} with one threshold for {len(self.corners)} corners, {self.nominal:+.3f} "
             f"nominal; least dose in the part at {self.darkest.name}, most outside at {self.leakiest.name}"

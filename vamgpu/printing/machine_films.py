@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vamgpu.curethrough.images import encode_colors
 from vamgpu.errors import BadInput
 from vamgpu.printing.export import Canvas, export
 from vamgpu.quantity import positive
 from vamgpu.storage.atomic import check_folder, replacing
+from vamgpu.storage.images import encode_png
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
@@ -25,15 +26,7 @@ HDMI = 60.0
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine, and how its files are made.
-
-    Args:
-        size: Columns and rows of its images.
-        fastest: Images per second that it shows.
-        speed: Greatest speed of its stage [rpm].
-        write: Writes its files.
-        notes: What its operator has to know.
-    """
+    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and what its operator has to know."""
 
     size: tuple[int, int]
     fastest: float
@@ -159,18 +152,13 @@ def _tvam_code(film: Film, folder: Path) -> Path:
 
 def _lightcrafter(film: Film, folder: Path) -> Path:
     """Images of 24 bits with three frames each, in the order in which the controller takes them: green, red, blue."""
-    place, group = folder / f"{film.name}-lightcrafter", []
+    place = folder / f"{film.name}-lightcrafter"
+    images = iter(replace(film.canvas, repeats=1, dark=(0, 0)).images(film.frames))
     with replacing(place, overwrite=film.overwrite) as draft:
         draft.mkdir()
-        images, number = replace(film.canvas, repeats=1, dark=(0, 0)).images(film.frames), 0
-        for image in images:
-            group.append(image)
-            if len(group) == 3:
-                (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
-                group, number = [], number + 1
-        if group:
-            group += [np.zeros_like(group[0])] * (3 - len(group))
-            (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
+        for number, (green, *others) in enumerate(zip_longest(images, images, images)):
+            red, blue = (np.zeros_like(green) if each is None else each for each in others)
+            (draft / f"{number:04d}.png").write_bytes(encode_png(np.stack([red, green, blue], 2)))
     return place
 
 

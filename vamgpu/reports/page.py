@@ -72,11 +72,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Windows of a print on a machine with one error at a time.
-
-    Args:
-        groups: One per error, with its rows.
-    """
+    """Windows of a print on a machine with one error at a time; one group of rows per error."""
 
     groups: Sequence[Mapping[str, Any]]
     kind: ClassVar[str] = "tolerances"

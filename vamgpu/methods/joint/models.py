@@ -89,28 +89,11 @@ class Model(Protocol):
     turns: int
 
     def expose(self, light: Pair) -> DeviceArray:
-        """Compute the effective dose after the last turn.
-
-        Args:
-            light: Sinograms [angle, r, z] of both colors.
-
-        Returns:
-            Effective dose [x, y, z].
-        """
+        """Effective dose [x, y, z] after the last turn, of sinograms [angle, r, z] of both colors."""
         ...
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Compute derivatives by the light last exposed from those by its effective dose.
-
-        Args:
-            slope: Derivatives by the effective dose [x, y, z].
-
-        Returns:
-            Derivatives by the light [angle, r, z] of both colors.
-
-        Raises:
-            BadInput: No light was exposed before.
-        """
+        """Derivatives by the light last exposed, from those by its effective dose [x, y, z]. Raises `BadInput`."""
         ...
 
 
