@@ -445,13 +445,32 @@ class Vessel(Protocol):
         ...
 
     def chords(self, u: np.ndarray) -> Chords:
-        """Chords in the resin of rays at offsets u [mm] from the axis, (...,); 0 off the resin. Raises `BadInput`."""
+        """Chords in the resin of rays that enter at some offsets.
+
+        Args:
+            u: Offsets [mm] of the columns from the axis, (...,).
+
+        Returns:
+            The chords, arrays (...,); a column that misses the resin has transmittance 0 and length 0.
+
+        Raises:
+            BadInput: An offset is not finite.
+        """
         ...
 
     def illuminate(self, across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Offset u [mm] and weight of the ray that lights each point (X, Y) [mm], (...,) each. Raises `BadInput`.
+        """The ray through each point.
 
-        The weight is transmittance × ray density, × absorption·exp(−absorption·path) [1/mm] if the vessel absorbs.
+        Args:
+            across: Position X across the light [mm], (...,).
+            along: Position Y along the light [mm], (...,), broadcast with ``across``.
+
+        Returns:
+            Offset u [mm] of the ray that lights each point, (...,), and its weight there, (...,): transmittance × ray
+            density × (absorption·exp(−absorption·path) [1/mm] if the vessel absorbs, else 1); 0 if no ray lights it.
+
+        Raises:
+            BadInput: A coordinate is not finite.
         """
         ...
 

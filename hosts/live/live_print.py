@@ -20,7 +20,8 @@ from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.rigs.rehearsal import curing
 from vamgpu.hosts.schedules.timing import whole
 from vamgpu.jobs.run import prove
-from vamgpu.live import CuringResin, LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
+from vamgpu.live import LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
+from vamgpu.live.printer import CuringResin
 from vamgpu.metrics import score
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial

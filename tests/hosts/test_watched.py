@@ -20,7 +20,8 @@ from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.live import LiveLoop, LiveRecord, Truth
+from vamgpu.live.loop import LiveState
 from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames
 from vamgpu.reports import chart

@@ -385,10 +385,7 @@ class Device(ABC):
 
     @final
     def launch(self, kernel: Kernel, **bindings: Any) -> None:
-        """Run a kernel with arguments bound by name; an array in place of a number gives its lanes.
-
-        Raises `KernelError` for arguments that do not fit the declaration.
-        """
+        """Run a kernel with arguments by name; an array in place of a number gives its lanes. Raises `KernelError`."""
         if bindings.keys() != kernel.arguments.keys():
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"

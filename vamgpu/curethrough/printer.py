@@ -182,12 +182,32 @@ class Machine(ABC):
 
     @abstractmethod
     def between(self, fraction: float) -> tuple[float, float]:
-        """Share of a slice's dose, and decay of earlier ones, at a fraction 0..1 of its height. Raises `BadInput`."""
+        """Compute the factors of Ω within a slice.
+
+        Args:
+            fraction: Distance from the slice's border, a fraction of the slice height from 0 to 1.
+
+        Returns:
+            Share of the slice's own dose, and factor by which the dose of earlier slices decays.
+
+        Raises:
+            BadInput: The fraction is out of range.
+        """
         ...
 
     @abstractmethod
     def targets(self, profile: Profile) -> Targets:
-        """Doses at which the correction aims. Raises `BadInput` if full light cures nothing, or level 0 everything."""
+        """Compute the doses at which the correction aims.
+
+        Args:
+            profile: Dose inside features; layer printers use only the critical dose.
+
+        Returns:
+            The doses.
+
+        Raises:
+            BadInput: No correction can help: full light cures nothing, or level 0 everything.
+        """
         ...
 
 

@@ -56,14 +56,7 @@ class CuringResin:
                            "expected induction to end before")  # fmt: skip
 
     def conversion(self, dose: Any) -> np.ndarray:
-        """Final conversion.
-
-        Args:
-            dose: Dose in units of the part's, (...,).
-
-        Returns:
-            Conversion, (...,).
-        """
+        """Final conversion of a dose in units of the part's, (...,)."""
         return -np.expm1(-self.rate * np.maximum(np.asarray(dose, float) - self.induction, 0.0))
 
     @property
@@ -78,15 +71,7 @@ class CuringResin:
         return Interpolated(tuple(doses), tuple(self.conversion(doses)))
 
     def expose(self, state: np.ndarray, dose: np.ndarray) -> np.ndarray:
-        """The state after a turn, exactly.
-
-        Args:
-            state: Inhibitor [dose], radicals [dose] and conversion of voxels, (3, ...).
-            dose: Dose of the turn, spread evenly over it, (voxels,) or [x, y, z].
-
-        Returns:
-            The state after the turn, (3, ...).
-        """
+        """The exact state (3, ...) after a turn of an even dose: inhibitor [dose], radicals [dose] and conversion."""
         inhibitor, radicals, conversion = state
         used = np.minimum(dose, inhibitor)
         made = dose - used
@@ -97,14 +82,7 @@ class CuringResin:
         return np.stack([inhibitor - used, after, 1.0 - (1.0 - conversion) * np.exp(-self.rate * acted)])
 
     def rest(self, state: np.ndarray) -> np.ndarray:
-        """Let all radicals react.
-
-        Args:
-            state: As for `expose`, (3, ...).
-
-        Returns:
-            Conversion when no radicals remain, with the shape of a voxel field, (voxels,) or [x, y, z].
-        """
+        """Conversion of a state, as of `expose`, when all its radicals have reacted."""
         return 1.0 - (1.0 - state[2]) * np.exp(-self.rate * state[1])
 
 

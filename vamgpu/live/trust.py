@@ -25,16 +25,11 @@ class Trust:
     Simulated prints of 16 turns stay below 8, 0.04 and 0.24 with lamps of 60 to 125 %, errors of a fifth in turbidity
     and of a tenth in the gel point, and 60 % of the frames lost. A camera that is mirrored, upside down, rolled by 4°,
     late by three angles, wrong by a tenth in its gain, or behind a bubble exceeds one of them.
-
-    Args:
-        misfit: Greatest `Reconstruction.misfit`, if more than the share ``images`` is also unexplained.
-        images: Unexplained share of the mean square of optical depths, dimensionless.
-        conversion: Greatest `Estimate.unexplained`.
     """
 
-    misfit: float = 15.0
-    images: float = 0.05
-    conversion: float = 0.35
+    misfit: float = 15.0  # greatest `Reconstruction.misfit`, if more than the share ``images`` is also unexplained
+    images: float = 0.05  # unexplained share of the mean square of optical depths, dimensionless
+    conversion: float = 0.35  # greatest `Estimate.unexplained`
 
     def limit(self, seen: Reconstruction) -> float:
         """Greatest misfit of a reconstruction."""

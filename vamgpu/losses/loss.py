@@ -113,7 +113,14 @@ class KernelLoss(Loss):
 
     @abstractmethod
     def launched(self, device: Device) -> tuple[Kernel, dict[str, Any]]:
-        """The kernel that computes the loss, and its arguments besides dose, target, weight, reach and parts."""
+        """Name the kernel that computes the loss.
+
+        Args:
+            device: Device of the loss.
+
+        Returns:
+            The kernel, and its arguments besides dose, target, weight, reach and parts.
+        """
         ...
 
     @property

@@ -35,23 +35,14 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Corner:
-    """One combination of extreme tolerances; all zero is nominal.
+    """One combination of extreme tolerances; all zero is nominal."""
 
-    Args:
-        axis: Displacement of the axis of rotation, towards +r [mm].
-        spread: Standard deviation of the point spread [mm]; None for the beam's own.
-        absorption: Relative increase of the resin's absorption.
-        index: Increase of the resin's refractive index.
-        wobble: Displacement of the vial from its axis, along x and y [mm].
-        dose: Relative increase of every dose.
-    """
-
-    axis: float = 0.0
-    spread: float | None = None
-    absorption: float = 0.0
-    index: float = 0.0
-    wobble: tuple[float, float] = (0.0, 0.0)
-    dose: float = 0.0
+    axis: float = 0.0  # displacement of the axis of rotation, towards +r [mm]
+    spread: float | None = None  # standard deviation of the point spread [mm]; None for the beam's own
+    absorption: float = 0.0  # relative increase of the resin's absorption
+    index: float = 0.0  # increase of the resin's refractive index
+    wobble: tuple[float, float] = (0.0, 0.0)  # displacement of the vial from its axis, along x and y [mm]
+    dose: float = 0.0  # relative increase of every dose
 
     @property
     def optics(self) -> Corner:

@@ -31,11 +31,21 @@ class LinearOperator(ABC):
 
     @abstractmethod
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
-        """Compute out [range.shape] = A x, both on the device."""
+        """Compute out = A x, both on the device.
+
+        Args:
+            x: The operand, [domain.shape].
+            out: Receives the result, [range.shape].
+        """
 
     @abstractmethod
     def transposed(self, y: DeviceArray, out: DeviceArray) -> None:
-        """Compute out [domain.shape] = Aᵀ y, both on the device."""
+        """Compute out = Aᵀ y, both on the device.
+
+        Args:
+            y: The operand, [range.shape].
+            out: Receives the result, [domain.shape].
+        """
 
     @property
     def T(self) -> LinearOperator:  # noqa: N802 - the mathematician's name

@@ -114,10 +114,7 @@ class Coverage:
 
 
 def coverage(film: Film, radius: float, limit: float, polarization: str = "none") -> Coverage:
-    """Coverage of a film on a roller of this radius [mm] by light of a polarization.
-
-    Raises `BadInput` for a limit below 1.
-    """
+    """Coverage of a film on a roller of this radius [mm] by polarized light. Raises `BadInput` for a limit below 1."""
     if not limit >= 1.0:
         raise BadInput(f"the largest gain is {limit!r}; expected at least 1")
     outer, faces = radius + film.thickness, film.faces(radius)

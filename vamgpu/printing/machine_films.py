@@ -56,27 +56,12 @@ def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
     dark: tuple[float, float] = (0.0, 0.0), channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames as the files of a machine, and a card beside them.
+    """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
 
-    Args:
-        machine: ``"opencal"``, ``"tvam-code"``, ``"rotary"`` or ``"lightcrafter"``.
-        frames: The frames, of equal angles over a full turn.
-        folder: An existing folder.
-        name: Name of the part, with which those of the files begin.
-        rpm: Speed of the turntable [rpm].
-        canvas: Placement, and number of turns; its size is by default that of the machine.
-        dark: Seconds without light before the first turn and after the last; made whole turns, so that a film that
-            is played in a loop begins at the same angle again.
-        channel: ``"red"``, ``"green"`` or ``"blue"`` to light one channel of a film alone.
-        overwrite: Whether to replace files.
-
-    Returns:
-        The file or folder, and its card.
-
-    Raises:
-        BadInput: The machine is unknown, cannot show the frames so fast, or cannot turn so fast; or an argument is
-            out of its range.
-        StorageError: A file exists or cannot be written.
+    name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
+    seconds without light before the first turn and after the last, made whole turns: a film that is played in a loop
+    then begins at the same angle again. channel: the only one that is lit: "red", "green" or "blue". Raises `BadInput`
+    if the machine cannot show or turn so fast, `StorageError`.
     """
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")

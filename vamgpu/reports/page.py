@@ -39,17 +39,11 @@ class Chart:
 
 @dataclass(frozen=True)
 class Images:
-    """Images side by side.
+    """Images side by side."""
 
-    Args:
-        images: The images.
-        layout: A class of the style sheet.
-        across: Columns of the layout ``panels``.
-    """
-
-    images: Sequence[Image]
-    layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]
-    across: int = 2
+    images: Sequence[Image]  # the images
+    layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]  # a class of the style sheet
+    across: int = 2  # columns of the layout ``panels``
     kind: ClassVar[str] = "images"
 
 

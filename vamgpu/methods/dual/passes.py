@@ -86,7 +86,14 @@ class Rule(Protocol):
     papers: ClassVar[tuple[str, ...]]
 
     def steps(self, state: DualState) -> Iterator[Pass]:
-        """Improve ``state.light`` and ``state.uv``; yield a record of each pass, light then in units of the design."""
+        """Improve ``state.light`` and ``state.uv``.
+
+        Args:
+            state: State of the run; whenever a pass is yielded, its light is in units of the design.
+
+        Returns:
+            The records of the passes, one after each.
+        """
         ...
 
 

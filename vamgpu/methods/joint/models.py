@@ -89,11 +89,28 @@ class Model(Protocol):
     turns: int
 
     def expose(self, light: Pair) -> DeviceArray:
-        """Effective dose [x, y, z] after the last turn, of sinograms [angle, r, z] of both colors."""
+        """Compute the effective dose after the last turn.
+
+        Args:
+            light: Sinograms [angle, r, z] of both colors.
+
+        Returns:
+            Effective dose [x, y, z].
+        """
         ...
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Derivatives by the light last exposed, from those by its effective dose [x, y, z]. Raises `BadInput`."""
+        """Compute derivatives by the light last exposed from those by its effective dose.
+
+        Args:
+            slope: Derivatives by the effective dose [x, y, z].
+
+        Returns:
+            Derivatives by the light [angle, r, z] of both colors.
+
+        Raises:
+            BadInput: No light was exposed before.
+        """
         ...
 
 
