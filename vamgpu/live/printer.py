@@ -32,22 +32,13 @@ class CuringResin:
     """Resin whose inhibitor must be consumed before it cures, and that continues to cure in the dark.
 
     dose rate E: inhibitor −E until it is consumed; from then on radicals R' = E − R/dark, and conversion M' = rate·(1 −
-    M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
-
-    Args:
-        induction: Dose that consumes the inhibitor of fresh resin, in units of the part's.
-        rate: Rate of curing, per dose.
-        solid: Least dose that makes fresh resin solid, in units of the part's.
-        dark: Lifetime of radicals [turns].
-
-    Raises:
-        BadInput: A value is out of its range, or the resin is solid before it cures.
+    M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)). Raises `BadInput` for resin solid before it cures.
     """
 
-    induction: Positive = 0.65
-    rate: Positive = 4.0
-    solid: Positive = 0.865
-    dark: Positive = 0.3
+    induction: Positive = 0.65  # dose that consumes the inhibitor of fresh resin, in units of the part's
+    rate: Positive = 4.0  # of curing, per dose
+    solid: Positive = 0.865  # least dose that makes fresh resin solid, in units of the part's
+    dark: Positive = 0.3  # lifetime of radicals [turns]
 
     def __post_init__(self) -> None:
         check(self)
