@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vamgpu.errors import DeviceError
-from vamgpu.hosts.process.execution import may_go_on, rehearsal
+from vamgpu.hosts.process.execution import may_go_on
 from vamgpu.hosts.process.messages import ordered
 from vamgpu.hosts.process.order import PrintOrder, printed
 from vamgpu.hosts.process.priority import raised
@@ -29,7 +29,7 @@ def main() -> None:
         planned = order.planned()
         if order.resume:
             may_go_on(planned, order.folder)
-        stand = rehearsal(planned, paced=True) if planned.rehearsed else None
+        stand = order.stand(planned, paced=True) if planned.rehearsed else None
         asked = None if order.page else (lambda job: order.asks and service.go_on(job.sense))
         end = printed(
             order, planned, stand, service.board, told=service.facts.__setitem__, go_on=asked, process=granted

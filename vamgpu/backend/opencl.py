@@ -209,7 +209,7 @@ class OpenclDevice(Device):
             with quiet_build():
                 program = cl.Program(self.context, kernel.source.read_text())
                 cache: Any = None if cached else False
-                function = cl.Kernel(program.build(options, [self._device], cache), kernel.name)
+                function = cl.Kernel(program.build(options, devices=[self._device], cache_dir=cache), kernel.name)
                 function.set_scalar_arg_dtypes(_numbers(kernel))
                 return function
         except (cl.Error, RuntimeError) as error:

@@ -11,7 +11,7 @@ from vamgpu.live.camera import CameraPose, MonitoringCamera, SensorNoise
 from vamgpu.live.colors import ColorReplanner
 from vamgpu.live.estimate import Estimate, Estimator
 from vamgpu.live.loop import Decision, LiveLoop
-from vamgpu.live.printer import Truth, VirtualPrinter
+from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
 from vamgpu.live.prior import Prior
 from vamgpu.live.record import LiveRecord, LiveSetup
 from vamgpu.live.replan import Replanner
@@ -21,9 +21,9 @@ from vamgpu.live.webs import WebReplanner
 from vamgpu.webs.drift import WebDrift
 
 __all__ = [
-    "CameraPose", "ColorReplanner", "Decision", "Estimate", "Estimator", "LiveLoop", "LiveRecord", "LiveSetup",
-    "MonitoringCamera", "Prior", "Replanner", "SensorNoise", "Tomograph", "Truth", "Turbidity", "VirtualPrinter",
-    "WebDrift", "WebReplanner",
+    "CameraPose", "ColorReplanner", "CuringResin", "Decision", "Estimate", "Estimator", "LiveLoop", "LiveRecord",
+    "LiveSetup", "MonitoringCamera", "Prior", "Replanner", "SensorNoise", "Tomograph", "Truth", "Turbidity",
+    "VirtualPrinter", "WebDrift", "WebReplanner",
 ]  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import log1p
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,14 @@ from vamgpu.operators.projection import Projection
 from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Positive
+from vamgpu.schema.quantities import Positive, Share
 
 FINER = 2
 """Number of voxels of the resin along an edge of the plan's voxels."""
 HIGHEST = 3.0
 """Greatest dose at which the response is sampled, in units of the part's."""
+MOST = 0.999
+"""Greatest conversion at a gel point."""
 GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
 """Induction times of five prints from one vial [s], of the automatic exposure paper."""
 
@@ -32,13 +35,24 @@ class CuringResin:
     """Resin whose inhibitor must be consumed before it cures, and that continues to cure in the dark.
 
     dose rate E: inhibitor −E until it is consumed; from then on radicals R' = E − R/dark, and conversion M' = rate·(1 −
-    M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)). Raises `BadInput` for resin solid before it cures.
+    M)·R/dark. In the end M = 1 − exp(−rate·(dose − induction)).
+
+    Args:
+        induction: Dose that consumes the inhibitor of fresh resin, in units of the part's.
+        rate: Rate of curing, per dose.
+        solid: Least dose that makes fresh resin solid, in units of the part's.
+        dark: Lifetime of radicals [turns].
+        gel_error: Error by which the conversion at the gel point may be wrong, relative.
+
+    Raises:
+        BadInput: A value is out of its range, or the resin is solid before it cures.
     """
 
-    induction: Positive = 0.65  # dose that consumes the inhibitor of fresh resin, in units of the part's
-    rate: Positive = 4.0  # of curing, per dose
-    solid: Positive = 0.865  # least dose that makes fresh resin solid, in units of the part's
-    dark: Positive = 0.3  # lifetime of radicals [turns]
+    induction: Positive = 0.65
+    rate: Positive = 4.0
+    solid: Positive = 0.865
+    dark: Positive = 0.3
+    gel_error: Share = 0.1
 
     def __post_init__(self) -> None:
         check(self)
@@ -47,7 +61,14 @@ class CuringResin:
                            "expected induction to end before")  # fmt: skip
 
     def conversion(self, dose: Any) -> np.ndarray:
-        """Final conversion of a dose in units of the part's, (...,)."""
+        """Final conversion.
+
+        Args:
+            dose: Dose in units of the part's, (...,).
+
+        Returns:
+            Conversion, (...,).
+        """
         return -np.expm1(-self.rate * np.maximum(np.asarray(dose, float) - self.induction, 0.0))
 
     @property
@@ -56,13 +77,27 @@ class CuringResin:
         return float(self.conversion(self.solid))
 
     @property
+    def solid_doses(self) -> tuple[float, float]:
+        """Least and greatest dose that makes fresh resin solid, within the error of the gel point."""
+        low, high = (min(self.gel * (1.0 + side * self.gel_error), MOST) for side in (-1.0, 1.0))
+        return self.induction - log1p(-low) / self.rate, self.induction - log1p(-high) / self.rate
+
+    @property
     def response(self) -> Interpolated:
         """Response of fresh resin, for an `Estimator`."""
         doses = np.linspace(0.0, HIGHEST, 601)
         return Interpolated(tuple(doses), tuple(self.conversion(doses)))
 
     def expose(self, state: np.ndarray, dose: np.ndarray) -> np.ndarray:
-        """The exact state (3, ...) after a turn of an even dose: inhibitor [dose], radicals [dose] and conversion."""
+        """The state after a turn, exactly.
+
+        Args:
+            state: Inhibitor [dose], radicals [dose] and conversion of voxels, (3, ...).
+            dose: Dose of the turn, spread evenly over it, (voxels,) or [x, y, z].
+
+        Returns:
+            The state after the turn, (3, ...).
+        """
         inhibitor, radicals, conversion = state
         used = np.minimum(dose, inhibitor)
         made = dose - used
@@ -73,7 +108,14 @@ class CuringResin:
         return np.stack([inhibitor - used, after, 1.0 - (1.0 - conversion) * np.exp(-self.rate * acted)])
 
     def rest(self, state: np.ndarray) -> np.ndarray:
-        """Conversion of a state, as of `expose`, when all its radicals have reacted."""
+        """Let all radicals react.
+
+        Args:
+            state: As for `expose`, (3, ...).
+
+        Returns:
+            Conversion when no radicals remain, with the shape of a voxel field, (voxels,) or [x, y, z].
+        """
         return 1.0 - (1.0 - state[2]) * np.exp(-self.rate * state[1])
 
 
