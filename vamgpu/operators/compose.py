@@ -57,7 +57,11 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 @final
 class Composed(Derived):
-    """outer ∘ inner, with the geometry of the one that has it. Raises `ShapeMismatch`, `DeviceError`."""
+    """outer ∘ inner, with the geometry of the one that has it.
+
+    inner: the operator applied first.  outer: the operator applied to its result.  Raises `ShapeMismatch`,
+    `DeviceError`.
+    """
 
     outer: LinearOperator
     inner: LinearOperator
@@ -92,7 +96,11 @@ class Composed(Derived):
 
 @final
 class Sum(Derived):
-    """Σ weight·operator between the same spaces. Raises `BadInput`, `ShapeMismatch`, `DeviceError`."""
+    """Σ weight·operator, e.g. over sub-rays of an aperture, with the geometry of the first.
+
+    terms: operators between the same spaces.  weights: one per term, 1 if none are given.
+    Raises `BadInput`, `ShapeMismatch`, `DeviceError`.
+    """
 
     domain: Space
     range: Space
