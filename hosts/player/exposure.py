@@ -19,7 +19,7 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.scatter import ScatterReading, ScatterStop
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = SECOND // 10  # least time between two readings [ns]
@@ -61,11 +61,9 @@ class ScatterWatch:
         self._failed: BaseException | None = None
         self._seen, self._leave = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
-        try:
+        with explaining("write", folder.path / "scatter.csv"):
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")
             self._file.write("seconds,density\n")
-        except OSError as error:
-            raise explained("write", folder.path / "scatter.csv", error) from error
 
     # ---- around the print ------------------------------------------------------------------------------------
     def begin(self) -> None:

@@ -21,7 +21,7 @@ from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 from vamgpu.storage.reading import MOST_TOML, read_text
 
 
@@ -202,10 +202,8 @@ def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -
 def _same_rig(rig: RigConfig, run: RunRecord) -> None:
     """Raise `BadInput` for a rig whose light or motion differs from that of the print."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
-    try:
+    with explaining("read", file):
         first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
-    except OSError as error:
-        raise explained("read", file, error) from error
     began, now = (_light(read.setup) for read in (first, rig))
     if different := [name for name in now if now[name] != began[name]]:
         settings = "".join(f" --set {setting!r}" for setting in given)

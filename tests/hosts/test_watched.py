@@ -23,7 +23,8 @@ from vamgpu.hosts.rigs.rehearsal import resin_of
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.live import LiveLoop, LiveRecord, Truth
+from vamgpu.live.loop import LiveState
 from vamgpu.live.record import ENTRY
 from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from test_export import some_frames
+from small_print import some_frames
 
 import vamgpu as vam
 from vamgpu.cli import main

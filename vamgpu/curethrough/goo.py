@@ -97,14 +97,7 @@ def _runs(packed: bytes) -> tuple[list[int], list[int]]:
 
 
 def encode_goo(levels: np.ndarray, _: str = "") -> bytes:
-    """A layer's bytes, with mark and check sum.
-
-    Args:
-        levels: Gray levels, uint8 [y, x].
-
-    Returns:
-        The bytes.
-    """
+    """Bytes of a layer's gray levels, uint8 [y, x], with mark and check sum."""
     flat = np.ascontiguousarray(levels).ravel()
     starts = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1, [flat.size]])
     packed = bytearray()

@@ -37,20 +37,6 @@ def die_down(zeta: Any, upper: float, phi_min: float, eta: float) -> np.ndarray:
     return constant_light(zeta, upper, 1.0, phi_min, eta)
 
 
-def highest_place(upper: float, lower: float, phi_min: float, phi_max: float, eta: float) -> float:
-    """ζ*, where curves ii and iii meet (S39)."""
-    delta = lower - upper
-    low = (1.0 - phi_min) - (1.0 - phi_max) * 10.0 ** (-delta * eta)
-    return upper + log10((phi_max - phi_min) / low) / eta
-
-
-def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.ndarray:
-    """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
-    fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
-    room = (1.0 - phi_min) - (1.0 - phi_max) * fade
-    return (1.0 - phi_min) * (phi_max - phi_min) / room + phi_min
-
-
 def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
     """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
     if dose_0 >= 1.0:

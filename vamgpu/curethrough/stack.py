@@ -20,7 +20,7 @@ from vamgpu.curethrough.goo import Goo
 from vamgpu.curethrough.images import HEAD, MOST_PIXELS, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
 from vamgpu.errors import SliceError
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file, read_bytes
 from vamgpu.storage.zips import open_zip, unpacked
@@ -141,13 +141,11 @@ class FolderStack(FileStack):
         super().__init__(place, ordered(names, repr(str(path))))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
-        try:
+        with explaining("read", self.place / name):
             if most is None:
                 return read_bytes(self.place / name, MOST_BYTES)
             with open_file(self.place / name) as file:
                 return file.read(most)
-        except OSError as error:
-            raise explained("read", self.place / name, error) from error
 
 
 class ZipStack(FileStack):

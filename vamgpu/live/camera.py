@@ -115,16 +115,8 @@ class CameraPose:
         turn, shift = self._turn, np.array([self.height, self.axis]) / pitch
         return _resampled(images, turn.T, -turn.T @ shift)
 
-    def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Turn images of a camera in this pose into centered ones.
-
-        Args:
-            images: Gray levels or other values, [angle, row, column].
-            pitch: Pitch of a pixel [mm].
-
-        Returns:
-            The images, [angle, row, column].
-        """
+    def _centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
+        """Turn images of a camera in this pose, [angle, row, column], into centered ones."""
         return _resampled(images, self._turn, np.array([self.height, self.axis]) / pitch)
 
     @property
@@ -212,22 +204,7 @@ class MonitoringCamera:
         Raises:
             ShapeMismatch: A field is not of the projection's grid.
         """
-        return self._as_images(self.transmission(extinction, index)) * self.open_field
-
-    def transmission(self, extinction: Any, index: Any = None) -> np.ndarray:
-        """Share of the open field's light that a centered camera receives.
-
-        Args:
-            extinction: As for `transmitted`, [x, y, z].
-            index: As for `transmitted`, [x, y, z].
-
-        Returns:
-            The share, [angle, r, z].
-
-        Raises:
-            ShapeMismatch: A field is not of the projection's grid.
-        """
-        return 1.0 - self.darkened(extinction, index).numpy()
+        return self._as_images(1.0 - self.darkened(extinction, index).numpy()) * self.open_field
 
     def darkened(self, extinction: Any, index: Any = None) -> DeviceArray:
         """Share of the open field's light that a centered camera does not receive.
@@ -352,9 +329,9 @@ class MonitoringCamera:
         weight = np.where(good, levels**2 / np.where(good, variance, 1.0), 0.0)
         if not self.pose.centered:
             pitch = self.projection.beam.pitch
-            known = self.pose.centering(good.astype(np.float32), pitch) > 0.99  # no spline through unknown values
-            depth = self.pose.centering(depth, pitch)
-            weight = np.where(known, np.maximum(self.pose.centering(weight, pitch), 0.0), 0.0)
+            known = self.pose._centering(good.astype(np.float32), pitch) > 0.99  # no spline through unknown values
+            depth = self.pose._centering(depth, pitch)
+            weight = np.where(known, np.maximum(self.pose._centering(weight, pitch), 0.0), 0.0)
         return depth.swapaxes(1, 2), weight.swapaxes(1, 2)
 
     def measured(self, images: Any) -> tuple[DeviceArray, DeviceArray]:

@@ -22,7 +22,7 @@ from vamgpu.live.tomography import Tomograph
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explained, explaining
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import parse_json, read_text
 
@@ -188,14 +188,12 @@ class LiveRecord:
         """
         if self.begun:
             raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
-        try:
+        with explaining("write", self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / SETUP).write_text(json.dumps(asdict(setup), indent=1))
             np.save(self.folder / "live-part.npy", part)
             np.save(self.folder / "live-light.npy", light)
             (self.folder / DECISIONS).write_text("")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
@@ -209,12 +207,10 @@ class LiveRecord:
         Raises:
             StorageError: The folder cannot be written.
         """
-        try:
+        with explaining("write", self.folder):
             np.save(self._frames(decision.turn), frames)
             with (self.folder / DECISIONS).open("a") as file:
                 file.write(json.dumps(decision.entry | {"stages": _rounded(decision.stages)} | facts) + "\n")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
 
     def note(self, turn: int, stages: Mapping[str, float] | None = None, **facts: Any) -> None:
         """Add facts about a decision that are known later, such as the time of its upload.
@@ -227,11 +223,8 @@ class LiveRecord:
         Raises:
             StorageError: The folder cannot be written.
         """
-        try:
-            with (self.folder / DECISIONS).open("a") as file:
-                file.write(json.dumps({"of": turn, "stages": _rounded(stages or {})} | facts) + "\n")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
+        with explaining("write", self.folder), (self.folder / DECISIONS).open("a") as file:
+            file.write(json.dumps({"of": turn, "stages": _rounded(stages or {})} | facts) + "\n")
 
     @property
     def decisions(self) -> list[dict[str, Any]]:

@@ -66,37 +66,22 @@ def allowed_turns(turns: Sequence[int], planned: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Forecast of a print.
+    """Forecast of a print."""
 
-    Args:
-        turns: Number of remaining turns.
-        window: Strict process window, dimensionless.
-        iou: Overlap with the part at the threshold of the resin, dimensionless, 0..1.
-        least: Least overlap at the thresholds that the resin may have, dimensionless, 0..1.
-    """
-
-    turns: int
-    window: float
-    iou: float
-    least: float
+    turns: int  # number of remaining turns
+    window: float  # strict process window, dimensionless
+    iou: float  # overlap with the part at the threshold of the resin, dimensionless, 0..1
+    least: float  # least overlap at the thresholds that the resin may have, dimensionless, 0..1
 
 
 @dataclass(frozen=True, eq=False)
 class Replanned:
-    """Light of each of the turns that remain.
+    """Light of each of the turns that remain."""
 
-    Args:
-        light: Light of one turn, [angle, r, z] on the device, from 0 to the projector's limit; dark if the print should
-            stop.
-        kept: Forecast of the print with the running plan.
-        expected: Forecast with this light; its ``turns`` is the moment to stop.
-        evaluations: Projector evaluations spent; a replay with the same number finds the same light.
-    """
-
-    light: DeviceArray
-    kept: Forecast
-    expected: Forecast
-    evaluations: float
+    light: DeviceArray  # of one turn, [angle, r, z] on the device, at most the projector's; dark for a stop
+    kept: Forecast  # forecast of the print with the running plan
+    expected: Forecast  # forecast with this light; its ``turns`` is the moment to stop
+    evaluations: float  # projector evaluations spent; a replay with the same number finds the same light
 
 
 @dataclass(frozen=True, eq=False)

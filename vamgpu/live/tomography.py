@@ -53,24 +53,14 @@ class OpticalDepths:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """The field reconstructed from the images of a turn.
+    """The field reconstructed from the images of a turn."""
 
-    Attributes:
-        field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
-        cured: Conversion of the resin, [x, y, z] on the tomograph's device.
-        iterations: Projector evaluations that were made; a replay uses the same number.
-        misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
-            camera and noise are described correctly.
-        seconds: Wall time [s].
-        contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
-    """
-
-    field: DeviceArray
-    cured: DeviceArray
-    iterations: int
-    misfit: float
-    seconds: float
-    contrast: float
+    field: DeviceArray  # extinction above that of the resin before the print [1/mm], [x, y, z] on the device
+    cured: DeviceArray  # conversion of the resin, [x, y, z] on the device
+    iterations: int  # projector evaluations that were made; a replay uses the same number
+    misfit: float  # mean square of images less field, over the noise's variance: near 1 if camera and noise are right
+    seconds: float  # wall time [s]
+    contrast: float  # mean square of the images' optical depths over the variance of the noise, dimensionless
 
     @cached_property
     def extinction(self) -> np.ndarray:

@@ -35,23 +35,14 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Corner:
-    """One combination of extreme tolerances; all zero is nominal.
+    """One combination of extreme tolerances; all zero is nominal."""
 
-    Args:
-        axis: Displacement of the axis of rotation, towards +r [mm].
-        spread: Standard deviation of the point spread [mm]; None for the beam's own.
-        absorption: Relative increase of the resin's absorption.
-        index: Increase of the resin's refractive index.
-        wobble: Displacement of the vial from its axis, along x and y [mm].
-        dose: Relative increase of every dose.
-    """
-
-    axis: float = 0.0
-    spread: float | None = None
-    absorption: float = 0.0
-    index: float = 0.0
-    wobble: tuple[float, float] = (0.0, 0.0)
-    dose: float = 0.0
+    axis: float = 0.0  # displacement of the axis of rotation, towards +r [mm]
+    spread: float | None = None  # standard deviation of the point spread [mm]; None for the beam's own
+    absorption: float = 0.0  # relative increase of the resin's absorption
+    index: float = 0.0  # increase of the resin's refractive index
+    wobble: tuple[float, float] = (0.0, 0.0)  # displacement of the vial from its axis, along x and y [mm]
+    dose: float = 0.0  # relative increase of every dose
 
     @property
     def optics(self) -> Corner:
@@ -72,14 +63,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class CornerDose:
-    """Doses of one light at a corner, in units of the light.
-
-    Attributes:
-        name: Name of the corner.
-        least: Least dose inside the part.
-        leak: Greatest dose outside the part.
-        greatest: Dose anywhere.
-    """
+    """Least dose inside, greatest outside and greatest anywhere of one light at a corner, in units of the light."""
 
     name: str
     least: float
@@ -94,11 +78,7 @@ class CornerDose:
 
 @dataclass(frozen=True)
 class CornerDoses:
-    """Doses of one light at every corner, the nominal one first.
-
-    Attributes:
-        corners: All of them.
-    """
+    """Doses of one light at every corner, the nominal one first."""
 
     corners: tuple[CornerDose, ...]
 
@@ -124,11 +104,7 @@ class CornerDoses:
         return (self.darkest.least - max(self.leakiest.leak, 0.0)) / greatest if greatest > 0.0 else -1.0
 
     def statement(self) -> str:
-        """The window in words, and the two corners that limit it.
-
-        Returns:
-            One sentence.
-        """
+        """The window in a sentence, with the two corners that limit it."""
         return (
             f"strict window {self.window:+.3f} with one threshold for {len(self.corners)} corners, {self.nominal:+.3f} "
             f"nominal; least dose in the part at {self.darkest.name}, most outside at {self.leakiest.name}"

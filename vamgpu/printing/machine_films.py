@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vamgpu.curethrough.images import encode_colors
 from vamgpu.errors import BadInput
 from vamgpu.printing.export import Canvas, export
 from vamgpu.quantity import positive
 from vamgpu.storage.atomic import check_folder, replacing
+from vamgpu.storage.images import encode_png
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
@@ -25,15 +26,7 @@ HDMI = 60.0
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine, and how its files are made.
-
-    Args:
-        size: Columns and rows of its images.
-        fastest: Images per second that it shows.
-        speed: Greatest speed of its stage [rpm].
-        write: Writes its files.
-        notes: What its operator has to know.
-    """
+    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and what its operator has to know."""
 
     size: tuple[int, int]
     fastest: float
@@ -63,27 +56,12 @@ def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
     dark: tuple[float, float] = (0.0, 0.0), channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames as the files of a machine, and a card beside them.
+    """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
 
-    Args:
-        machine: ``"opencal"``, ``"tvam-code"``, ``"rotary"`` or ``"lightcrafter"``.
-        frames: The frames, of equal angles over a full turn.
-        folder: An existing folder.
-        name: Name of the part, with which those of the files begin.
-        rpm: Speed of the turntable [rpm].
-        canvas: Placement, and number of turns; its size is by default that of the machine.
-        dark: Seconds without light before the first turn and after the last; made whole turns, so that a film that
-            is played in a loop begins at the same angle again.
-        channel: ``"red"``, ``"green"`` or ``"blue"`` to light one channel of a film alone.
-        overwrite: Whether to replace files.
-
-    Returns:
-        The file or folder, and its card.
-
-    Raises:
-        BadInput: The machine is unknown, cannot show the frames so fast, or cannot turn so fast; or an argument is
-            out of its range.
-        StorageError: A file exists or cannot be written.
+    name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
+    seconds without light before the first turn and after the last, made whole turns: a film that is played in a loop
+    then begins at the same angle again. channel: the only one that is lit: "red", "green" or "blue". Raises `BadInput`
+    if the machine cannot show or turn so fast, `StorageError`.
     """
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
@@ -159,18 +137,13 @@ def _tvam_code(film: Film, folder: Path) -> Path:
 
 def _lightcrafter(film: Film, folder: Path) -> Path:
     """Images of 24 bits with three frames each, in the order in which the controller takes them: green, red, blue."""
-    place, group = folder / f"{film.name}-lightcrafter", []
+    place = folder / f"{film.name}-lightcrafter"
+    images = iter(replace(film.canvas, repeats=1, dark=(0, 0)).images(film.frames))
     with replacing(place, overwrite=film.overwrite) as draft:
         draft.mkdir()
-        images, number = replace(film.canvas, repeats=1, dark=(0, 0)).images(film.frames), 0
-        for image in images:
-            group.append(image)
-            if len(group) == 3:
-                (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
-                group, number = [], number + 1
-        if group:
-            group += [np.zeros_like(group[0])] * (3 - len(group))
-            (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
+        for number, (green, *others) in enumerate(zip_longest(images, images, images)):
+            red, blue = (np.zeros_like(green) if each is None else each for each in others)
+            (draft / f"{number:04d}.png").write_bytes(encode_png(np.stack([red, green, blue], 2)))
     return place
 
 

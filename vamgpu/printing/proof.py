@@ -16,12 +16,12 @@ from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.methods.part import idle_light, lit_pixels
-from vamgpu.metrics import Parts, Scores, SliceScores
+from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
 from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
 from vamgpu.metrics.mesh_union import joined
-from vamgpu.metrics.parts import EVERYWHERE, IN
+from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
 from vamgpu.metrics.thin_regions import Unjudged, unjudged
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.operators.projection import Projection

@@ -98,10 +98,7 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
 
 
 def read_task(path: Path) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Solid]], tuple[str, ...]]:
-    """Job of a configuration, to be solved by `vam solve`, and its bodies: the part, then inserts.
-
-    Raises `StorageError`, `BadInput`, `MeshError`.
-    """
+    """Job of a configuration, and its bodies, the part first. Raises `StorageError`, `BadInput`, `MeshError`."""
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]
