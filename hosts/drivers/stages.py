@@ -22,7 +22,7 @@ from vamgpu.errors import (
     WrongDevice,
 )  # fmt: skip
 from vamgpu.hosts.drivers import zaber_protocol as zaber
-from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
+from vamgpu.hosts.drivers.cleanup import Closable, ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
 
 
@@ -46,33 +46,55 @@ POLL = 0.02  # time between two queries whether an axis moves [s]
 
 
 class PolledStage(ClosedOnce):
-    """An axis whose motion is polled; when closed, it stops and releases its line."""
+    """An axis whose motion is polled; when closed, it stops and releases its line.
+
+    microsteps: per unit, mm or deg.  patience_s: longest time beyond that of a motion [s].
+    """
 
     unit: str
+    microsteps: float
     called = "a stage"
 
-    def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
-        self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
+    def __init__(
+        self, line: Closable, name: str, microsteps: float, unit: str = "deg", patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:  # fmt: skip
+        self._line, self._name, self.microsteps, self.unit = line, name, microsteps, unit
+        self._patience, self._pause = patience_s, pause
+        with closed_on_error(line):
+            geared(microsteps, unit)
+            self._start()
+
+    def _start(self) -> None:
+        """Check that the machine is there, and make it ready."""
 
     def position(self) -> float:
         """Reported position of the axis."""
         raise NotImplementedError
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
+        """Start moving at a constant speed; 0 stops the axis."""
         raise NotImplementedError
 
     def busy(self) -> bool:
         """Whether the axis moves."""
         raise NotImplementedError
 
-    def stop(self) -> None:
-        """Start to stop the axis."""
-        raise NotImplementedError
+    def move(self, position: float, speed: float) -> None:
+        """Start moving to a position, at most at a speed; a motor that only knows speeds is there on return."""
+        above_zero(speed)
+        self._move(position, speed)
 
-    def release(self) -> None:
-        """Release the line."""
-        raise NotImplementedError
+    def _move(self, position: float, speed: float) -> None:
+        """Run until the axis has passed a position, then stop it."""
+        way, waited = position - self.position(), 0.0
+        self.run(copysign(speed, way))
+        while (position - self.position()) * way > 0.0:
+            if waited > abs(way) / speed + self._patience:
+                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
+            self._pause(POLL)
+            waited += POLL
+        self.run(0.0)
 
     def wait(self) -> None:
         """Return when the axis is at rest; DeviceError if that exceeds the stage's patience."""
@@ -83,19 +105,15 @@ class PolledStage(ClosedOnce):
             self._pause(POLL)
             waited += POLL
 
-    def run_to(self, position: float, speed: float) -> None:
-        """Run until the axis has passed a position, then stop it; for motors that only know speeds."""
-        way, waited = position - self.position(), 0.0
-        self.run(copysign(speed, way))
-        while (position - self.position()) * way > 0.0:
-            if waited > abs(way) / speed + self._patience:
-                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
-            self._pause(POLL)
-            waited += POLL
+    def stop(self) -> None:
+        """Start to stop the axis."""
         self.run(0.0)
 
+    def release(self) -> None:
+        """Release the line."""
+        self._line.close()
+
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and release the line."""
         return self.stop, self.release
 
 
@@ -196,20 +214,13 @@ class ZaberStage(PolledStage):
     output: digital output that triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both.
     """
 
-    microsteps: float
-
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
-        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, encoder: bool = False,
-        output: int = 1, gate: int | None = None,
+        encoder: bool = False, output: int = 1, gate: int | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        super().__init__(f"stage {device}", unit, patience_s, pause)
-        self.microsteps, self._device, self._axis, self._output, self._gate = microsteps, device, axis, output, gate
-        with closed_on_error(link):
-            geared(microsteps, unit)
-            self._link = ZaberLines(link) if isinstance(link, Wire) else link
-            self._place = "get encoder.pos" if encoder else "get pos"
-            self.kind: int = self._start()
+        self._device, self._axis, self._output, self._gate = device, axis, output, gate
+        self._place = "get encoder.pos" if encoder else "get pos"
+        super().__init__(link, f"stage {device}", microsteps, unit, **options)
 
     @classmethod
     def open(
@@ -219,10 +230,12 @@ class ZaberStage(PolledStage):
         """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
         return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis, **options)
 
-    def _start(self) -> int:
-        """The kind of device, once its encoder and its microsteps per turn are those of the rig's file."""
+    def _start(self) -> None:
+        """Check that its encoder and its microsteps per turn are those of the rig's file."""
+        line: Any = self._line
+        self._link: ZaberLink = ZaberLines(line) if isinstance(line, Wire) else line
         try:
-            kind = self._whole("get deviceid")
+            self.kind: int = self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
             raise WrongDevice(f"{self._link.name} does not answer as a Zaber device: {error}") from error
         try:
@@ -234,7 +247,6 @@ class ZaberStage(PolledStage):
                 f"{self._link.name} has {turn} microsteps per turn, {turn / 360:.8g} per degree; expected "
                 f"{self.microsteps:.8g}, the file's: every angle would be wrong; set microsteps = {turn / 360!r}"
             )
-        return kind
 
     def turn(self) -> int:
         """Microsteps per turn, from the device; 0 for a linear one."""
@@ -266,31 +278,22 @@ class ZaberStage(PolledStage):
         return self._link.exchange(self._device, self._axis if axis is None else axis, text)
 
     def position(self) -> float:
-        """Reported position of the axis."""
         return self._whole(self._place) / self.microsteps
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         self.ask(f"set maxspeed {self._speed(speed)}")
         self.ask(f"move abs {round(position * self.microsteps)}")
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         self.ask("stop" if speed == 0 else f"move vel {self._speed(speed)}")
 
     def _speed(self, speed: float) -> int:
         return round(speed * self.microsteps * zaber.SPEED_UNITS)
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         message = self._exchange("")
         zaber.accept(message, "")
         return message.busy
-
-    def stop(self) -> None:
-        """Start to stop the axis."""
-        self.ask("stop")
 
     def trigger_every(self, distance: float) -> None:
         """Raise the output each time the axis has traveled a distance, first after half of it; 0 ends it."""
@@ -313,10 +316,6 @@ class ZaberStage(PolledStage):
             texts.append(f"trigger {output} enable")
         for text in texts:
             zaber.accept(self._exchange(text, axis=0), text)
-
-    def release(self) -> None:
-        """Release the line."""
-        self._link.close()
 
 
 def _axis(uri: str) -> Any:
