@@ -8,7 +8,6 @@ from typing import NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
-from vamgpu.hosts.drivers.text_line import exchange
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 
@@ -60,7 +59,7 @@ class DiodeLaser(ClosedOnce):
 
     def _tell(self, text: str, pattern: str | None = None) -> str:
         """Send a command or query; its answer."""
-        return exchange(self._wire, f"{text}\r", pattern or self._says.accepted, self._says.refused).string
+        return self._wire.exchange(f"{text}\r", pattern or self._says.accepted, self._says.refused).string
 
     def on(self, power: float = 1.0) -> None:
         """Turn the light on at a share of the power; DeviceRefused with an open interlock."""

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.stages import PolledStage
-from vamgpu.hosts.drivers.text_line import MOST, exchange
-from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.drivers.wire import MOST, Wire, open_wire
 
 TRIES = 16  # queries until a board that restarts at the opening of its port must have answered
 SLOW = 0.2  # time in which a moving axis makes a step at least [s]
@@ -54,7 +53,7 @@ class TextStage(PolledStage):
         raise WrongDevice(f"{self._wire.name} does not answer {self._says.ask!r}; check port, baud and firmware")
 
     def _ask(self) -> re.Match[str]:
-        return exchange(self._wire, self._says.ask, self._says.answer, self._says.refused)
+        return self._wire.exchange(self._says.ask, self._says.answer, self._says.refused)
 
     def _tell(self, template: str, speed: float, position: float = 0.0, way: float = 0.0) -> None:
         text = template.format(
@@ -62,7 +61,7 @@ class TextStage(PolledStage):
             steps_per_s=speed * self.microsteps,
         )  # fmt: skip
         if self._says.accepted:
-            exchange(self._wire, text, self._says.accepted, self._says.refused)
+            self._wire.exchange(text, self._says.accepted, self._says.refused)
         else:
             self._wire.send(text.encode("latin-1"))
 

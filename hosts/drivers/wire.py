@@ -9,15 +9,17 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
+from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers.cleanup import Closing, extra
 
 log: logging.Logger = logging.getLogger(__name__)
+MOST = 200  # most lines of text before an answer
 
 
 class Port(Protocol):
@@ -180,6 +182,21 @@ class Wire(Closing):
                     break
                 self._ahead += more
         return self._take(end + 1 if end >= 0 else longest)
+
+    def exchange(self, text: str, pattern: str, refused: str) -> re.Match[str]:
+        """Send a text; the first line that matches the pattern. DeviceRefused at a line that matches ``refused``."""
+        with self.lock:
+            self.drain()
+            self.send(text.encode("latin-1"))
+            for _ in range(MOST):
+                if not (raw := self.line()):
+                    break
+                line = raw.decode("ascii", "replace").strip()
+                if error := re.search(refused, line):
+                    raise DeviceRefused(f"{self.name} refused {text.strip()!r}: {line}", error[0])
+                if found := re.search(pattern, line):
+                    return found
+        raise DeviceLost(f"{self.name} does not answer {text.strip()!r}; check its power and its plug")
 
     def _take(self, size: int) -> bytes:
         taken = bytes(self._ahead[:size])

@@ -9,7 +9,7 @@ from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.mirrors import closest, rising, sla, turned, web
+from vamgpu.hosts.schedules.mirrors import closest, rising, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import DAY, SECOND
 
@@ -69,7 +69,7 @@ def triggered_schedule(
     if turns != 1:
         raise BadInput(f"turns is {turns}; expected 1, because only vials have several turns")
     if first.kind == "slices":
-        return sla(first.poses, pitch=first.advance, **common)
+        return web(first.poses, advance=first.advance, **common)
     lens = setup.lens
     if lens is not None and lens.controlled_by == "host":
         focus = ()  # the host sets the focus before the print
