@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Self
@@ -82,7 +81,6 @@ class Controller(Closing):
         self._ramp: float | None = None
         self._measuring: tuple[Encoder | None, Index | None] = (None, None)
         self.events: deque[tuple[str, ...]] = deque(maxlen=1000)
-        self.repeated: int = 0
         with closed_on_error(wire):
             self._start()
 
@@ -126,7 +124,6 @@ class Controller(Closing):
             line = protocol.encode(self._number, verb, *arguments)
             for attempt in range(TRIES):
                 if attempt:
-                    self.repeated += 1
                     log.warning("controller: %s again", verb)
                 self._wire.send(line)
                 reply = self._answer()
@@ -210,13 +207,6 @@ class Controller(Closing):
     def row(self, row: ControllerRow) -> int:
         """Queue one slot; returns how many more fit."""
         return int(self.ask("row", *row.words())[0])
-
-    def load(self, rows: Iterable[ControllerRow]) -> int:
-        """Queue slots in order while they fit; returns how many more fit."""
-        free = self.capacity
-        for row in rows:
-            free = self.row(row)
-        return free
 
     def end(self, count: int) -> None:
         """Set the number of rows of the print."""

@@ -86,5 +86,4 @@ class DiodeLaser(ClosedOnce):
             raise DeviceError(f"{self._wire.name} is off, and should be on; check its interlock and its temperature")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Turn the light off, and release the port."""
         return self.off, self._wire.close

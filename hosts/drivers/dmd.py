@@ -34,7 +34,6 @@ class SequenceLimits:
 
     least_picture_us: int
     greatest_picture_us: int
-    least_illuminate_us: int
     on_us: int
 
 
@@ -133,8 +132,11 @@ class Dmd(ClosedOnce):
         self.call("AlpProjHalt")
         self.call("AlpDevHalt")
 
+    def off(self) -> None:
+        """Deflect the light, as a switch of it."""
+        self.halt()
+
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Halt, rest the mirrors and release the device."""
         return (
             partial(self.call, "AlpProjHalt"),
             partial(self.call, "AlpDevHalt"),
@@ -169,7 +171,7 @@ class PlaneSequence:
 
     def limits(self) -> SequenceLimits:
         """The device's limits for these frames, and their present lit time."""
-        kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.MIN_ILLUMINATE_TIME, alp.ON_TIME)
+        kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.ON_TIME)
         return SequenceLimits(*(self.inquire(kind) for kind in kinds))
 
     def retime(self, timing: SlotTiming) -> None:

@@ -122,7 +122,6 @@ class LightCrafter(ClosedOnce):
             raise DeviceError("the projector's LEDs are off, and should be on; check its temperature and its power")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Turn the light off, stop, and release."""
         return self.off, partial(self._ask, dlpc350.DISPLAY, b"\0", "the stop"), self._device.close
 
 

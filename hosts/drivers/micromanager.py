@@ -124,7 +124,6 @@ class MicroManagerCamera(_Device):
             raise DeviceRefused(f"{self.label} exposes {found:g} us after {exposure_us:g} us were set", "exposure")
 
     def grab(self) -> np.ndarray:
-        """Take an image."""
         self._call("snapImage", lost=DeviceLost)
         image = np.array(self._call("getImage", lost=DeviceLost))
         if image.ndim != 2:
@@ -132,5 +131,4 @@ class MicroManagerCamera(_Device):
         return image
 
     def close(self) -> None:
-        """Release the core; may be called more than once."""
         self.release()

@@ -149,7 +149,6 @@ class ZaberLines:
         wire.drain()
 
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
-        """Send a command and return the reply."""
         with self._wire.lock:
             self._number = (self._number + 1) % 96
             self._wire.send(zaber.command(device, axis, self._number, text))
@@ -161,7 +160,6 @@ class ZaberLines:
         raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number")
 
     def close(self) -> None:
-        """Release the port."""
         self._wire.close()
 
 
@@ -191,7 +189,6 @@ class ZaberConnection:
             ) from error
 
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
-        """Send a command and return the reply."""
         try:
             found = self._connection.generic_command(text, device, axis, check_errors=False, timeout=self._timeout)
         except self._library.RequestTimeoutException as error:
@@ -368,18 +365,15 @@ class StandaStage(ClosedOnce):
         self._call("set_move_settings", settings)
 
     def position(self) -> float:
-        """Reported position of the axis."""
         found = self._call("get_position")
         return (found.Position + found.uPosition / self._fraction) / self.steps
 
     def move(self, position: float, speed: float) -> None:
-        """Start moving to a position."""
         above_zero(speed)
         self._speed(speed)
         self._call("command_move", *self._split(position))
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         if speed == 0:
             self.stop()
             return
@@ -387,13 +381,10 @@ class StandaStage(ClosedOnce):
         self._call("command_right" if speed > 0 else "command_left")
 
     def wait(self) -> None:
-        """Return when the axis is at rest."""
         self._call("command_wait_for_stop", 10)
 
     def stop(self) -> None:
-        """Start to stop the axis."""
         self._call("command_sstp")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and release the axis."""
         return self.stop, partial(self._call, "close_device")

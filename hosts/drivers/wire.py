@@ -44,19 +44,16 @@ class _MessagePort:
         raise NotImplementedError
 
     def read(self, size: int = 1, /) -> bytes:
-        """Receive from the present message, or the next."""
         if not self._pending:
             self._pending = self._message()
         taken, self._pending = self._pending[:size], self._pending[size:]
         return taken
 
     def reset_input_buffer(self) -> None:
-        """Discard received bytes."""
         self._pending = b""
 
     @property
     def in_waiting(self) -> int:
-        """Unread bytes of the message."""
         return len(self._pending)
 
 
@@ -74,14 +71,12 @@ class UsbtmcPort(_MessagePort):
             raise
 
     def write(self, data: bytes, /) -> int:
-        """Send one message."""
         return os.write(self._file, data)
 
     def _message(self) -> bytes:
         return os.read(self._file, 4096)
 
     def close(self) -> None:
-        """Release the instrument."""
         os.close(self._file)
 
 
@@ -93,7 +88,6 @@ class VisaPort(_MessagePort):
         resource.timeout = round(timeout_s * 1000)
 
     def write(self, data: bytes, /) -> int:
-        """Send one message."""
         try:
             return self._resource.write_raw(data)
         except _visa().errors.Error as error:
@@ -109,7 +103,6 @@ class VisaPort(_MessagePort):
             raise OSError(errno.EIO, str(error)) from error
 
     def close(self) -> None:
-        """Release the instrument."""
         self._resource.close()
 
 

@@ -41,7 +41,6 @@ class EmulatedMeter(LineDevice):
         self.wavelength, self.count = 405.0, 1
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         for line in self.lines(data):
             if words := line.decode("ascii", "replace").upper().split():
                 answer = self._answer(words, now)
@@ -266,7 +265,6 @@ class RigCamera(EmulatedCamera):
         self.emulated, self.pixel = emulated, pixel
 
     def grab(self) -> np.ndarray:
-        """Take an image [row, column]; the clock passes the exposure."""
         start = self.clock.now()
         end = start + round(self.exposure_us * MICRO)
         self.clock.sleep_until(end)

@@ -103,7 +103,6 @@ class EmulatedLens(LineDevice):
     # the line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self.advance(now)
         self._buffer += data
         self._heard = now
@@ -236,7 +235,6 @@ class LensInput(LineDevice):
         lens._heard, self._heard = self._heard, lens._heard
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self._swap()
         self._lens.receive(data, now)
         self._swap()

@@ -62,7 +62,6 @@ class EmulatedStage(LineDevice):
                     self.on_trigger(at)
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self.advance(now)
         self._after = now
         for line in self.lines(data):
@@ -182,7 +181,6 @@ class EmulatedStepper:
         self.stalled = True
 
     def edges(self) -> tuple[int, ...]:
-        """Times of the index since the last call [ns]."""
         found, now = [], self.clock.now()
         for piece, (at, place, speed) in enumerate(self._pieces):
             end = self._pieces[piece + 1][0] if piece + 1 < len(self._pieces) else now
@@ -193,5 +191,4 @@ class EmulatedStepper:
         return tuple(at for at in dict.fromkeys(found) if asked < at <= now)
 
     def close(self) -> None:
-        """Stop the pulses."""
         self.rate(0.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch, Underrun, VamError
 from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
-from vamgpu.hosts.frames.lateness import Action, LatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import LatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.packer import PlanePacker
 from vamgpu.hosts.frames.versions import Boundaries
 from vamgpu.hosts.schedules.clock import Clock
@@ -237,7 +237,7 @@ class UploadQueue:
                 continue
             pose = int(self._poses[slot - self._preroll])
             log.warning("angle %d is black: its frame is missing", pose)
-            if self._policy.drop(pose) is Action.STOP:
+            if self._policy.drop(pose):
                 raise Underrun(
                     f"{self._policy.stopped}, the last at angle {pose}: the light is off; print slower, or make "
                     "frames faster"

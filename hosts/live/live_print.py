@@ -12,11 +12,10 @@ from vamgpu.backend import open_device
 from vamgpu.errors import BadInput, JobError
 from vamgpu.geometry import positive
 from vamgpu.hosts.live.planner import PLACE, light_of
-from vamgpu.hosts.process.execution import carry_out, check, close, opened, plan, read_rig, rehearsal
 from vamgpu.hosts.process.live_link import LiveOrder
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState
-from vamgpu.hosts.rigs.planning import PrintPlan
+from vamgpu.hosts.rig import PrintPlan, carry_out, check, close, opened, plan, read_rig, rehearsal
 from vamgpu.hosts.rigs.rehearsal import curing
 from vamgpu.hosts.schedules.timing import whole
 from vamgpu.jobs.run import prove

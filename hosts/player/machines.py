@@ -246,14 +246,3 @@ class ScreenBlackout:
         self.dark = True
         if threading.get_ident() == self._owner:
             self._projector.black()
-
-
-class MirrorBlackout:
-    """Mirrors as a switch that turns the light off."""
-
-    def __init__(self, dmd: Dmd) -> None:
-        self._dmd = dmd
-
-    def off(self) -> None:
-        """Halt: the mirrors deflect the light."""
-        self._dmd.halt()

@@ -17,7 +17,7 @@ import numpy as np
 from vamgpu.errors import Underrun
 from vamgpu.hosts.drivers.cleanup import run_all
 from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.frames.lateness import Action, Repeats, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import Repeats, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
 from vamgpu.hosts.player.machines import ScreenBlackout, VideoFrames, VideoMachines, gate, recover
 from vamgpu.hosts.player.motor import SpeedMonitor
@@ -310,7 +310,7 @@ class SpinningPlayer:
         wanted = self._wanted(pose)
         light = self._lit.take(wanted)
         for slot in light.missing:
-            self._stopped |= self._missed.policy.drop(slot) is Action.STOP
+            self._stopped |= self._missed.policy.drop(slot)
             self._missed.miss(slot % self._turn, self._version(slot))
         dark = bool(wanted) and not light.times
         on = self._on * (len(wanted) if dark else light.times)
@@ -367,7 +367,6 @@ class SpinningPlayer:
 
     @property
     def pending_versions(self) -> set[int]:
-        """Versions of slots that were not shown."""
         return self._missed.missed
 
     def wait(self) -> None:
@@ -411,13 +410,11 @@ class SpinningPlayer:
         return True
 
     def repeat(self, slots: range) -> None:
-        """Show frames of a vial once more, in an added turn."""
         for slot in range(slots.start * self._repeats, slots.stop * self._repeats):
             self._missed.policy.drop(slot % self._turn)
             self._missed.miss(slot % self._turn, self._version(slot))
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A frame for display, of the only projector."""
         version = 0 if self.versions is None else self.versions.frames * self.versions.at(self._kept)
         frame = self._frames.frame(number + version)
         return self._black if frame is None else frame

@@ -192,7 +192,7 @@ def plan(
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
         of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
-        least = round(max(times[first.bits] for times in frame_times(rig, len(mirrors))) * SECOND)
+        least = round(max(times[first.bits] for times, _ in frame_times(rig, len(mirrors))) * SECOND)
     dose: GivenDose | None = None
     taken: list[Proven] = []
     if first.frames is None:

@@ -36,16 +36,10 @@ def _row_bytes(columns: int) -> int:
     return 256 if columns == 1920 else -(-columns // 8)
 
 
-def frame_times(rig: RigConfig, engines: int) -> list[dict[int, float]]:
-    """Shortest time of a frame [s] with ``bits``, for each array."""
-    sections = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
-    return [{8: section.frame_time, 1: 1e-4} for section in sections[:engines]]
-
-
-def duties(rig: RigConfig, engines: int) -> list[float]:
-    """Greatest lit share of a time slot, for each array."""
+def frame_times(rig: RigConfig, engines: int) -> list[tuple[dict[int, float], float]]:
+    """Shortest time of a frame [s] by bits, and greatest lit share of a time slot, for each array."""
     sections: Any = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
-    return [section.duty for section in sections[:engines]]
+    return [({8: section.frame_time, 1: 1e-4}, section.duty) for section in sections[:engines]]
 
 
 def triggered_schedule(
@@ -61,7 +55,7 @@ def triggered_schedule(
             frame=times, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
             dark=round(max(GUARD, 1.0 - duty) * pose / planes, 6),
         )
-        for each, times, duty in zip(mirrors, frame_times(rig, len(mirrors)), duties(rig, len(mirrors)), strict=True)
+        for each, (times, duty) in zip(mirrors, frame_times(rig, len(mirrors)), strict=True)
     )  # fmt: skip
     common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": setup.light.power}
     if first.advance is None:
