@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Self
@@ -131,28 +132,27 @@ class Controller(Closing):
                     return self._accept(verb, reply)
         raise DeviceLost(f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power")
 
-    def _answer(self) -> Reply | None:
-        """The reply to the last number; None if it is missing, or the command must be repeated."""
+    def _replies(self, wait: bool = True) -> Iterator[Reply]:
+        """Replies, without malformed ones; events are kept. wait: for the next line."""
         for _ in range(LONGEST_BABBLE):
-            line = self._wire.line(protocol.LONGEST_LINE)
+            line = self._wire.line(protocol.LONGEST_LINE) if wait or self._wire.waiting() else b""
             if not line:
-                return None
+                return
             try:
                 reply = protocol.parse(line)
             except ProtocolError as error:
                 log.warning("controller: %s", error)
                 continue
             if reply.kind == "!":
-                self._note(reply.words)
-            elif reply.kind == "?":
-                return None
-            elif reply.number == self._number:
-                return reply
-        return None
+                log.info("controller says %s", " ".join(reply.words))
+                self.events.append(reply.words)
+            else:
+                yield reply
 
-    def _note(self, words: tuple[str, ...]) -> None:
-        log.info("controller says %s", " ".join(words))
-        self.events.append(words)
+    def _answer(self) -> Reply | None:
+        """The reply to the last number; None if it is missing, or the command must be repeated."""
+        found = next((each for each in self._replies() if each.kind == "?" or each.number == self._number), None)
+        return None if found is None or found.kind == "?" else found
 
     @staticmethod
     def _accept(verb: str, reply: Reply) -> tuple[str, ...]:
@@ -164,16 +164,7 @@ class Controller(Closing):
     def poll(self) -> tuple[tuple[str, ...], ...]:
         """Return the controller's events since the last call."""
         with self._wire.lock:
-            for _ in range(LONGEST_BABBLE):
-                if not self._wire.waiting():
-                    break
-                try:
-                    reply = protocol.parse(self._wire.line(protocol.LONGEST_LINE))
-                except ProtocolError as error:
-                    log.warning("controller: %s", error)
-                    continue
-                if reply.kind == "!":
-                    self._note(reply.words)
+            deque(self._replies(wait=False), maxlen=0)
         taken = tuple(self.events)
         self.events.clear()
         return taken

@@ -38,10 +38,7 @@ class SequenceLimits:
 
 
 class Dmd(ClosedOnce):
-    """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first.
-
-    rising: the trigger's edge.
-    """
+    """An array of mirrors, in whose memory ``memory_planes`` bit planes fit at first. rising: edge of its trigger."""
 
     called = "the DMD"
 

@@ -46,10 +46,7 @@ POLL = 0.02  # time between two queries whether an axis moves [s]
 
 
 class PolledStage(ClosedOnce):
-    """An axis whose motion is polled; when closed, it stops and releases its line.
-
-    microsteps: per unit, mm or deg.  patience_s: longest time beyond that of a motion [s].
-    """
+    """An axis with ``microsteps`` per unit, whose motion is polled; when closed, it stops and releases its line."""
 
     unit: str
     microsteps: float
@@ -206,10 +203,7 @@ class ZaberConnection:
 
 
 class ZaberStage(PolledStage):
-    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``.
-
-    output: digital output that triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both.
-    """
+    """One axis. output: triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both."""
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,

@@ -1,7 +1,4 @@
-"""A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
-
-``EmulatedAlp.library`` has real C functions; wrong integer widths or bad pointers therefore fail as on the device.
-"""
+"""A mirror array behind real C functions of the ALP library, where wrong integer widths and bad pointers fail."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The emulated controller of web, trigger, lens and light: its line, and the timing of its rows.
-
-Its limits are defined separately; a wrong limit in the driver's protocol is therefore rejected here.
-"""
+"""The emulated controller of web, trigger, lens and light, which rejects a wrong limit in the driver's protocol."""
 
 from __future__ import annotations
 
@@ -304,9 +301,9 @@ class EmulatedController(LineDevice):
         return f"ok vam-controller 3 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> None:
-        self.lease_end: int = now + milliseconds * MILLI
+        self.lease_end = until = now + milliseconds * MILLI
         if self.on_lease is not None:
-            self.on_lease(self.lease_end, now)
+            self.on_lease(until, now)
 
     def _do_arm(self, now: int) -> str | None:
         if not self.interlock_closed:

@@ -1,7 +1,4 @@
-"""An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
-
-Its lengths and check sums are defined separately; a mistake in the driver's coding therefore cannot be in both.
-"""
+"""An emulated Lens Driver 4 with its lens; lengths and check sums are defined separately from the driver's coding."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough.
-
-On a real clock a thread takes the images; on a simulated clock they are taken when due.
-"""
+"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough."""
 
 from __future__ import annotations
 
@@ -60,6 +57,7 @@ class ScatterWatch:
         self._saturated: float | None = None
         self._failed: BaseException | None = None
         self._seen, self._leave = threading.Event(), threading.Event()
+        # on a simulated clock, images are taken when due
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
         try:
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")

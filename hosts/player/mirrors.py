@@ -18,7 +18,7 @@ from vamgpu.hosts.frames.packer import packer
 from vamgpu.hosts.frames.sources import FrameSource
 from vamgpu.hosts.frames.upload import BUFFERS, UploadQueue, guard, length
 from vamgpu.hosts.frames.versions import Boundaries, FrameVersion, FrameVersions
-from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, late_policy, shows
+from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, late_policy, recover, shows
 from vamgpu.hosts.player.motor import POLL
 from vamgpu.hosts.player.player import Renew
 from vamgpu.hosts.records.record import FrameRecord
@@ -174,6 +174,10 @@ class MirrorPlayer(ABC, Generic[M]):
         sure = min(self._kept, self._punctual)
         self._kept = max(self._kept, min(self._first + self._triggered() - self._preroll, len(self.schedule)))
         return range(max(sure - 1, self._first), self._kept)
+
+    def recover(self) -> None:
+        """Reconnect to controller and lens."""
+        recover(self.machines)
 
     def _close(self) -> None:
         queues, self._queues = self._queues, []

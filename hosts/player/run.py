@@ -1,7 +1,4 @@
-"""Run a print: prime, light, poll, record, feed; in any event, the light goes off first.
-
-The cause may be temporary, such as an open door: the print is then held, and `Print.run` continues it.
-"""
+"""Run a print: the light goes off first in any event; if its cause may pass, the print is held and can continue."""
 
 from __future__ import annotations
 

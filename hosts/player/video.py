@@ -1,7 +1,4 @@
-"""Plays a vial's schedule on a video projector: the stage's angle selects the frame of every slot, not the clock.
-
-The light is steady, and black frames switch it off. Missed slots are shown in an added turn.
-"""
+"""Plays a vial's schedule on a video projector: the stage's angle, not the clock, selects the frame of every slot."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import Underrun
-from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.cleanup import all_of
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.frames.lateness import Repeats, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
@@ -204,10 +201,7 @@ STATUS = 6  # video frames between two status queries to the controller; its eve
 
 
 class SpinningPlayer:
-    """Plays the schedule of `vamgpu.hosts.schedules.video`; pose 0 is at the zero of the stage.
-
-    turns: most turns added for missed slots.
-    """
+    """Plays the schedule of `vamgpu.hosts.schedules.video`; ``turns`` are added at most for missed slots."""
 
     schedule: Schedule
     display: HdmiTiming
@@ -390,8 +384,7 @@ class SpinningPlayer:
 
     def halt(self) -> None:
         """Show black, and stop the stage; each even if the other fails."""
-        if failed := run_all(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
-            raise failed[0]
+        all_of(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait)
 
     def add_repeats(self) -> bool:
         """Add a turn with the missed slots. Raises `Underrun` if the added turns did not show them."""

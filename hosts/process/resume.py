@@ -58,10 +58,7 @@ class Interrupted:
 
 
 def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> tuple[dict[str, Any], float, bool]:
-    """The last run segment of a dead host, its last sign of light [s], and whether it turned the light off.
-
-    Raises `BadInput` if its print cannot be resumed.
-    """
+    """A dead host's last run segment, last sign of light [s], and whether it went off. Raises `BadInput`."""
     path = run.path
     if run.state is not PrintState.PRINTING and not run.state.waits:
         raise BadInput(f"{str(path)!r} is {run.state.value}; only interrupted prints can be resumed")
