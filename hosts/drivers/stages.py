@@ -151,9 +151,8 @@ class ZaberLines:
             self._wire.send(zaber.command(device, axis, self._number, text))
             while line := self._wire.line():
                 message = zaber.parse(line)
-                if message.kind == "@" and message.device == device and message.number == self._number:
+                if message.device == device and message.number == self._number:
                     return message
-                log.info("stage says %s", message)
         raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number")
 
     def close(self) -> None:
@@ -195,7 +194,7 @@ class ZaberConnection:
         except self._library.MotionLibException as error:
             raise ProtocolError(f"{self.name} answered {text!r} badly ({error.message}); check the port") from error
         accepted, busy = found.reply_flag == "OK", found.status == "BUSY"
-        return zaber.Message("@", device, axis, None, accepted, busy, found.warning_flag, found.data)
+        return zaber.Message(device, None, accepted, busy, found.warning_flag, found.data)
 
     def close(self) -> None:
         """Release the port; may be called more than once."""
