@@ -70,7 +70,6 @@ class Controller(Closing):
     """The controller: it answers every command; a command is repeated if its answer is lost or malformed."""
 
     capacity: int
-    longest_lease_ms: int
     channels: int
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
@@ -96,7 +95,7 @@ class Controller(Closing):
         self._wire.drain()
         try:
             words = self.ask("hello")
-            name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
+            name, version, capacity, _, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
         except (DeviceLost, DeviceRefused, ProtocolError, ValueError, IndexError) as error:
             raise WrongDevice(f"{self._wire.name} does not answer as a controller: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
@@ -104,7 +103,7 @@ class Controller(Closing):
                 f"{self._wire.name} is {name} version {version}; expected {protocol.NAME} version {protocol.VERSION}, "
                 "which measures the position: load the sketch of this library (hosts/firmware)"
             )
-        self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
+        self.capacity, self.channels = capacity, channels
 
     def revive(self) -> None:
         """Open the port again if the controller does not answer, as after it was unplugged."""

@@ -38,7 +38,7 @@ class SequenceLimits:
 
 
 class Dmd(ClosedOnce):
-    """An array of mirrors, in whose memory ``memory_planes`` bit planes fit at first. rising: edge of its trigger."""
+    """An array of mirrors. rising: edge of its trigger."""
 
     called = "the DMD"
 
@@ -50,10 +50,9 @@ class Dmd(ClosedOnce):
             self.width: int = self.inquire(alp.DISPLAY_WIDTH)
             self.height: int = self.inquire(alp.DISPLAY_HEIGHT)
             self.serial: int = self.inquire(alp.DEVICE_NUMBER)
-            self.memory_planes: int = self.inquire(alp.AVAILABLE_MEMORY)
             if size is not None and size != (self.height, self.width):
                 raise WrongDevice(f"the array has {self.height} x {self.width} mirrors; expected {size[0]} x {size[1]}")
-        log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
+        log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.free_planes())
 
     @classmethod
     def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> Self:

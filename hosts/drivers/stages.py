@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import time
 import types
@@ -40,7 +39,6 @@ class Stage(Protocol):
     def close(self) -> None: ...  # stop, and release the axis
 
 
-log: logging.Logger = logging.getLogger(__name__)
 SAME = 1e-6  # relative tolerance of a file's microsteps against those of the device
 POLL = 0.02  # time between two queries whether an axis moves [s]
 

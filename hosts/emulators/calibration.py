@@ -257,7 +257,6 @@ class RigCamera(EmulatedCamera):
 
     emulated: EmulatedCalibrationRig
     pixel: float
-    grabbed: int
 
     def __init__(self, emulated: EmulatedCalibrationRig, sensor: Sensor, pixel: float) -> None:
         super().__init__(emulated.clock, lambda now: np.zeros(emulated.optics.view), sensor,
@@ -270,7 +269,6 @@ class RigCamera(EmulatedCamera):
         self.clock.sleep_until(end)
         light = sum(sight.light(start, end, box) for sight in self.emulated.sights)
         blur, angle = self.emulated.blur((start + end) // 2), self.emulated.angle(end)
-        self.grabbed += 1
         return self._digitize(
             self.emulated.optics.image(np.asarray(light), self.pixel, blur, angle) * (end - start) * 1e-9
         )
@@ -283,15 +281,13 @@ class EmulatedCalibrationRig:
     rig: Any  # contents of its file
     clock: VirtualClock
 
-    def __init__(self, optics: Optics, rig: Any, numbers: tuple[int, ...] = (0,)) -> None:
+    def __init__(self, optics: Optics, rig: Any) -> None:
         self.optics, self.rig, self.clock = optics, rig, VirtualClock()
         rows, columns = optics.mirrors
         model = ArrayModel(height=rows, width=columns)
-        self.box: EmulatedController = EmulatedController(channels=max(2, *(number + 1 for number in numbers)))
-        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in numbers]
-        self.sights: list[ProjectedLight] = [
-            ProjectedLight(alp, number, optics) for alp, number in zip(self.alps, numbers, strict=True)
-        ]
+        self.box: EmulatedController = EmulatedController(channels=max(2, len(rig.display)))
+        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in rig.display]
+        self.sights: list[ProjectedLight] = [ProjectedLight(alp, k, optics) for k, alp in enumerate(self.alps)]
         self.glass: EmulatedLens = EmulatedLens()
         self.axis: EmulatedStage = EmulatedStage(limit=round(TRAVEL * self._microsteps()))
         self.box.on_light = self._lamp

@@ -36,7 +36,6 @@ class EmulatedCamera:
 
     def __post_init__(self) -> None:
         self.exposure_us: float = 10_000.0
-        self.grabbed: int = 0
         self._random = np.random.default_rng(self.seed)
 
     def expose(self, exposure_us: float) -> None:
@@ -52,7 +51,6 @@ class EmulatedCamera:
             self.clock.sleep_until(middle)
             electrons = electrons + np.asarray(self.scene(middle), float) * (part * 1e-9)
         self.clock.sleep_until(start + round(self.samples * part))
-        self.grabbed += 1
         return self._digitize(np.asarray(electrons))
 
     def _digitize(self, electrons: np.ndarray) -> np.ndarray:
@@ -70,8 +68,6 @@ class EmulatedCamera:
 
 class RunningCamera(EmulatedCamera):
     """A free-running camera with an image every ``period`` [ns]; `grab` waits for a new one."""
-
-    grabbed: int
 
     def __init__(
         self, clock: VirtualClock, scene: Scene, sensor: Sensor = Sensor(), period: int = 100_000_000, samples: int = 2,
@@ -116,7 +112,6 @@ class RunningCamera(EmulatedCamera):
                 ready, self._ready = self._ready, None
                 until = self._end
             if ready is not None:
-                self.grabbed += 1
                 return self._digitize(ready)
             self.clock.sleep_until(until)
 

@@ -93,7 +93,6 @@ class EmulatedLens(LineDevice):
         self.window: tuple[float, float] | None = None
         self.handshakes: int = 0
         self.settings: int = 0
-        self.refused: list[int] = []
         self._glass = LensDynamics(self.model)
         self._heard = 0
 
@@ -142,7 +141,6 @@ class EmulatedLens(LineDevice):
         self._out.put(payload + bytes((value & 255, value >> 8)) + b"\r\n", now)
 
     def _refuse(self, reason: int, now: int) -> None:
-        self.refused.append(reason)
         if self.legacy:
             self._out.put(b"N\r\n", now)
         else:

@@ -35,7 +35,6 @@ class EmulatedStage(LineDevice):
         self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64} | limits
         self.settings |= {"deviceid": 50081, "system.serial": 42}
         self.fault = ""
-        self.rejected: list[str] = []
         self.on_trigger: Callable[[int], None] | None = None
         self.levels: set[int] = set()  # outputs that are high
         self.edges: int = 0
@@ -83,8 +82,6 @@ class EmulatedStage(LineDevice):
             return
         number = numbers[2] if len(numbers) > 2 else None
         good, data = self._act(words, now)
-        if not good:
-            self.rejected.append(data)
         state = "BUSY" if self.track.moving(now) else "IDLE"
         warning = self.fault or ("--" if self.rotary else "WR")
         fields = [f"{self.device:02d}", "1" if len(numbers) > 1 and numbers[1] != "0" else "0"]

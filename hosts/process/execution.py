@@ -80,8 +80,8 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
             f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig of "
             "the plan, or plan for this one"
         )
-    for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
-        fits((dmd.height, dmd.width), timing)
+    for dmd, mirrors in zip(machines.mirrors, planned.mirrors, strict=True):
+        fits((dmd.height, dmd.width), mirrors.rows, mirrors.columns)
     if len(planned.focus) > 1 and machines.lens is None:
         raise WrongDevice("the plan changes its focus, but no lens was opened; open the rig of the plan")
     if not isinstance(machines, StageMachines):

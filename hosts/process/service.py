@@ -31,7 +31,6 @@ class ServedBoard(Board):
     """The board of a print with previews drawn elsewhere. found: whether ``live`` is in the run's folder."""
 
     draws_previews = False
-    found: bool
 
     def __init__(self, folder: Path, live: str) -> None:
         super().__init__()

@@ -20,7 +20,7 @@ from vamgpu.hosts.frames.upload import FrameMemory, UploadQueue
 from vamgpu.hosts.player.controller_mirrors import PREROLL
 from vamgpu.hosts.rigs.preflight import MARGIN, Residence, fits, measure, preflight
 from vamgpu.hosts.schedules.clock import Clock, RealClock
-from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.mirrors import web
 from vamgpu.printing.focus import FocusMasks
 from vamgpu.printing.frames import Frames
@@ -339,7 +339,7 @@ def test_bandwidth_is_what_the_clock_says() -> None:
 
 
 def test_a_job_for_other_mirrors_is_refused() -> None:
-    fits((1080, 1920), MirrorTiming())
+    fits((1080, 1920), 1080, 1920)
     with pytest.raises(WrongDevice, match="1140 × 912"):
-        fits((1080, 1920), HdmiTiming())
+        fits((1080, 1920), 1140, 912)
     assert issubclass(WrongDevice, DeviceError)
