@@ -38,6 +38,7 @@ KINDS = {
 class DiodeLaser(ClosedOnce):
     """A laser whose power at full drive is ``watts``; it is off until `on`."""
 
+    watts: float
     called = "the laser"
 
     def __init__(self, wire: Wire, kind: str, watts: float) -> None:

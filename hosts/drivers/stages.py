@@ -325,6 +325,7 @@ class StandaStage(ClosedOnce):
     """One axis of libximc's ``highlevel.Axis``, with ``steps`` full steps per unit, each of ``fraction`` microsteps."""
 
     steps: float
+    unit: str
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:

@@ -54,8 +54,8 @@ class EmulatedController(LineDevice):
     play: int
     started: int
 
-    def __init__(self, capacity: int = CAPACITY, channels: int = 2, latency_us: float = 50.0) -> None:
-        super().__init__(latency_us)
+    def __init__(self, capacity: int = CAPACITY, channels: int = 2) -> None:
+        super().__init__(latency_us=50.0)
         self.capacity, self.channels = capacity, channels
         self._last: tuple[bytes, bytes] | None = None
         self.on_trigger: Callable[[int], None] | None = None

@@ -81,13 +81,12 @@ class EmulatedLens(LineDevice):
     firmware: str = "A"
     celsius: float = 25.0
     baud: int = 115200
-    latency_us: float = 100.0
     sensor: bool = True  # it has a thermometer and memory
     legacy: bool = False  # answers bad frames with N, as old firmware does
     stray: bool = False  # sends an extra frame after the handshake, as some units do
 
     def __post_init__(self) -> None:
-        super().__init__(self.latency_us, round(10 * SECOND / self.baud))
+        super().__init__(100.0, round(10 * SECOND / self.baud))
         self.holds: bool = False  # whether it is in focal power mode
         self.power_code: int = 0
         self.window: tuple[float, float] | None = None

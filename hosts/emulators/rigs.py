@@ -55,13 +55,13 @@ class _TriggeredRig(_EmulatedRig):
     """Mirrors of each engine, connected to the recorder. ``lose_triggers``: number of lost triggers."""
 
     def __init__(self, clock: VirtualClock | None, model: ArrayModel, engines: int) -> None:
-        self.clock = clock or VirtualClock()
+        self.clock: VirtualClock = clock or VirtualClock()
         self.alps: list[EmulatedAlp] = [EmulatedAlp(self.clock, model) for _ in range(engines)]
         self.lose_triggers: int = 0
         self._size = (model.height, model.width)
 
     def _record(self, recorder: DoseRecorder) -> None:
-        self.recorder = recorder
+        self.recorder: DoseRecorder = recorder
         for engine, alp in enumerate(self.alps):
             alp.on_shown = partial(recorder.shown, engine)
 
@@ -117,6 +117,8 @@ class EmulatedStageRig(_TriggeredRig):
 
     microsteps: int
     unit: str
+    stage: EmulatedStage
+    controller: EmulatedController | None
 
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
@@ -157,7 +159,10 @@ class EmulatedStageRig(_TriggeredRig):
 class EmulatedVideoRig(_EmulatedRig):
     """A video projector with a stage, or a stepper whose clock is faster by a rate [ppm]."""
 
+    clock: VirtualClock
     gated: bool
+    recorder: DoseRecorder
+    stage: EmulatedStage
 
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,

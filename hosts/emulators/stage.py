@@ -22,14 +22,13 @@ class EmulatedStage(LineDevice):
     rotary: bool = False
     acceleration: float = 2_000_000.0
     device: int = 1
-    latency_us: float = 90.0
     encoder: bool = False
     scale: float = 1.0  # ratio of true to reported position, as with a slipping belt
     wired: int = 1  # number of the output on the mirrors' trigger
     joined: int | None = None  # number of the output that a board joins with it
 
     def __post_init__(self) -> None:
-        super().__init__(self.latency_us)
+        super().__init__(latency_us=90.0)
         self.track: Track = Track(self.acceleration)
         limits = {"limit.min": -self.limit if self.rotary else 0, "limit.max": self.limit, "limit.cycle.dist": 0}
         self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64} | limits

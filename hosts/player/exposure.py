@@ -42,13 +42,12 @@ class ScatterWatch:
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
-        period: int = PERIOD, patience: int = PATIENCE, board: Board | None = None,
+        patience: int = PATIENCE, board: Board | None = None,
     ) -> None:  # fmt: skip
         self.rule: ScatterStop = ScatterStop(wanted.voxels, wanted.threshold)
         self._board = board or Board()
         self._board.show(scatter=self.rule.readings, threshold=wanted.threshold)
         self._camera, self._clock, self._wanted, self._folder, self._lit = camera, clock, wanted, folder, lit
-        self._period = whole("period [ns]", period)
         self._patience = whole("patience [ns]", patience) + round(wanted.exposure * SECOND)
         self._background: tuple[int, np.ndarray] | None = None
         self._origin: int | None = None
@@ -169,7 +168,7 @@ class ScatterWatch:
             self._background = (now, image)
             self._seen.set()
         elif self._origin is not None and now >= self._due and self._said is None:
-            self._due += self._period * (1 + (now - self._due) // self._period)
+            self._due += PERIOD * (1 + (now - self._due) // PERIOD)
             seconds = (now - self._origin) / SECOND
             if self._saturated is None and (over := self._over(image)) > SATURATED:
                 self._saturated = seconds
@@ -182,7 +181,7 @@ class ScatterWatch:
         assert self._background is not None
         when, image = self._background
         self._keep(self.rule.see((min(when, origin) - origin) / SECOND, image))
-        self._due += self._period * max(0, -((self._due - self._clock.now()) // self._period))
+        self._due += PERIOD * max(0, -((self._due - self._clock.now()) // PERIOD))
         self._origin = origin
 
     def _keep(self, reading: ScatterReading) -> None:

@@ -71,7 +71,7 @@ class RunFolder:
         self.path = path
         self._lock = threading.RLock()
         self._write: Callable[[int, bytes], int] = os.write
-        self.failed = False  # whether a record could not be written, and was not written since
+        self.failed: bool = False  # whether a record could not be written, and was not written since
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
         try:
             self._events = os.open(path / "events.jsonl", flags, 0o644)
