@@ -54,12 +54,20 @@ def rehearsal(
     """Emulate a rig's machines and their optics, which are the usual ones for a kind unless a truth is given."""
     rig = config.setup
     checked(rig, tables)
-    optics = truth or Optics(**USUAL.get(kind, {}))
+    optics = truth or Optics(**USUAL.get(kind, {}), **_view(rig))
     emulated = EmulatedCalibrationRig(optics, rig)
     machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.mirrors(), {
         "lens": emulated.lens, "camera": emulated.camera, "camera_stage": emulated.stage, "photodiode": emulated.meter,
     })  # fmt: skip
     return machines, optics
+
+
+def _view(rig: RigFile) -> dict[str, Any]:
+    """Size and orientation of the emulated camera's images, as its section says."""
+    if rig.camera is None:
+        return {}
+    turned = {"flip": rig.camera.flip, "rotation": rig.camera.rotation}
+    return turned if rig.camera.crop is None else turned | {"view": rig.camera.view}
 
 
 RATIO = 1.009  # degrees of an emulated vial in one that its stage reports

@@ -55,6 +55,13 @@ def runout(
 
 def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int) -> CameraMap:
     """Positions of mirrors in the camera's images, without the lines that the pin hides."""
+    return CameraMap.of(*single_lines(machines, light, projector))
+
+
+def single_lines(
+    machines: CalibrationMachines, light: CalibrationLight, projector: int
+) -> tuple[list[tuple[float, np.ndarray]], list[tuple[float, np.ndarray]]]:
+    """Numbers of single columns of mirrors, and of rows, with the camera's image of each when it alone is lit."""
     screen = machines.screen(projector)
     rows, columns = screen.shape
     screen.show(patterns.block(screen.shape, (0, 0), (0, 0)))
@@ -66,7 +73,7 @@ def _map(machines: CalibrationMachines, light: CalibrationLight, projector: int)
             down, across = ((0, rows), own) if axis == 0 else (own, (0, columns))
             screen.show(patterns.block(screen.shape, down, across))
             seen[axis].append((number, machines.image(light) - dark))
-    return CameraMap.of(*seen)
+    return seen[0], seen[1]
 
 
 def _found(

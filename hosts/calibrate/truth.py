@@ -14,6 +14,7 @@ from vamgpu.hosts.calibrate.report import CalibrationResult
 HIGHEST = 100.0  # greatest frequency of the truth [1/mm]
 USUAL: dict[str, dict[str, float]] = {
     "flat": {"radius": 0.0, "tilt": 0.03, "falloff": 0.1}, "runout": {"radius": 0.0, "pin": 9.0},
+    "live": {"radius": 0.0, "back": 3.0e6},
 }  # fmt: skip
 """Kind of a calibration → optics that show its effect, if the usual ones do not."""
 Truth = tuple[dict[str, Any], str]  # from emulated optics: numbers of a result's table, and a line to show
@@ -76,7 +77,17 @@ def _mtf(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -
     return {"mtf50_per_mm": half}, ", ".join(f"{each:.3g}" for each in half) + " cycles/mm"
 
 
+def _live(found: CalibrationResult, optics: Any, machines: CalibrationMachines) -> Truth:
+    camera: Any = machines.camera
+    sensor, exposure = camera.sensor, 1e-6 * camera.exposure_us
+    top, rate = 2**sensor.bits - 1, optics.back * exposure / sensor.full_well
+    truth = {"open_field": top * rate * float(optics.backlight().mean()), "dark": float(sensor.offset),
+             "gain": top / sensor.full_well, "read": top * sensor.read_noise / sensor.full_well,
+             "pixels_per_mirror": optics.pitch / camera.pixel}  # fmt: skip
+    return truth, ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in truth.items())
+
+
 TRUTHS: dict[str, Callable[[CalibrationResult, Any, CalibrationMachines], Truth]] = {
     "focus": _focus, "axis": _axis, "gray": _gray, "mtf": _mtf, "flat": _flat, "runout": _runout,
-    "turn": _turn,
+    "turn": _turn, "live": _live,
 }  # fmt: skip

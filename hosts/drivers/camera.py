@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -31,7 +32,8 @@ class GenicamCamera(Closing):
 
     def __init__(
         self, harvester: Any, serial: str | None = None, timeout_s: float = 2.0, exposure_us: float | None = None,
-        gain: float | None = None, pixels: str | None = None, trigger: str | None = None,
+        gain: float | None = None, pixels: str | None = None, trigger: str | None = None, binning: int = 1,
+        crop: Sequence[int] | None = None,
     ) -> None:  # fmt: skip
         self._harvester, self._timeout = harvester, timeout_s
         self._acquirer: Any = None
@@ -44,6 +46,7 @@ class GenicamCamera(Closing):
                     "check cable, power and the maker's producer file"
                 )
             self._acquirer = harvester.create({"serial_number": serial or found[0]})
+            self._frame(binning, crop)
             self._settle(exposure_us, gain, pixels, trigger)
             self._acquirer.start()
 
@@ -84,6 +87,23 @@ class GenicamCamera(Closing):
     def expose(self, exposure_us: float) -> None:
         """Set the exposure time [us]; DeviceRefused if the camera's differs by more than 2 %."""
         self.exposure_us = self._number("ExposureTime", exposure_us)
+
+    def _frame(self, binning: int, crop: Sequence[int] | None) -> None:
+        """Set binning and crop: offsets are 0 while the size is set, which cameras limit by them."""
+        wanted = {} if binning == 1 else {"BinningHorizontal": binning, "BinningVertical": binning}
+        if crop is not None:
+            left, top, columns, rows = crop
+            wanted |= {"OffsetX": 0, "OffsetY": 0, "Width": columns, "Height": rows}
+            self._wholes(wanted)
+            wanted = {"OffsetX": left, "OffsetY": top}
+        self._wholes(wanted)
+
+    def _wholes(self, wanted: Mapping[str, int]) -> None:
+        for name, value in wanted.items():
+            found = self._set(name, value)
+            if found != value:
+                raise DeviceRefused(f"the camera's {name} is {found!r} after {value} was set; give a multiple that its "
+                                    "maker's viewer accepts", name)  # fmt: skip
 
     def _settle(self, exposure_us: float | None, gain: float | None, pixels: str | None, trigger: str | None) -> None:
         """Apply the settings in the order that cameras accept: automatics are off before values are set."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -122,6 +123,13 @@ class MicroManagerCamera(_Device):
         found = self._call("getExposure", self.label) * 1000
         if abs(found - exposure_us) > 0.02 * exposure_us:
             raise DeviceRefused(f"{self.label} exposes {found:g} us after {exposure_us:g} us were set", "exposure")
+
+    def frame(self, binning: int, crop: Sequence[int] | None) -> None:
+        """Set the binning, and the crop: left, top, columns and rows."""
+        if binning != 1:
+            self._call("setProperty", self.label, "Binning", binning)
+        if crop is not None:
+            self._call("setROI", *crop)
 
     def grab(self) -> np.ndarray:
         self._call("snapImage", lost=DeviceLost)

@@ -92,6 +92,9 @@ class Optics:
     pitch: float = 0.0144  # size of a mirror in the image [mm]
     view: tuple[int, int] = (104, 208)  # rows and columns of the camera
     electrons: float = 4.0e6  # electrons per pixel and second in full light
+    back: float = 0.0  # of the light behind the vial, in the middle of the camera's view
+    flip: bool = False  # the camera's images are mirrored left-right
+    rotation: int = 0  # and then turned clockwise [deg]
     axis: float = 98.3  # of the roller [columns]
     radius: float = 55.2  # of the roller [columns]
     shadow: float = 1.3  # blur of the roller's edges [columns]
@@ -128,6 +131,15 @@ class Optics:
         down, across = (np.linspace(-1.0, 1.0, length) for length in self.mirrors)
         return 1.0 - self.tilt * across[None, :] - 0.5 * self.falloff * (down[:, None] ** 2 + across[None, :] ** 2)
 
+    def backlight(self) -> np.ndarray:
+        """Light behind the vial [row, column] of the camera's view, relative to its middle."""
+        down, across = (np.linspace(-1.0, 1.0, length) for length in self.view)
+        return 1.0 - 0.1 * (down[:, None] ** 2 + across[None, :] ** 2)
+
+    def turned(self, image: np.ndarray) -> np.ndarray:
+        """An upright image as the camera gives it."""
+        return np.rot90(image[:, ::-1] if self.flip else image, -self.rotation // 90)
+
     def passes(self) -> np.ndarray:
         """Share of a column's light that passes the roller."""
         from scipy.special import ndtr
@@ -159,7 +171,7 @@ class Optics:
         light = self.pinned(light, angle) if self.pin else light
         down = self.spread(light.shape[0], self.view[0], pixel, blur)
         across = self.spread(light.shape[1], self.view[1], pixel, blur, parts)
-        return self.electrons * (down @ light @ across.T)
+        return self.turned(self.electrons * (down @ light @ across.T) + self.back * self.backlight())
 
 
 def _ramp(u: np.ndarray) -> np.ndarray:

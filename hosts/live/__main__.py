@@ -8,6 +8,7 @@ import threading
 from contextlib import suppress
 from multiprocessing.connection import Listener
 
+from vamgpu.errors import VamError
 from vamgpu.hosts.live.worker import PlannerClient, function_of
 from vamgpu.hosts.process.messages import address, ordered
 
@@ -26,7 +27,11 @@ def main() -> None:
     alone.cancel()
     with line, suppress(EOFError, BrokenPipeError, ConnectionResetError):
         planner = PlannerClient(line)
-        act(planner)
+        try:
+            act(planner)
+        except Exception as error:  # the operator reads why, not only that the line is closed
+            planner.tell({"failed": str(error) if isinstance(error, VamError) else repr(error)})
+            raise
         planner.tell({"done": True})
 
 

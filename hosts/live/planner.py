@@ -15,9 +15,10 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.live.worker import PlannerClient
-from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live import Decision, LiveRecord, LiveSetup, LiveState
 from vamgpu.live.maps import BRIGHT, cuts
 from vamgpu.live.prior import NAMES
+from vamgpu.live.sensor import BeamImages, SensorView
 from vamgpu.operators.projection import Projection
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
@@ -57,30 +58,49 @@ def follow(planner: PlannerClient) -> None:
 
 
 class Following:
-    """One monitored print; the planner's settings are those of a `LiveSetup`."""
+    """One monitored print, from its start or from where an earlier host left it.
+
+    The planner's settings are those of a `LiveSetup`, and the view of a camera whose pixels are not the beam's.
+    """
 
     def __init__(self, planner: PlannerClient) -> None:
         self._planner, task = planner, planner.task
-        self._setup = LiveSetup.of(dict(task["settings"]))
+        self._setup = setup = LiveSetup.of(dict(task["settings"]["setup"]))
+        view = task["settings"]["view"]
+        self._images = None if view is None else BeamImages(SensorView(**view), setup.pixels)
         job = task["jobs"][0]
         self._frames = load_frames(job, "numpy")
-        light = light_of(self._frames, self._setup.planned, self._setup.dose)
+        light = light_of(self._frames, setup.planned, setup.dose)
         self._part = part = np.array(Folder.open(job).array("target"), np.float32)
         self._record = LiveRecord(Path(task["folder"]) / PLACE)
-        self._loop = self._record.begin(self._setup, part, light)
-        self._state = self._loop.start()
+        self._resumed = self._record.begun
+        self._loop = self._record.loop() if self._resumed else self._record.begin(setup, part, light)
         self._lights = {0: light}
         self._own = {0: 0}  # version of the print → version of the loop
         self._proposed: list[tuple[int, int, float]] = []  # version of the loop, turn and time of each proposal
         self._unseen: dict[int, int] = {}  # the turn after which each version of the print was decided
         self._showed: dict[int, int] = {}  # version of the print in each turn
         self._turn, self._stop, self._over = 0, 0, False
+        self._state = self._restored() if self._resumed else self._loop.start()
+
+    def _restored(self) -> LiveState:
+        """The state after the recorded turns, whose decisions are repeated; the last one holds meanwhile."""
+        told, state, numbers = self._record.decisions, self._loop.start(), {0: 0}
+        for was, (after, decision) in zip(told, self._record.states(self._loop), strict=True):
+            state, self._over = after, decision.action == "stop"
+            self._lights[decision.version] = decision.light
+            if "number" in was:
+                self._own[int(was["number"])] = decision.version
+                numbers[decision.version] = int(was["number"])
+            for turn, version in zip((decision.turn - 1, decision.turn), was["showed"], strict=True):
+                self._showed[turn] = numbers.get(int(version), 0)
+        return state
 
     def run(self) -> None:
         """Run until the print is over."""
-        first = self._state
-        self._propose(0, first.light, 1, self._setup.planned)
-        stack, first = self._blank(), 0
+        if not self._resumed:
+            self._propose(0, self._state.light, 1, self._setup.planned)
+        stack, first, seen = self._blank(), 0, -1  # of several images of an angle, the first is used
         for told in self._planner:
             if "answer" in told:
                 self._answered(told["answer"])
@@ -92,14 +112,21 @@ class Following:
                 if turn != self._turn:
                     self._turn, stack, first = int(turn), self._blank(), told["at"]
                 if self._turn == self._state.turn + 1:
-                    if told["image"].shape != stack.shape[1:]:
-                        raise BadInput(f"the camera's images are {told['image'].shape}; expected {stack.shape[1:]}, "
-                                       "the pixels of the beam: crop and bin them to these")  # fmt: skip
-                    stack[int(rest * len(stack))] = told["image"]
+                    if (angle := int(rest * len(stack))) != seen and np.isnan(stack[angle]).all():
+                        stack[angle], seen = self._image(told["image"]), angle
                     if rest >= SEEN:
                         self._decide(stack, 1e-9 * (told["at"] - first))
                 elif self._turn > self._state.turn + 1:  # a turn passed without images
                     self._decide(self._blank(), 0.0)
+
+    def _image(self, image: np.ndarray) -> np.ndarray:
+        """An image on the pixels of the beam. Raises `BadInput`, `ShapeMismatch`."""
+        if self._images is not None:
+            return self._images(image)
+        if image.shape != self._setup.pixels[::-1]:
+            raise BadInput(f"the camera's images are {image.shape}; expected {self._setup.pixels[::-1]}, the pixels of "
+                           "the beam: describe the camera in [[feedback]], and run vam calibrate live")  # fmt: skip
+        return image
 
     def _blank(self) -> np.ndarray:
         return np.full((self._setup.angles, self._setup.pixels[1], self._setup.pixels[0]), np.nan, np.float32)
@@ -170,4 +197,4 @@ class Following:
             self._own[number := int(answer["number"])] = version
             self._unseen[number] = turn
             if turn:
-                self._record.note(turn, {"upload": time.perf_counter() - began})
+                self._record.note(turn, {"upload": time.perf_counter() - began}, number=number)

@@ -30,7 +30,7 @@ def main() -> None:
         planned = order.planned()
         if order.resume:
             may_go_on(planned, order.folder)
-        stand = rehearsal(planned, paced=True) if planned.rehearsed else None
+        stand = order.stand(planned, paced=True) if planned.rehearsed else None
         asked = None if order.page else (lambda job: order.asks and service.go_on(job.sense))
         end = printed(
             order, planned, stand, service.board, told=service.facts.__setitem__, go_on=asked, process=granted

@@ -213,8 +213,10 @@ def _linked(
     """The planning process and its camera, held until the print ends."""
     camera = None
     if machines.camera is not None and images:
-        speed = float(planned.schedule.speed)
-        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lambda: board.now.light, speed))
+        speed, section = float(planned.schedule.speed), planned.rig.setup.camera
+        exposure = 0.01 if section is None else section.exposure
+        lit = lambda: board.now.light  # noqa: E731
+        camera = held.enter_context(LiveCamera(machines.camera, machines.clock, lit, speed, exposure=exposure))
     task = task_of(planned, record.path)
     return held.enter_context(LiveLink(live, task, planned, versions, machines.clock, board, camera))
 

@@ -51,6 +51,7 @@ class LiveOrder:
     settings: Mapping[str, Any] = field(default_factory=dict)  # settings of its task, as plain values
     stop: int | None = None  # the turn before which the light ends unless a version changes it
     wait: float = 0.0  # time for which a simulated clock stops while it plans [s]
+    resin: Mapping[str, Any] | None = None  # emulated resin of a dry run, see `vamgpu.hosts.rigs.rehearsal.curing`
 
     def __post_init__(self) -> None:
         positive("allowance of light", self.allowance, zero=True)
@@ -234,6 +235,8 @@ class LiveLink:
     def _take(self, told: dict[str, Any]) -> None:
         """Handle a message, if possible."""
         try:
+            if "failed" in told:
+                self._lost(str(told["failed"]))
             if "done" in told and not self._gone:
                 now = self._version()
                 self._ended("live ended", f"the planning process has finished; the {self._versions.unit}s are {now}")

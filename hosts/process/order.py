@@ -16,7 +16,7 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig
 from vamgpu.hosts.rigs.connection import close, opened
 from vamgpu.hosts.rigs.planning import PrintPlan, plan
-from vamgpu.hosts.rigs.rehearsal import Rehearsal
+from vamgpu.hosts.rigs.rehearsal import Rehearsal, curing, rehearsal
 from vamgpu.printing.given_dose import ProvedDose
 
 
@@ -40,8 +40,7 @@ class PrintOrder:
     mend: bool = False  # show frames in doubt again
     page: bool = False  # buttons continue a held print
     asks: bool = False  # whether the client is asked before a held print continues
-    live: str | None = None  # function that plans coming turns, ``module:function``
-    allowance: float = 0.0  # light that it may add, as a share of the job's
+    live: LiveOrder | None = None  # the planner of coming turns
 
     @classmethod
     def of(cls, jobs: tuple[Path, ...], rig: RigConfig, folder: Path, **rest: Any) -> Self:
@@ -58,6 +57,8 @@ class PrintOrder:
         values: dict[str, Any] = {**told, "jobs": tuple(told["jobs"]), "settings": tuple(told["settings"])}
         if isinstance(values["exposure"], dict):
             values["exposure"] = ProvedDose(**values["exposure"])
+        if isinstance(values["live"], dict):
+            values["live"] = LiveOrder(**values["live"])
         return cls(**values)
 
     @property
@@ -78,6 +79,13 @@ class PrintOrder:
         )  # fmt: skip
         return made if self.stop is None else stopping(made, self.stop)
 
+    def stand(self, planned: PrintPlan, paced: bool = False) -> Rehearsal:
+        """Emulated machines of a dry run, with curing resin for a print that is watched."""
+        made = rehearsal(planned, paced)
+        if self.live is not None and self.live.resin is not None:
+            curing(planned, made, self.live.settings, self.live.resin)
+        return made
+
 
 def printed(
     order: PrintOrder, planned: PrintPlan, stand: Rehearsal | None, board: Board, *,
@@ -85,7 +93,7 @@ def printed(
     process: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Print an order's plan; how it ended, as messages tell it. told: hears facts by name. Raises what ended it."""
-    live = None if order.live is None else LiveOrder(order.live, order.allowance)
+    live = order.live
     camera = planned.stop is not None or (live is not None and planned.rig.setup.camera is not None)
     machines = opened(planned.rig, camera, planned.focus) if stand is None else stand.machines
     try:
@@ -98,6 +106,10 @@ def printed(
         )  # fmt: skip
     finally:
         close(machines)
+    if live is not None and live.resin is not None and stand is not None:
+        resin: Any = stand.machines.camera
+        resin.cure()
+        return {"state": state.value, "resin": f"proved overlap {resin.overlap():.4f}"}
     return {"state": state.value} | ({} if stand is None else _seen(planned, stand, order.folder))
 
 

@@ -23,7 +23,7 @@ from vamgpu.printing.pack import repack
 from vamgpu.storage.numpy_files import read_npz
 from vamgpu.storage.reading import parse_toml, read_text
 
-KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn")
+KINDS = ("gray", "flat", "axis", "focus", "mtf", "runout", "turn", "live")
 OWN_STEPS = ("zaber", "grbl")  # motions whose device states its microsteps
 SURE = 4.0  # times its standard error by which a turn must differ before the motion is corrected
 SUFFIX = ".calibration"  # name of the folder beside the rig's file
@@ -117,6 +117,15 @@ def in_force(rig: RigConfig) -> dict[str, Calibration]:
         if own and wish != NONE:
             chosen[kind] = own[0]
     return chosen
+
+
+def measured(rig: RigConfig, kind: str) -> Calibration:
+    """The applied calibration of a kind. Raises `JobError` if there is none."""
+    found = in_force(rig).get(kind)
+    if found is None:
+        raise JobError(f"the rig {rig.setup.rig.name!r} has no calibration of {kind}; run vam calibrate {kind} --rig "
+                       f"{rig.source}")  # fmt: skip
+    return found
 
 
 @dataclass(frozen=True)

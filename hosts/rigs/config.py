@@ -87,6 +87,7 @@ class CalibrationSection(Section):
     focus: Chosen = None
     mtf: Chosen = None
     runout: Chosen = None
+    live: Chosen = None
     turn: Chosen = None
     warn_after: Time = 90 * 86400.0
 

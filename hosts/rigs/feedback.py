@@ -12,9 +12,11 @@ from vamgpu.hosts.drivers.controller import Encoder, Index
 from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
 from vamgpu.hosts.rigs.roles import FeedbackPart
 from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
+from vamgpu.schema.section import Listed
 
 Sees = Literal["motion", "resin", "light"]
 Tolerance = Annotated[float, Field(gt=0)]
+Whole = Annotated[int, Field(ge=0)]
 TURN = 360.0
 
 
@@ -66,8 +68,10 @@ class CameraFeedback(FeedbackPart):
     producer: file of its maker's GenICam driver.  serial: serial number of that camera.  config: Micro-Manager's
     configuration file.  label: label of the camera in it.  exposure: exposure time of an image.  gain: gain in the
     camera's unit, mostly dB.  format: pixel format, such as Mono8.  trigger: input whose edge takes an image, "" for
-    none.  pixel: edge of a pixel in the plane that it sees.  bits: bits per pixel.  discard: images to discard after a
-    change of mirrors or lens.
+    none.  binning: sensor pixels along an edge of an image's pixel.  crop: left, top, columns and rows of images
+    [pixels].  pixel: edge of an image's pixel in the plane that it sees.  flip: whether images are mirrored left-right.
+    rotation: angle [deg] by which they are then turned clockwise; `vam calibrate live` measures both.  bits: bits per
+    pixel.  discard: images to discard after a change of mirrors or lens.
     """
 
     sees: ClassVar[Sees] = "resin"
@@ -79,9 +83,21 @@ class CameraFeedback(FeedbackPart):
     gain: float | None = None
     format: str | None = None
     trigger: str | None = None
+    binning: Count = 1
+    crop: Annotated[tuple[Whole, Whole, Count, Count] | None, Listed] = None
+    flip: bool = False
+    rotation: Literal[0, 90, 180, 270] = 0
     pixel: Length | None = None
     bits: Annotated[int, Field(ge=8, le=16)] = 8
     discard: Annotated[int, Field(ge=0, le=100)] = 1
+
+    @property
+    def view(self) -> tuple[int, int] | None:
+        """Rows and columns of its images, were they upright; None if only the camera knows."""
+        if self.crop is None:
+            return None
+        columns, rows = self.crop[2:] if self.rotation % 180 == 0 else self.crop[:1:-1]
+        return rows, columns
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraFeedback:
@@ -98,10 +114,12 @@ class CameraFeedback(FeedbackPart):
         """Open the camera with its settings. Raises what its driver does."""
         exposure = 1e6 * self.exposure
         if self.producer is not None:
-            settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger}
+            settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger, "binning": self.binning,
+                        "crop": self.crop}  # fmt: skip
             return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)
         camera = MicroManagerCamera.open(str(self.config), str(self.label))
         with closed_on_error(camera):
+            camera.frame(self.binning, self.crop)
             camera.expose(exposure)
         return camera
 

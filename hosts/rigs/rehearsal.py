@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,7 @@ from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.printing.frames import Frames
-
-if TYPE_CHECKING:
-    from vamgpu.live import VirtualPrinter
+from vamgpu.storage.folder import Folder
 
 EMULATED = 2**30  # bytes of host memory for the frames of emulated mirrors; real ones have 8 times as much
 
@@ -113,10 +112,18 @@ def rehearsal(planned: PrintPlan, paced: bool = False) -> Rehearsal:
     return Rehearsal(machines, emulated, monitor)
 
 
-def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, turns: float) -> Any:
-    """Put curing resin into an emulated print of one vial, and a camera in front; light is relative to ``turns``."""
+def resin_of(
+    planned: PrintPlan, settings: Mapping[str, Any], truth: Mapping[str, Any], rehearsed: Rehearsal | None = None
+) -> Any:
+    """Curing resin of one vial, and its camera; settings, truth: those of the order of a watched print."""
     # it loads SciPy, which other prints do not need
-    from vamgpu.hosts.emulators.resin import CuringCamera
+    from vamgpu.hosts.emulators.resin import CuringCamera, printer_of, sensor_of
+    from vamgpu.live import LiveSetup
+
+    setup = LiveSetup.of(dict(settings["setup"]))
+    sensor = sensor_of(settings, setup)
+    printer, turns = printer_of(setup, truth, sharp=sensor is not None), setup.planned / setup.dose
+    part = np.array(Folder.open(planned.jobs[0].path).array("target"), np.float32)
 
     def light(shares: np.ndarray) -> np.ndarray:
         frames = planned.jobs[0].frames
@@ -126,9 +133,14 @@ def curing(planned: PrintPlan, rehearsed: Rehearsal, printer: VirtualPrinter, tu
             return np.zeros(printer.plan.range.shape, np.float32)
         return np.asarray(as_frames(planned, levels).irradiance().numpy(), np.float32) / turns
 
-    rehearsed.machines.camera = camera = CuringCamera(
-        rehearsed.emulated.recorder, rehearsed.emulated.clock, printer, lambda: rehearsed.shares(planned), light
-    )
+    emulated = None if rehearsed is None else rehearsed.emulated
+    shares = None if rehearsed is None else lambda: rehearsed.shares(planned)
+    return CuringCamera(emulated, printer, part, shares, light, sensor)
+
+
+def curing(planned: PrintPlan, rehearsed: Rehearsal, settings: Mapping[str, Any], truth: Mapping[str, Any]) -> Any:
+    """Put the resin of `resin_of` into an emulated print of one vial, and its camera in front."""
+    rehearsed.machines.camera = camera = resin_of(planned, settings, truth, rehearsed)
     return camera
 
 

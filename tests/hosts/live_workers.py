@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.errors import ShapeMismatch
 from vamgpu.hosts.live.worker import PlannerClient
 
 
@@ -127,6 +128,12 @@ def raises(planner: PlannerClient) -> None:
     """Fails as a function with an error in it does."""
     next(iter(planner))
     raise ZeroDivisionError
+
+
+def refuses(planner: PlannerClient) -> None:
+    """Fails as a function does that is given the wrong images."""
+    next(iter(planner))
+    raise ShapeMismatch("the images are 3 × 3; expected 480 × 640")
 
 
 def nan(planner: PlannerClient) -> None:

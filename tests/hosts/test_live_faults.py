@@ -130,6 +130,13 @@ def test_a_killed_planning_process_leaves_the_last_version(made: Callable[..., L
     assert "the planning process is lost" in live.board.now.live
 
 
+def test_why_a_planning_process_failed_is_told(made: Callable[..., Live]) -> None:
+    live = made("refuses")
+    live.waits = {3: lambda link: link._gone}
+    told = live.run()
+    assert kinds(told) == ["live lost"] and "expected 480 × 640" in live.board.now.live
+
+
 def test_one_that_never_starts_is_told(made: Callable[..., Live]) -> None:
     live = made("missing")
     live.waits = {3: lambda link: link._gone}

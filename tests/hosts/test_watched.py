@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,19 @@ import pytest
 import vamgpu
 from vamgpu.backend import open_device
 from vamgpu.cli.print import print_
-from vamgpu.errors import BadInput, StorageError
+from vamgpu.errors import BadInput, JobError, StorageError
 from vamgpu.hosts.live import live_print
 from vamgpu.hosts.live.live_print import RedCamera
-from vamgpu.hosts.live.planner import levels_of, light_of
+from vamgpu.hosts.live.planner import Following, levels_of, light_of
 from vamgpu.hosts.records.record import RunRecord, read_run
 from vamgpu.hosts.records.state import Board, PrintState
+from vamgpu.hosts.rigs.config import EMULATED, read_rig
+from vamgpu.hosts.rigs.rehearsal import resin_of
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
 from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.live.record import ENTRY
 from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames
 from vamgpu.reports import chart
@@ -51,6 +55,22 @@ DULL = 'fill = 0.8\nspread = "120 um"\n[turntable]'
 TURNS = 6
 live: Any = vamgpu.live  # of the package that it shares its name with, type checkers see that alone
 OFF = Truth(inhibitor=0.5, lamp=0.95)
+REAL = """
+[rig]
+name = "lab"
+machine = "vial"
+[controller]
+port = "/dev/none"
+[motion]
+driver = "controller"
+microsteps = 100.0
+[display]
+driver = "alp"
+library = "none.so"
+[[feedback]]
+driver = "camera"
+producer = "none.cti"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +213,7 @@ def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
     with pytest.raises(BadInput, match="expected --rig emulated"):
         print_("demo", "live", rig="lab.toml", out=run)
     with pytest.raises(BadInput, match="takes one job"):
-        print_(str(nut), rig="emulated", live=True, panel=True, out=run)
+        print_(str(nut), rig="emulated", live=True, stop=0.3, out=run)
     with pytest.raises(BadInput, match="turns"):
         live(nut, turns=1)
     with pytest.raises(BadInput, match="longest"):
@@ -201,6 +221,12 @@ def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
     for given in (0, 1):
         with pytest.raises(BadInput, match=f"turns is {given}"):
             print_(str(nut), rig="emulated", live=True, turns=given, out=run)
+    with pytest.raises(BadInput, match="emulated machines"):
+        lab = run.parent / "lab.toml"
+        lab.write_text(REAL)
+        live(nut, lab, turns=TURNS, folder=run, camera=RedCamera(), watched=False)
+    with pytest.raises(JobError, match="vam calibrate live"):
+        live(nut, lab, turns=TURNS, folder=run)
     for wrong in ({"evaluations": 0}, {"evaluations": float("nan")}, {"seed": -1}, {"camera": 3}, {"truth": 3}):
         with pytest.raises(BadInput, match=next(iter(wrong))):
             live(nut, turns=TURNS, folder=run, **wrong)
@@ -218,6 +244,68 @@ def test_other_angles_are_refused(tmp_path: Path, angles: str) -> None:
         live(left.folder, turns=TURNS, folder=tmp_path / "run")
     with pytest.raises(StorageError, match="a run that was watched"):
         LiveRecord(left.folder).setup()
+
+
+@pytest.mark.slow
+def test_a_camera_of_its_own_size_and_orientation_watches_as_well(nut: Path, run: Path) -> None:
+    lab = run.parent / "lab.toml"
+    given = 'pixel = "80 um"\nbits = 12\ncrop = [4, 8, 160, 120]\nflip = true\nrotation = 90'
+    lab.write_text(EMULATED.replace('pixel = "7.8 um"', given))
+    ended = live(nut, lab, turns=TURNS, folder=run, truth=OFF, evaluations=4.0)
+    unwatched = live(nut, lab, turns=TURNS, truth=OFF, watched=False)
+    assert ended.iou is not None and unwatched.iou is not None and ended.iou > unwatched.iou + 0.02
+    assert not any(each["doubt"] for each in ended.decisions) and any(each["parameters"] for each in ended.decisions)
+    assert not any(differs for _, differs in LiveRecord(run / "live").replay())
+    assert 0.5 < ended.decisions[0]["misfit"] < 1.5, "the noise of the resampled images is as it is said"
+
+
+def test_the_command_s_dry_run_cures_resin_and_writes_the_report(nut: Path, run: Path, capsys: Any) -> None:
+    assert print_(str(nut), rig="emulated", live=True, turns=3, speed="90", out=run) == 0
+    assert "proved overlap" in capsys.readouterr().out and (run / "live.html").is_file()
+
+
+class Replayed:
+    """A planner's connection that gives the messages of a recorded print, and answers each proposal."""
+
+    def __init__(self, task: dict[str, Any], messages: list[dict[str, Any]]) -> None:
+        self.task, self._messages, self.proposals = task, messages, list[int]()
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        for message in self._messages:
+            yield message
+            while len(self.proposals) > self.task["answered"]:
+                self.task["answered"] += 1
+                yield {"answer": {"number": self.task["answered"]}}
+
+    def propose(self, levels: Any, turn: int, stop: int | None = None) -> None:
+        self.proposals.append(turn)
+
+    def estimate(self, *_: Any) -> None: ...
+
+    def checked(self, *_: Any, **__: Any) -> None: ...
+
+
+def test_a_resumed_print_decides_as_one_that_never_stopped(nut: Path, run: Path) -> None:
+    made = live_print.watched_plan(nut, read_rig("emulated"), turns=TURNS, evaluations=4.0, truth=OFF)
+    resin = resin_of(made.planned, made.order.settings, made.order.resin or {})
+    dose, messages = resin.printer.dose(made.light), list[list[dict[str, Any]]]()
+    for turn in range(1, 5):
+        resin.printer.turn(dose)
+        images = resin.printer.through()
+        messages.append(
+            [{"image": each, "angle": 360.0 * (turn + (k + 0.5) / 40), "at": k} for k, each in enumerate(images[:25])]
+        )
+
+    def follow(folder: Path, *parts: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+        task = {"jobs": [str(nut)], "folder": str(folder), "settings": made.order.settings, "turns": 12, "frames": 40}
+        for part in parts:
+            Following(Replayed(task | {"answered": 0}, [each for turn in part for each in turn])).run()  # type: ignore[arg-type]
+        return LiveRecord(folder / "live").decisions
+
+    whole, broken = follow(run / "whole", messages), follow(run / "broken", messages[:3], messages[3:])
+    assert len(whole) == len(broken) == 4 and any(each["parameters"] for each in whole)
+    for one, other in zip(whole, broken, strict=True):
+        assert {name: one[name] for name in ENTRY} == {name: other[name] for name in ENTRY}
 
 
 def test_a_state_is_corrected_by_what_was_shown() -> None:

@@ -11,18 +11,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, shift
 from small_print import PLANNED, overlap, printer, setup
 
 from vamgpu.live import Decision
-from vamgpu.live.printer import Truth
+from vamgpu.live.alike import alike
+from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
+from vamgpu.live.prior import NAMES
 from vamgpu.live.record import LiveRecord
 from vamgpu.live.report import page
-from vamgpu.live.trust import Trust, darkening, mean_level, share_of
+from vamgpu.live.trust import Trust, darkening, mean_level, share_of, some, sunk
 from vamgpu.reports import chart
 
 OLD = Truth(inhibitor=0.7)
 TURNS = [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, PLANNED + 1)), PLANNED]
 """Numbers of turns whose images are lost."""
+SEEN = 8
+"""Turns after which resin has cured in any of the prints of the test of deviations."""
 Images = Callable[[np.ndarray], np.ndarray]
 
 
@@ -100,6 +105,51 @@ def test_conversion_that_the_light_does_not_explain_is_doubted() -> None:
             break
     assert decision.checks["conversion"][0] > 1e-6 == decision.checks["conversion"][1]
     assert "does not explain" in decision.doubt and np.array_equal(decision.light, light)
+
+
+@pytest.mark.parametrize("moved", [-0.2, 0.0, 0.2])
+def test_a_part_that_sinks_is_told_from_one_that_grows(moved: float) -> None:
+    z, r = np.mgrid[-1:1:40j, -1:1:30j]
+    depth = 0.4 * np.exp(-((2.5 * (z - 0.1)) ** 4) - (2.0 * r) ** 2) * (1.0 + 0.5 * (z > 0.3))
+    grown = depth * (1.2 + 0.1 * z) + 0.1 * depth**2 + 0.01
+    assert sunk(depth, shift(grown, (-moved, 0.0), mode="nearest")) == pytest.approx(moved, abs=0.05)
+    assert sunk(0.05 * depth, 0.1 * depth) == 0.0, "too faint"
+    assert "sunk by 0.5 pixels" in Trust().of_place(0.5) and "risen" in Trust().of_place(-0.5)
+    assert not Trust().of_place(0.2)
+
+
+def test_a_sinking_part_goes_on_by_its_plan() -> None:
+    turns = iter(range(100))
+
+    def sinks(images: np.ndarray) -> np.ndarray:
+        return np.rint(shift(images.astype(float), (0.0, -0.3 * max(next(turns) - 6, 0), 0.0), order=1, mode="nearest"))
+
+    decisions, _ = watched(sinks)
+    assert "sunk" in decisions[-1].doubt and decisions[-1].iou == 0.0
+
+
+def test_a_claim_carries_the_error_of_the_gel_point() -> None:
+    made, part, light = setup()
+    claims = []
+    for error in (0.0, 0.1, 0.2):
+        loop, live = replace(made, resin=replace(made.resin, gel_error=error)).loop(part, light), printer(Truth())
+        state, decision = loop.start(), None
+        for _ in range(PLANNED):
+            live.turn(live.dose(light))
+            state, decision = loop.decide(state, live.through())
+        assert decision is not None and decision.parameters
+        claims.append(decision.iou)
+    assert claims[0] > claims[1] > claims[2] > 0.2
+    low, high = CuringResin().solid_doses
+    gel = CuringResin().gel
+    assert CuringResin().conversion(low) == pytest.approx(0.9 * gel) and low < CuringResin().solid < high
+
+
+def test_few_images_tell_the_mean() -> None:
+    images = np.random.default_rng(1).uniform(200.0, 800.0, (360, 4, 6))
+    assert 32 <= len(some(images)) <= 64 and len(some(images[:20])) == 20
+    level = mean_level(images, images.shape)
+    assert level is not None and np.allclose(level, np.log(images).mean(axis=0), atol=0.2)
 
 
 def test_an_estimate_tells_what_it_leaves_unexplained() -> None:
@@ -192,3 +242,37 @@ def test_the_report_says_that_images_were_doubted(tmp_path: Path) -> None:
     assert [each["doubt"] for each in record.decided()] == [decision.doubt]
     ((_, differs),) = record.replay()
     assert not differs
+
+
+@pytest.mark.slow
+def test_deviations_are_true_in_sixty_prints() -> None:
+    """Of the parameters of each print, which differ from the plan's at random, 93 % lie within two deviations."""
+    made, _, light = setup()
+    loop = replace(made, every=SEEN, evaluations=1.5, iterations=60).loop(*setup()[1:])
+    usual, within = np.sqrt(np.diag(loop.prior.covariance)), []
+    for seed in range(60):
+        z = np.clip(np.random.default_rng(seed).standard_normal(5), -2.0, 2.0)
+        truth = Truth(
+            inhibitor=1.0 - 0.15 * abs(z[4]), lamp=1.0 + 0.1 * z[0], absorption=usual[1] * z[1],
+            across=usual[2] * z[2] / made.pixel, along_z=0.05 * z[3],
+        )  # fmt: skip
+        live = VirtualPrinter(made.projection(made.vial), made.camera(), made.resin, made.turbidity, truth, seed)
+        state, dose = loop.start(), live.dose(light)
+        decision = None
+        for _ in range(SEEN):
+            live.turn(dose)
+            state, decision = loop.decide(state, live.through())
+        assert decision is not None and decision.parameters and not decision.doubt
+        used = made.resin.induction * (1.0 - truth.inhibitor)
+        true = (truth.lamp, 1.0 + truth.absorption, truth.across * made.pixel, 0.0, truth.along_z, 0.0, used)
+        found = np.array([decision.parameters[name] for name in NAMES])
+        within.append(np.abs(found[:, 0] - true) < 2.0 * found[:, 1])
+    assert np.mean(within) >= 0.93 and np.mean(within, axis=0).min() >= 0.85
+
+
+def test_neighbors_that_err_alike_count_as_one() -> None:
+    voxels = np.indices((24, 24, 16)).reshape(3, -1)
+    white = np.random.default_rng(5).standard_normal((24, 24, 16))
+    smooth = gaussian_filter(white, 1.0)
+    assert alike(voxels, white.ravel()) == pytest.approx(1.0, abs=0.5)
+    assert 15.0 < alike(voxels, smooth.ravel()) < 50.0, "(4π)^1.5 = 45 in the whole space, fewer in blocks"

@@ -47,8 +47,8 @@ class CameraMap:
         cls, columns: Sequence[tuple[float, ArrayLike]], rows: Sequence[tuple[float, ArrayLike]]
     ) -> CameraMap:  # fmt: skip
         """The map, from pictures [row, column] of single lit mirror columns and rows. Raises `BadInput`."""
-        column, pitch, lean, error, lean_error = _lines("columns", columns)
-        row, height, *_ = _lines("rows", [(number, np.asarray(each).T) for number, each in rows])
+        column, pitch, lean, error, lean_error = lit_lines("columns", columns)
+        row, height, *_ = lit_lines("rows", [(number, np.asarray(each).T) for number, each in rows])
         return cls(column, pitch, lean, row, height, error, lean_error)
 
     def inside(self, mirrors: tuple[int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -70,7 +70,7 @@ class CameraMap:
         )
 
 
-def _lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, float, float, float, float]:
+def lit_lines(what: str, lines: Sequence[tuple[float, ArrayLike]]) -> tuple[float, float, float, float, float]:
     """Position of line 0 in row 0, pixels per line, pixels per row; standard errors of the first and the last."""
     pictures = [(number, np.asarray(each, np.float64)) for number, each in lines]
     peak = max((float(each.max()) for _, each in pictures), default=0.0)

@@ -1,4 +1,4 @@
-"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | list``."""
+"""The commands ``vam calibrate focus | axis | gray | flat | mtf | runout | turn | live | list``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from vamgpu.cli.options import Overwrite, Settings, console
 if TYPE_CHECKING:
     from vamgpu.hosts.calibrate.report import CalibrationResult
     from vamgpu.hosts.rigs.config import RigConfig
+    from vamgpu.live.turbidity import MeasuredTurbidity
 
 group: App = App(name="calibrate", help="Measure a rig with its camera or photodiode; --rig emulated is a dry run.")
 app.command(group)
@@ -203,6 +204,44 @@ def turn(
 
     _run("turn", rig, (), out, settings, overwrite, lambda machines, progress: turn(
         machines, speed=speed, turns=turns, progress=progress), opened_turn)  # fmt: skip
+
+
+@group.command
+def live(
+    *, rig: str, out: Path | None = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
+    projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
+) -> None:  # fmt: skip
+    """Measure the camera of watched prints: open field, dark level, noise, and where it sees which mirror.
+
+    Without a vial, single columns and rows of mirrors are lit. Measure again with a vial of fresh resin in front of the
+    camera's own light, and --keep-place, which lights no mirror.
+
+    Args:
+        rig: the TOML file of the rig, or emulated
+        out: folder of the result; beside the rig's file by default, where prints find it
+        repeats: number of images at each exposure time
+        keep_place: keep the place of the last measurement
+        cured: folder of a watched print in fresh resin, from whose images the turbidity is measured
+        projector: number of the projector, from 0
+    """
+    from vamgpu.hosts.calibrate.live import PLACE, TABLES, live
+    from vamgpu.hosts.rigs.calibrations import MEASURED, measured
+    from vamgpu.hosts.rigs.config import read_rig
+
+    config = read_rig(rig, settings or ())
+    tables = TABLES if config.setup.camera_stage is None else (*TABLES, "camera_stage")
+    place = {name: measured(config, "live").tables()[MEASURED][name] for name in PLACE} if keep_place else None
+    turbidity = None if cured is None else _turbidity(cured)
+    _run("live", rig, tables, out, settings, overwrite, lambda machines, progress: live(
+        machines, repeats=repeats, projector=projector, place=place, turbidity=turbidity,
+        progress=progress))  # fmt: skip
+
+
+def _turbidity(cured: Path) -> MeasuredTurbidity:
+    from vamgpu.live import LiveRecord
+    from vamgpu.live.first_cure import turbidity_of
+
+    return turbidity_of(LiveRecord(cured / "live" if (cured / "live").is_dir() else cured))
 
 
 def _run(

@@ -22,10 +22,11 @@ from vamgpu.errors import BadInput, DoseWarning, VamError
 if TYPE_CHECKING:
     import numpy as np
 
-    from vamgpu.hosts.live.live_print import Watched
+    from vamgpu.hosts.process.live_link import LiveOrder
     from vamgpu.hosts.process.order import PrintOrder
     from vamgpu.hosts.records.state import Board, PrintState
     from vamgpu.hosts.rig import PrintPlan
+    from vamgpu.hosts.rigs.config import RigConfig
     from vamgpu.printing.given_dose import ProvedDose
 
 DEMO = ("target.pitch=400 um", "beam.pitch=400 um", "turntable.angles=120", "solve.iterations=10")
@@ -74,25 +75,30 @@ def print_(
         mend: show frames of a vial whose light was cut again in an added turn, where the proved dose and the budget of
             light allow it
     """
-    if jobs == ("demo", "live") or live:
+    if jobs == ("demo", "live"):
         given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
-        return _live(jobs, rig, 16 if turns is None else turns, out, plain=not given)
+        return _live_demo(rig, turns, out, plain=not given)
     from vamgpu.hosts.rig import plan, stopping
     from vamgpu.hosts.rigs.config import read_rig
 
     screen, config = console(), read_rig(rig, settings or ())
     _check_options(jobs, rig, config, out, resume, unattended, dry_run=dry_run, panel=panel, stay=stay)
+    _check_live(live, jobs, stop, mend)
     place = resume or _place(out, jobs[0], dry_run)
     folders = tuple(
         _demo(screen, place.with_suffix(".job")) if job == "demo" else solved_folder(Path(job), "print") for job in jobs
     )
-    exposure = None
-    if resume is not None:
-        turns, exposure = _begun(resume, turns)
-    with warnings.catch_warnings():
-        if stop is not None:  # its turns are the most, and the scatter decides on the dose
-            warnings.simplefilter("ignore", DoseWarning)
-        planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure)
+    exposure = planner = None
+    if live:
+        planned, planner, turns = _watching(screen, folders[0], config, turns, resume, speed, dry_run, device)
+    else:
+        turns, exposure = (turns, None) if resume is None else _begun(resume, turns)
+        with warnings.catch_warnings():
+            if stop is not None:  # its turns are the most, and the scatter decides on the dose
+                warnings.simplefilter("ignore", DoseWarning)
+            planned = plan(
+                folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure
+            )
     exposure = False if planned.dose is None else planned.dose.proved
     if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
@@ -105,19 +111,24 @@ def print_(
     order = PrintOrder.of(
         folders, config, place, speed=speed, turns=turns, exposure=exposure, stop=stop, device=device,
         rehearsed=dry_run, resume=resume is not None, unattended=unattended, mend=mend, page=panel,
-        asks=sys.stdin.isatty(),
+        asks=sys.stdin.isatty(), live=planner,
     )  # fmt: skip
     board = Board(job=" ".join(jobs))
     if not (planned.rehearsed or order.resume or anyway):
         _consented(planned, order.asks)
-    if not panel:
+    with _page(screen, board, host, port, place, stay) if panel else nullcontext():
         return _printed(screen, planned, order, board)
+
+
+@contextmanager
+def _page(screen: Console, board: Board, host: str, port: int, place: Path, stay: bool) -> Iterator[None]:
+    """Serve the live page of a print, and with ``stay`` until Ctrl-C."""
     from vamgpu.hosts.panel import Panel
 
     with Panel(board, host, port, runs=place.resolve().parent, run=place.name) as page:
         screen.print(f"page    [bold]{escape(page.url)}[/]")
         with _outlived(screen) if stay else nullcontext():
-            return _printed(screen, planned, order, board)
+            yield
 
 
 def _check_options(
@@ -157,6 +168,13 @@ def _agreed(question: str) -> bool:
         return False
 
 
+def _check_live(live: bool, jobs: tuple[str, ...], stop: float | None, mend: bool) -> None:
+    """Reject options that a print with a planner does not take. Raises `BadInput`."""
+    if live and (stop is not None or mend or len(jobs) != 1):
+        raise BadInput("a print with --live takes one job, and its planner plans every turn and the end; "
+                       "leave out other jobs, --stop and --mend")  # fmt: skip
+
+
 def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]:
     """Turns and exposure of the run to resume; the rest then gets the same dose per turn."""
     from vamgpu.hosts.records.record import read_run
@@ -169,16 +187,36 @@ def _begun(run: Path, turns: int | None) -> tuple[int | None, ProvedDose | None]
     return turns, None if dose is None else dose.proved
 
 
-def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bool) -> int:
-    """Print one vial with monitoring; show deviations, findings and the outcome; return the exit status."""
+def _watching(
+    screen: Console, job: Path, config: RigConfig, turns: int | None, resume: Path | None, speed: str | None,
+    dry_run: bool, device: str | None,
+) -> tuple[PrintPlan, LiveOrder, int]:  # fmt: skip
+    """The plan of a print that the camera watches, new or resumed, the order of its planner, and its turns."""
+    from vamgpu.hosts.live.cameras import unmeasured
+    from vamgpu.hosts.live.live_print import PLACE, watched_plan
+    from vamgpu.live import LiveRecord
+
+    longest = None
+    if resume is not None:
+        setup = LiveRecord(resume / PLACE).setup()
+        turns, longest = setup.planned, setup.longest
+    made = watched_plan(
+        job, config, turns=16 if turns is None else turns, longest=longest, speed=speed, rehearsed=dry_run,
+        device=device,
+    )  # fmt: skip
+    if note := unmeasured(made.planned):
+        screen.print(f"camera  [yellow]{escape(note)}[/]")
+    return made.planned, made.order, made.setup.longest
+
+
+def _live_demo(rig: str, turns: int | None, out: Path | None, plain: bool) -> int:
+    """Print the demo with and without monitoring; show deviations, what was found, and the outcome."""
     from vamgpu.hosts.live.live_print import live
 
-    screen, demo = console(), tuple(jobs) == ("demo", "live")
-    if not plain or len(jobs) != 1 + demo:
-        raise BadInput("a print with --live takes one job, --rig, --turns and --out; leave out the rest")
-    place = _place(out, "demo" if demo else jobs[0], False)
-    if not demo:
-        return _reported(screen, live(solved_folder(Path(jobs[0]), "print"), rig, turns=turns, folder=place))
+    screen, turns = console(), 16 if turns is None else turns
+    if not plain:
+        raise BadInput("the demo with --live takes --rig, --turns and --out; leave out the rest")
+    place = _place(out, "demo", False)
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.live_demo import AGED, demo_job
     from vamgpu.live import Truth
@@ -194,20 +232,21 @@ def _live(jobs: Sequence[str], rig: str, turns: int, out: Path | None, plain: bo
     screen.print(f"differs {escape(off)}")
     screen.print(f"overlap without monitoring {unwatched.iou:.4f}, with monitoring [bold]{ended.iou:.4f}[/]")
     overlaps = unwatched.iou or 0.0, ended.iou or 0.0
-    return _reported(screen, ended, truth=truth, overlaps=overlaps, conversion=ended.conversion)
+    screen.print(escape(str(ended)))
+    _live_report(screen, ended.folder, truth=truth, overlaps=overlaps, conversion=ended.conversion)
+    screen.print(f"run     [bold]{escape(str(ended.folder))}[/]")
+    return _status(ended.state)
 
 
-def _reported(screen: Console, ended: Watched, **facts: Any) -> int:
-    """Show the outcome of a monitored print, and write its report."""
+def _live_report(screen: Console, run: Path, **facts: Any) -> None:
+    """Write the report of a monitored print, if anything was decided."""
+    from vamgpu.hosts.live.live_print import PLACE
     from vamgpu.live import LiveRecord
     from vamgpu.live.report import page
 
-    screen.print(escape(str(ended)))
-    if ended.decisions:
-        report = page(LiveRecord(ended.folder / "live"), **facts).write(ended.folder / "live.html")
-        screen.print(f"report  [bold]{escape(str(report))}[/]")
-    screen.print(f"run     [bold]{escape(str(ended.folder))}[/]")
-    return _status(ended.state)
+    record = LiveRecord(run / PLACE)
+    if record.begun and record.decisions:
+        screen.print(f"report  [bold]{escape(str(page(record, **facts).write(run / 'live.html')))}[/]")
 
 
 @app.command
@@ -215,7 +254,7 @@ def panel(
     *jobs: str, rig: str | None = None, speed: str | None = None, turns: Whole = None, stop: float | None = None,
     out: Path | None = None, resume: Path | None = None, unattended: int = 0, settings: Settings = None,
     device: str | None = None, dry_run: Switch = False, mend: Switch = False, attach: Path | None = None,
-    host: str = "127.0.0.1", port: int = 8521, anyway: Switch = False,
+    host: str = "127.0.0.1", port: int = 8521, live: Switch = False, anyway: Switch = False,
 ) -> int:  # fmt: skip
     """Print jobs on a rig and serve the live page until Ctrl-C, or watch a print that is running.
 
@@ -234,6 +273,7 @@ def panel(
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token
         port: port of the page
+        live: as for ``vam print``
         anyway: as for ``vam print``
     """
     if attach is not None:
@@ -245,6 +285,7 @@ def panel(
     return print_(
         *jobs, rig=rig, speed=speed, turns=turns, stop=stop, out=out, resume=resume, unattended=unattended,
         settings=settings, device=device, dry_run=dry_run, mend=mend, panel=True, stay=True, host=host, port=port,
+        live=live,
         anyway=anyway,
     )  # fmt: skip
 
@@ -353,6 +394,8 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     if verdict:
         screen.print(f"resin   {escape(verdict)}")
     _report(screen, planned, levels, turns, place)
+    if order.live is not None:
+        _live_report(screen, place)
     return _status(state)
 
 
@@ -396,11 +439,10 @@ def _status(state: PrintState) -> int:
 def _rehearsed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Board) -> dict[str, Any]:
     """Do a dry run in this process, as fast as it computes; return how it ended."""
     from vamgpu.hosts.process.order import printed
-    from vamgpu.hosts.rig import rehearsal
 
     asked = _asked(screen) if order.asks else None
     return printed(
-        order, planned, rehearsal(planned), board,
+        order, planned, order.stand(planned), board,
         told=partial(_show_line, screen), go_on=lambda job: asked is not None and asked(job.states.message),
     )  # fmt: skip
 

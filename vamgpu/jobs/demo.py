@@ -16,8 +16,8 @@ from vamgpu.webs.proof import WebProof, prove_web
 Proof = TypeVar("Proof")
 Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
-JOB = """\ # A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured
-in air:
+JOB = """\
+# A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured in air:
 # refraction narrows its columns to 80 um in the resin, which is also the width of voxels unless target.pitch sets it.
 # The lens blurs by half a pixel unless beam.spread sets the blur: a length, or the result of `vam calibrate mtf`.
 #

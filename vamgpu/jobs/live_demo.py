@@ -1,4 +1,4 @@
-"""A small ring in a vial, for monitored prints."""
+"""A small screw in a vial, for monitored prints."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import StageProgress, quiet, solve
 
 JOB = """\
-# A nut of 2 mm in a vial of 16 mm whose resin and wall are matched, small enough to be replanned in a second.
+# A screw of 2.4 mm in a vial of 16 mm whose resin and wall are matched, small enough to be replanned in a second.
+# Its thread has no mirror plane, so that a mirrored image would be seen.
 
 [target]
-shape = "nut"
-height = "2 mm"
+shape = "screw"
+height = "2.4 mm"
 pitch = "150 um"
 
 [beam]
@@ -39,13 +40,13 @@ bits = 8
 """
 
 AGED = {
-    "inhibitor": 41.8 / 56.8, "lamp": 0.9, "drift": -0.003, "absorption": 0.1, "across": 0.3, "along_z": 0.02,
+    "inhibitor": 41.8 / 56.8, "lamp": 1.0, "drift": 0.003, "absorption": 0.1, "across": 0.3, "along_z": 0.02,
 }  # fmt: skip
 """Differences between the demo's print and its plan (`vamgpu.live.Truth`): the third print of the paper, and more."""
 
 
 def demo_job(out: str | Path, *, progress: StageProgress = quiet) -> Path:
     """Solve and write the job of the monitored demo. Raises `StorageError`."""
-    job, left = _begun(Job, JOB, out, "nut", (), "report.html")
+    job, left = _begun(Job, JOB, out, "screw", (), "report.html")
     solve(job, left.folder, overwrite=True, progress=progress)
     return left.folder

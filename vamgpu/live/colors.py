@@ -172,7 +172,7 @@ class ColorReplanner:
     def _forecast(self, turns: int, dose: DeviceArray, judge: OptimizerState) -> Forecast:
         threshold = 0.5 * (self.weights.outside + self.weights.inside) if self.threshold is None else self.threshold
         iou = float(score(dose, self._fractions, threshold=threshold).iou)
-        return Forecast(turns, judge.window(dose)[0], iou)
+        return Forecast(turns, judge.window(dose)[0], iou, iou)
 
 
 def _on_device(model: KineticModel, delivered: SpeciesFields, plan: Pair) -> tuple[SpeciesFields, Pair]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from vamgpu.geometry import positive
 from vamgpu.kernels.loss import look_up
 from vamgpu.kernels.resample import resample
 from vamgpu.kernels.watch import likelihood_weights, match_dose, share_gain, tilted_gain
+from vamgpu.live.alike import alike, trends
 from vamgpu.live.calibrated_projection import CalibratedProjection
 from vamgpu.live.fields import here, picked, places, scaled
-from vamgpu.live.local_dose import LocalDose
+from vamgpu.live.local_dose import Fit, LocalDose
 from vamgpu.live.prior import LEAST, MOST, NAMES, OPTICAL, Prior
 from vamgpu.live.rings import on_rings
 from vamgpu.live.smoothing import Smoothing
@@ -41,6 +43,8 @@ FAR = 0.75
 """Share of these distances beyond which derivatives are computed again."""
 KEPT = 16
 """Number of operators whose tables are kept."""
+REWEIGHTED = 2
+"""Fits from one set of derivatives, the later weighted by how many voxels err alike."""
 SLICES = 32
 """Greatest number of slices used to estimate parameters; slices do not light each other."""
 
@@ -118,19 +122,6 @@ class Estimate:
             The history with the oxygen 1 / sensitivity, at most 1.
         """
         return replace(history, oxygen=min(1.0, 1.0 / float(self.values[0])))
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Data of a fit: light, numbers of n voxels, their earlier dose, conversion and its deviation; mean, whitening."""
-
-    light: DeviceArray
-    used: np.ndarray
-    before: Any
-    seen: np.ndarray
-    sigma: np.ndarray
-    mean: np.ndarray
-    whitening: np.ndarray
 
 
 def _raising(rows: int, up: float) -> np.ndarray:
@@ -263,7 +254,7 @@ class Estimator:
 
     def estimate(
         self, light: Any, seen: Any, deviation: Any, prior: Prior, before: Estimate | None = None,
-        start: np.ndarray | None = None,
+        start: np.ndarray | None = None, correlated: bool = False, common: float = 0.0,
     ) -> Estimate:  # fmt: skip
         """Estimate parameters and delivered dose.
 
@@ -274,6 +265,9 @@ class Estimator:
             prior: Prior of the parameters of these turns.
             before: The estimate before these turns; None at the start.
             start: Initial values of the search, for example the last values, (7,); None for the prior's.
+            correlated: Whether neighbors may err alike; how many count as one is then measured.
+            common: Relative error that the conversion seen has in all voxels alike, such as that of the turbidity, and
+                its change from the middle to the top, and to the rim.
 
         Returns:
             The estimate.
@@ -297,13 +291,17 @@ class Estimator:
         values = np.array(prior.mean if start is None else start, float)
         if values.shape != prior.mean.shape or not np.isfinite(values).all():
             raise BadInput(f"start is {start!r}; expected {len(NAMES)} finite values of {', '.join(NAMES)}")
-        fit = _Fit(lit, used, base, measured, sigma, prior.mean, whitening)
-        values, data, residuals = self._fitted(fit, values)
-        chi = float(residuals @ residuals)
+        fit = Fit(lit, used, base, measured, sigma, prior.mean, whitening)
+        values, data, residuals, count = self._fitted(fit, values, correlated)
+        spread = scaled(spread, sqrt(count))
+        chi = float(count * (residuals @ residuals))
         self._check(values, chi)
         excess = max(chi / used.size, 1.0)
-        unexplained = float(np.square(residuals * sigma).mean() / max(float(measured.var()), TINY))
+        unexplained = float(count * np.square(residuals * sigma).mean() / max(float(measured.var()), TINY))
         covariance = np.linalg.inv(data.T @ data / excess + whitening.T @ whitening)
+        seen_off = common * measured * trends(*self._profile(used)) / (excess * sqrt(count) * sigma)
+        shifts = covariance @ data.T @ seen_off.T  # by errors that all voxels have alike
+        covariance = covariance + shifts @ shifts.T
         dose = self.calibrated(values).T(lit)
         field = scaled(dose, 1.0, values[6])
         if before is not None:
@@ -311,26 +309,31 @@ class Estimator:
         std = self._by_voxel(field, seen, spread)
         return Estimate(values, covariance, field, dose, std, chi, used.size, unexplained)
 
-    def _fitted(self, fit: _Fit, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The most probable parameters, and the derivatives and residuals of the voxels used, by Gauss-Newton."""
-        data, residuals, near = np.empty((0, len(NAMES))), np.empty(0), None
+    def _fitted(
+        self, fit: Fit, values: np.ndarray, correlated: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """The most probable parameters, derivatives and residuals of the voxels used, and how many err alike."""
+        data, residuals, near, count = np.empty((0, len(NAMES))), np.empty(0), None, 1.0
+        voxels = np.stack(np.unravel_index(fit.used, self.operator.domain.shape))
         for _ in range(self.rounds):
             if near is not None and (np.abs(values - near.center)[list(OPTICAL)] <= FAR * self._apart).all():
                 break
             near = self._near(fit.light, self._center(values), fit.used, fit.before)
 
-            def gaps(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
-                seen_less = (self.conversion(near.dose(p)) - fit.seen) / fit.sigma
+            def gaps(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                seen_less = (self.conversion(near.dose(p)) - fit.seen) / sigma
                 return np.concatenate([seen_less, fit.whitening @ (p - fit.mean)])
 
-            def rise(p: np.ndarray, near: LocalDose = near) -> np.ndarray:
-                rate = self._slope(near.dose(p)) / fit.sigma
+            def rise(p: np.ndarray, sigma: np.ndarray, near: LocalDose = near) -> np.ndarray:
+                rate = self._slope(near.dose(p)) / sigma
                 return np.concatenate([(rate * near.rates(p)).T, fit.whitening])
 
-            begin = np.clip(values, LEAST + EDGE, MOST - EDGE)
-            found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST))  # pyright: ignore[reportArgumentType]
-            values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
-        return values, data, residuals
+            for turn in range(REWEIGHTED if correlated else 1):
+                count = alike(voxels, residuals) if turn else count
+                begin, sigma = np.clip(values, LEAST + EDGE, MOST - EDGE), sqrt(count) * fit.sigma
+                found: Any = least_squares(gaps, begin, jac=rise, bounds=(LEAST, MOST), args=(sigma,))  # pyright: ignore[reportArgumentType]
+                values, data, residuals = found.x, found.jac[: fit.used.size], found.fun[: fit.used.size]
+        return values, data, residuals, count
 
     def _told(self, seen: Any, deviation: Any) -> tuple[DeviceArray, DeviceArray, np.ndarray | None]:
         """Conversion and its deviation on the device, 0 at unseen voxels; mask of seen voxels, None for all."""
@@ -431,8 +434,12 @@ class Estimator:
                 low, high = (even(still, side * (k == 0), side * (k == 1)) for side in (-1, 1))
                 slopes[k] = (high - low) / (2.0 * self._steps[k])
                 curves[k] = (high - 2.0 * middle + low) / self._steps[k] ** 2
-        up, out = self._up[used % count], self._out.reshape(-1)[used // count]
-        return LocalDose(center, middle, slopes, curves, up, out, before)
+        return LocalDose(center, middle, slopes, curves, *self._profile(used), before)
+
+    def _profile(self, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Profiles of the gain along z and across, at voxels."""
+        count = self.operator.grid.shape[2]
+        return self._up[used % count], self._out.reshape(-1)[used // count]
 
     @property
     def _absorbs(self) -> bool:

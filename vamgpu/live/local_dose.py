@@ -7,7 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from vamgpu.backend.array import DeviceArray
 from vamgpu.live.prior import OPTICAL
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Data of a fit: light, numbers of n voxels, their earlier dose, conversion and its deviation; mean, whitening."""
+
+    light: DeviceArray
+    used: np.ndarray
+    before: Any
+    seen: np.ndarray
+    sigma: np.ndarray
+    mean: np.ndarray
+    whitening: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from math import exp, floor, inf, sqrt
+from math import exp, floor, inf
 from time import perf_counter
 from typing import Any
 
@@ -22,7 +22,7 @@ from vamgpu.live.prior import Prior
 from vamgpu.live.replan import Replanned, Replanner
 from vamgpu.live.smoothing import Smoothing
 from vamgpu.live.tomography import TINY, OpticalDepths, Reconstruction, Tomograph
-from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of
+from vamgpu.live.trust import Trust, darkening, digest, mean_level, share_of, some, sunk
 from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
@@ -34,8 +34,8 @@ ENOUGH = 50
 """Smallest number of such voxels for an estimate."""
 MODEL = 0.1
 """Error of the conversion from resin and tomograph, in addition to the noise."""
-ALIKE = 30.0
-"""Number of neighbors with the same error; they count as one."""
+COMMON = 0.05
+"""Relative error of the conversion seen that all voxels have alike."""
 FIRST = 1000
 """Greatest number of voxels of the first estimate."""
 USUAL = {"absorption": 0.1, "across": 0.05, "height": 0.05, "initial_dose": 0.2, "sensitivity": 0.2}
@@ -64,7 +64,7 @@ class Decision:
         turns: Expected number of remaining turns.
         inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
-        iou: Overlap expected at the end, dimensionless.
+        iou: Overlap claimed for the end: the least within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
         doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
             as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
@@ -135,6 +135,8 @@ class LiveState:
             to the first of them.
         values: The last estimate of the parameters, (7,); None before the first.
         clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
+        level: Mean level of the last images, [row, column]; None before the first turn.
+        sunk: Shift of what is cured towards lower rows since it was first seen [pixels].
         images: Digest of the last images.
         doubt: Reason why images no longer decide; empty if they do.
     """
@@ -149,6 +151,8 @@ class LiveState:
     committed: tuple[np.ndarray, ...] = ()
     values: np.ndarray | None = None
     clear: np.ndarray | None = None
+    level: np.ndarray | None = None
+    sunk: float = 0.0
     images: str = ""
     doubt: str = ""
 
@@ -157,7 +161,8 @@ class LiveState:
 class _Turn:
     """A completed turn: its number, remaining turns, the previous state; the light shown, pending and committed."""
 
-    # clear: level of images before anything cured; cured: share of the planned print's darkening that is seen now
+    # clear: level of images before anything cured, and level: now; sunk: as in a state; cured: share of the planned
+    # print's darkening that is seen now
 
     turn: int
     left: int
@@ -166,6 +171,8 @@ class _Turn:
     pending: DeviceArray
     committed: tuple[np.ndarray, ...]
     clear: np.ndarray | None
+    level: np.ndarray | None
+    sunk: float
     cured: float
     images: str
 
@@ -212,7 +219,7 @@ class LiveLoop:
         _ = self.tomograph.operator, self.estimator.quick, self._planned_dose, self._dark
         self.replanner.prepare(self.estimator.operator)
         light = self._planned
-        dark = scaled(self._field(light), 0.0)
+        dark = scaled(self.field(light), 0.0)
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
@@ -229,7 +236,7 @@ class LiveLoop:
         """
         at, seen, laps = self._after(state, frames), state.seen, _Laps()
         repeated = at.images and at.images == state.images
-        doubt = state.doubt or ("the camera repeats its images" if repeated else "")
+        doubt = state.doubt or ("the camera repeats its images" if repeated else self.trust.of_place(at.sunk))
         try:
             if doubt:
                 decision = self._by_plan(at, doubt)
@@ -249,7 +256,7 @@ class LiveLoop:
         decision = replace(decision, stages=laps.seconds, conversion=conversion)
         found = np.array([value for value, _ in decision.parameters.values()]) if decision.parameters else state.values
         after = LiveState(at.turn, at.shown, at.pending, decision.light, decision.turns, decision.version, seen,
-                          at.committed, found, at.clear, at.images,
+                          at.committed, found, at.clear, at.level, at.sunk, at.images,
                           decision.doubt)  # fmt: skip
         return after, decision
 
@@ -257,19 +264,30 @@ class LiveLoop:
         fade = exp(-1.0 / self.resin.dark)
         showing, *committed = *state.committed, state.light
         made = self.resin.dark * (1.0 - fade)
-        had, light = self._field(state.pending), self._field(showing)
+        had, light = self.field(state.pending), self.field(showing)
         pending = combine(fade, had, made, light, had.device.empty(had.shape))
-        shown = added(self._field(state.shown), light)
+        shown = added(self.field(state.shown), light)
         level, clear, share = mean_level(frames, self.tomograph.camera.shape), state.clear, 0.0
+        moved = state.sunk
         if level is not None:
+            if clear is not None and state.level is not None:
+                moved += sunk(clear - state.level, clear - level)
             share = 0.0 if clear is None else share_of(darkening(clear - level), self._dark)
             if clear is None or share < ONSET:  # darkening before anything cures is not curing
                 clear = level
-        return _Turn(state.turn + 1, max(state.turns - 1, 0), state, shown, pending, tuple(committed), clear, share,
-                     digest(frames))  # fmt: skip
+        left, seen = max(state.turns - 1, 0), digest(some(frames))
+        last = state.level if level is None else level
+        return _Turn(state.turn + 1, left, state, shown, pending, tuple(committed), clear, last, moved, share, seen)
 
-    def _field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
-        """An array on the device of the plan; copies of the last few read-only arrays are kept there."""
+    def field(self, values: DeviceArray | np.ndarray) -> DeviceArray:
+        """An array on the device of the plan; the last few read-only arrays are kept there.
+
+        Args:
+            values: Light or a field, [i, j, z].
+
+        Returns:
+            The array, [i, j, z] on the device.
+        """
         device, kept = self.estimator.operator.device, self._kept_fields
         if isinstance(values, DeviceArray) or values.flags.writeable:
             return here(device, values)
@@ -307,13 +325,27 @@ class LiveLoop:
         Yields:
             The decision after each turn.
         """
+        return (decision for _, decision in self.states(turns, showed))
+
+    def states(
+        self, turns: Iterable[np.ndarray], showed: Iterable[Sequence[int]] | None = None
+    ) -> Iterator[tuple[LiveState, Decision]]:
+        """The states, with the decisions of `replay`.
+
+        Args:
+            turns: As for `replay`, [angle, row, column] each.
+            showed: As for `replay`.
+
+        Yields:
+            The state and the decision after each turn.
+        """
         state, lights = self.start(), {0: self.light}
         for frames, versions in zip(turns, repeat(()) if showed is None else showed, strict=False):
             if versions:
                 state = self.corrected(state, lights, versions)
             state, decision = self.decide(state, frames)
             lights[decision.version] = decision.light
-            yield decision
+            yield state, decision
 
     def _kept(self, at: _Turn, reason: str) -> Decision:
         stop, before = not at.left or at.turn + self.ahead >= self.longest, at.before
@@ -331,7 +363,7 @@ class LiveLoop:
 
     def _allowed(self, at: _Turn) -> int:
         """Number of turns of planned light that the remaining dose of the plan allows."""
-        spent = total(added(at.shown, *map(self._field, at.committed))) / total(self._field(self._planned))
+        spent = total(added(at.shown, *map(self.field, at.committed))) / total(self.field(self._planned))
         return max(floor(self.planned - spent + ROUNDING), 0)
 
     @cached_property
@@ -346,7 +378,7 @@ class LiveLoop:
         share = max(1.0 - (self.resin.dark + self.ahead) / self.planned, 0.0)
         cured = self.estimator.conversion(share * self._planned_dose.numpy())
         passed = self.tomograph.camera.transmitted(self.tomograph.turbidity.extinction_at(cured).astype(np.float32))
-        return darkening(-np.log(np.maximum(passed, TINY)).mean(axis=0))
+        return darkening(-np.log(np.maximum(some(passed), TINY)).mean(axis=0))
 
     def _replanned(self, at: _Turn, depths: OpticalDepths, seen: Reconstruction, laps: _Laps) -> Decision:
         if self._cured(seen) < ENOUGH:
@@ -356,18 +388,19 @@ class LiveLoop:
         deviation = self._deviation(depths, seen)
         laps.over("see")
         acted = added(at.shown, at.pending, factor=-1.0)
-        found = self._estimated(at.before, acted, self._field(seen.cured), deviation)
+        found = self._estimated(at.before, acted, self.field(seen.cured), deviation)
         laps.over("estimate")
         checks = {"conversion": (found.unexplained, self.trust.conversion)}
         if doubt := self.trust.of_estimate(found):
             return replace(self._by_plan(at, doubt), checks=checks)
         calibrated = self.estimator.nearly(found.values, acted, found.lit)
-        more = calibrated.T(added(at.pending, *map(self._field, at.committed)))
+        more = calibrated.T(added(at.pending, *map(self.field, at.committed)))
         delivered = combine(1.0, found.delivered, 1.0, more, more)
         plan = self.replanner.replan(
-            calibrated, delivered, self._field(at.before.light), at.left,
+            calibrated, delivered, self.field(at.before.light), at.left,
             range(max(self.longest - at.turn - self.ahead, 0) + 1), evaluations=self.evaluations,
             expected_dose=self._expected_dose(float(found.values[6])),
+            error=min(total(found.std) / total(found.delivered), 1.0),
         )  # fmt: skip
         decision = self._decided(at, found, plan, delivered)
         laps.over("replan")
@@ -388,28 +421,29 @@ class LiveLoop:
         gain, inhibitor = self._first_look(*(picked(field, some) for field in (even, seen, deviation)))
         start = np.array(self.prior.mean if before.values is None else before.values)
         start[0], start[6] = gain, self.resin.induction * (1.0 - inhibitor)
-        return self.estimator.estimate(acted, seen, scaled(deviation, sqrt(ALIKE)), self.prior, start=start)
+        return self.estimator.estimate(acted, seen, deviation, self.prior, start=start, correlated=True, common=COMMON)
 
     def _decided(self, at: _Turn, found: Estimate, plan: Replanned, delivered: DeviceArray) -> Decision:
         """The decision that follows from a plan of the remaining turns."""
         turns, light = plan.expected.turns, at.before.light
-        swapped = not alike(plan.light, self._field(light))
+        swapped = not alike(plan.light, self.field(light))
         if swapped:
             light = plan.light.numpy()
             light.setflags(write=False)
             self._kept_fields[id(light)] = light, plan.light
         return Decision(
             at.turn, "stop" if not turns else "swap" if swapped else "keep", at.before.version + swapped, light, turns,
-            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.iou),
-            f"overlap {plan.kept.iou:.4f} without", dose=scaled(delivered, 1.0 / self.resin.solid),
+            1.0 - float(found.values[6]) / self.resin.induction, found.parameters, float(plan.expected.least),
+            f"overlap {plan.expected.iou:.4f} likely, {plan.kept.iou:.4f} without",
+            dose=scaled(delivered, 1.0 / self.resin.solid),
         )  # fmt: skip
 
     def _deviation(self, depths: OpticalDepths, seen: Reconstruction) -> DeviceArray:
         """Standard deviation of the conversion seen: noise, smoothing at edges, and errors of the models."""
-        variance = self._field(self.tomograph.variance(depths, iterations=self.iterations))
-        sharp = self._field(seen.cured)
+        variance = self.field(self.tomograph.variance(depths, iterations=self.iterations))
+        sharp = self.field(seen.cured)
         variance.device.launch(
-            conversion_deviation, extinction=self._field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
+            conversion_deviation, extinction=self.field(seen.field), sharp=sharp, rounded=self._rounding(sharp),
             **self._slopes, model=MODEL, variance=variance,
         )  # fmt: skip
         return variance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import log1p
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,14 @@ from vamgpu.operators.projection import Projection
 from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.scenarios import clouded, displaced
 from vamgpu.schema import check
-from vamgpu.schema.quantities import Positive
+from vamgpu.schema.quantities import Positive, Share
 
 FINER = 2
 """Number of voxels of the resin along an edge of the plan's voxels."""
 HIGHEST = 3.0
 """Greatest dose at which the response is sampled, in units of the part's."""
+MOST = 0.999
+"""Greatest conversion at a gel point."""
 GENERATIONS = (56.8, 45.8, 41.8, 37.2, 39.8)
 """Induction times of five prints from one vial [s], of the automatic exposure paper."""
 
@@ -39,6 +42,7 @@ class CuringResin:
         rate: Rate of curing, per dose.
         solid: Least dose that makes fresh resin solid, in units of the part's.
         dark: Lifetime of radicals [turns].
+        gel_error: Error by which the conversion at the gel point may be wrong, relative.
 
     Raises:
         BadInput: A value is out of its range, or the resin is solid before it cures.
@@ -48,6 +52,7 @@ class CuringResin:
     rate: Positive = 4.0
     solid: Positive = 0.865
     dark: Positive = 0.3
+    gel_error: Share = 0.1
 
     def __post_init__(self) -> None:
         check(self)
@@ -70,6 +75,12 @@ class CuringResin:
     def gel(self) -> float:
         """Conversion from which resin is solid."""
         return float(self.conversion(self.solid))
+
+    @property
+    def solid_doses(self) -> tuple[float, float]:
+        """Least and greatest dose that makes fresh resin solid, within the error of the gel point."""
+        low, high = (min(self.gel * (1.0 + side * self.gel_error), MOST) for side in (-1.0, 1.0))
+        return self.induction - log1p(-low) / self.rate, self.induction - log1p(-high) / self.rate
 
     @property
     def response(self) -> Interpolated:

@@ -15,7 +15,7 @@ from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import Beam, Grid, Turntable
 from vamgpu.live.camera import MonitoringCamera, SensorNoise
 from vamgpu.live.estimate import Estimator
-from vamgpu.live.loop import Decision, LiveLoop
+from vamgpu.live.loop import Decision, LiveLoop, LiveState
 from vamgpu.live.printer import CuringResin
 from vamgpu.live.replan import Replanner
 from vamgpu.live.tomography import Tomograph
@@ -45,7 +45,7 @@ class LiveSetup:
         angles: Images of a turn.
         vial: The vial for the printing light.
         red: The vial for the camera's light; absorbs nothing.
-        open_field: Gray level through the vial before the print.
+        open_field: Gray level through the vial before the print, or levels [row][column].
         noise: Noise of the camera.
         resin: Assumed kinetics.
         turbidity: Assumed turbidity.
@@ -72,7 +72,7 @@ class LiveSetup:
     angles: int
     vial: Vial
     red: Vial
-    open_field: float
+    open_field: Any
     noise: SensorNoise
     resin: CuringResin
     turbidity: Turbidity
@@ -121,7 +121,8 @@ class LiveSetup:
         Returns:
             The loop, before its first turn.
         """
-        replanner = Replanner(part, most=self.most * float(light.max()), threshold=self.resin.solid)
+        most, resin = self.most * float(light.max()), self.resin
+        replanner = Replanner(part, most=most, threshold=resin.solid, thresholds=resin.solid_doses)
         estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
             Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,
@@ -166,6 +167,11 @@ class LiveRecord:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
 
+    @property
+    def begun(self) -> bool:
+        """Whether the folder holds a live print."""
+        return (self.folder / DECISIONS).exists()
+
     def begin(self, setup: LiveSetup, part: np.ndarray, light: np.ndarray) -> LiveLoop:
         """Start a record.
 
@@ -180,7 +186,7 @@ class LiveRecord:
         Raises:
             StorageError: The folder already holds a live print, or cannot be written.
         """
-        if (self.folder / DECISIONS).exists():
+        if self.begun:
             raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -300,11 +306,50 @@ class LiveRecord:
             BadInput: The setup cannot be read.
             StorageError: A file is missing or damaged.
         """
-        setup, part, light = self.setup(), self.part(), np.array(map_npy(self.folder / "live-light.npy"))
-        entries: Sequence[dict[str, Any]] = self.decisions
-        showed = [was.get("showed", ()) for was in entries]
-        seen = [np.array(map_npy(self._frames(turn))) for turn in range(1, len(entries) + 1)]
-        yield from zip(entries, seen, setup.loop(part, light).replay(seen, showed), strict=True)
+        told = self.decisions
+        for was, frames, (_, decision) in zip(told, self._turns(told), self.states(self.loop()), strict=True):
+            yield was, frames, decision
+
+    def loop(self) -> LiveLoop:
+        """The loop that the record is of, before its first turn.
+
+        Raises:
+            BadInput: The setup cannot be read.
+            StorageError: A file is missing or damaged.
+        """
+        return self.setup().loop(self.part(), np.array(map_npy(self.folder / "live-light.npy")))
+
+    def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
+        """Go through the print once more with a loop.
+
+        Args:
+            loop: The loop of `loop`, before its first turn.
+
+        Yields:
+            The state and the repeated decision after each turn.
+
+        Raises:
+            StorageError: A file is missing or damaged.
+        """
+        told = self.decisions
+        yield from loop.states(self._turns(told), [was.get("showed", ()) for was in told])
+
+    def _turns(self, told: Sequence[Mapping[str, Any]]) -> Iterator[np.ndarray]:
+        return (self.frames(each["turn"]) for each in told)
+
+    def frames(self, turn: int) -> np.ndarray:
+        """Frames of a turn.
+
+        Args:
+            turn: Number of the turn, from 1.
+
+        Returns:
+            Gray levels, [angle, row, column].
+
+        Raises:
+            StorageError: The file is missing or damaged.
+        """
+        return np.array(map_npy(self._frames(turn)))
 
     def _frames(self, turn: int) -> Path:
         return self.folder / f"live-frames-{turn:04}.npy"

@@ -72,11 +72,13 @@ class Forecast:
         turns: Number of remaining turns.
         window: Strict process window, dimensionless.
         iou: Overlap with the part at the threshold of the resin, dimensionless, 0..1.
+        least: Least overlap at the thresholds that the resin may have, dimensionless, 0..1.
     """
 
     turns: int
     window: float
     iou: float
+    least: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,7 @@ class Replanned:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A task: delivered dose, the plan's light of a turn, and allowed numbers of turns, in order."""
+    """A task: delivered dose, the plan's light of a turn, allowed numbers of turns in order, error of the dose."""
 
     state: OptimizerState
     target: DeviceArray
@@ -107,6 +109,7 @@ class _Task:
     given: DeviceArray
     light: DeviceArray
     counts: Sequence[int]
+    error: float
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
+        thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -144,6 +148,7 @@ class Replanner:
     inside: float = 0.95
     greatest: float = 1.0
     threshold: float | None = None
+    thresholds: tuple[float, ...] = ()
     _known: dict[Any, tuple[DeviceArray, Border]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -157,7 +162,7 @@ class Replanner:
 
     def replan(
         self, operator: Operator, delivered: Any, plan: Any, planned: int, turns: Sequence[int], *,
-        evaluations: float, deviation: Any = 0.0, expected_dose: Any = None,
+        evaluations: float, deviation: Any = 0.0, expected_dose: Any = None, error: float = 0.0,
     ) -> Replanned:  # fmt: skip
         """The best light for the rest of a print with the given number of evaluations.
 
@@ -171,6 +176,7 @@ class Replanner:
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
             expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its
                 missing part. None starts with the plan's light unchanged.
+            error: Relative error of the dose, which `Forecast.least` counts in.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.
@@ -185,7 +191,7 @@ class Replanner:
         state.most_evaluations = positive("evaluations", evaluations)
         given = finite(operator.domain, delivered, operator.device, "the delivered dose")
         light = finite(operator.range, plan, operator.device, "the plan's light")
-        task, dose = _Task(state, target, border, given, light, counts), state.volume()
+        task, dose = _Task(state, target, border, given, light, counts, error), state.volume()
         state.expose(light, dose)
         kept = self._printed(task, planned, float(planned), dose)
         best, found = None, None
@@ -304,5 +310,8 @@ class Replanner:
     def _forecast(self, task: _Task, turns: int, dose: DeviceArray) -> Forecast:
         assert self.threshold is not None
         parts = Parts(dose, task.target, 0.5, None)
-        (_, excess), (missing, printed) = above(parts, float(np.float32(self.threshold)))[0].tolist()
-        return Forecast(turns, task.state.window(dose)[0], printed / (missing + printed + excess))
+        overlaps, levels = [], (self.threshold, *self.thresholds)
+        for level in (self.threshold, min(levels) * (1.0 - task.error), max(levels) * (1.0 + task.error)):
+            (_, excess), (missing, printed) = above(parts, float(np.float32(level)))[0].tolist()
+            overlaps.append(printed / (missing + printed + excess))
+        return Forecast(turns, task.state.window(dose)[0], overlaps[0], min(overlaps))

@@ -36,7 +36,7 @@ def page(
     swaps = sum(each["action"] == "swap" for each in decisions)
     last = decisions[-1]
     doubted = next((each for each in decisions if each.get("doubt")), None)
-    good = bool(found) and last["iou"] > 0.99 and not doubted
+    good = bool(found) and last["iou"] > 0.9 and not doubted
     headline = [] if overlaps is None else [
         Figure(f"{overlaps[1]:.4f}", "overlap, live", "of the print with the part, from independent rays"),
         Figure(f"{overlaps[0]:.4f}", "overlap, not live", "of the same resin, lit as planned"),
@@ -46,7 +46,7 @@ def page(
         Figure(str(len(decisions)), "decisions", "one after each turn with images"),
         Figure(str(swaps), "swaps", "replacements of the remaining light"),
         Figure(f"{last['turn'] + 1 + last['turns']}", "turns", f"until the light ended; {setup.planned} were planned"),
-        Figure(expected, "overlap expected", "with the part, from the last estimate"),
+        Figure(expected, "overlap expected", "with the part, at least, from the last estimate"),
     ]
     cards = [
         Card("Decisions", Table(_rows(decisions), HEADER), wide=True),

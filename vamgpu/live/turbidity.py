@@ -11,6 +11,14 @@ from vamgpu.errors import BadInput
 
 
 @dataclass(frozen=True)
+class MeasuredTurbidity:
+    """Extinction of fully cured resin, above that before the print, and its standard error [1/mm]."""
+
+    full: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Turbidity:
     """Extinction and refractive index of resin against conversion, as changes from the resin before the print.
 
