@@ -11,7 +11,6 @@ from vamgpu.hosts.process.priority import raised
 from vamgpu.hosts.process.resume import may_go_on
 from vamgpu.hosts.process.service import Service, failed
 from vamgpu.hosts.records.state import PrintState
-from vamgpu.hosts.rigs.rehearsal import rehearsal
 
 STARTING = 10.0  # time that a print waits for its client to watch [s]
 
