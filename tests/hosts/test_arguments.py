@@ -64,7 +64,6 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         (HdmiTiming, {}, "latency", (*NUMBERS, 0.5)), (HdmiTiming, {}, "pixels", (None, (1,), (0, 1), "ab")),
         (Cadence, {}, "period", (None, "1", 0, 0.5, float("inf"))),
         (Lease, {"clock": VirtualClock(), "renew": print}, "length", (*COUNTED, SECOND // 1000)),
-        (Lease, {"clock": VirtualClock(), "renew": print}, "stall", ("1", *NUMBERS[2:])),
         (Budget, {}, "limit", (None, "1", float("inf"), float("nan"), 0, -1)),
     ]  # fmt: skip
     return [(make, right, name, value) for make, right, name, values in wrong for value in values]
