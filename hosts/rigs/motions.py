@@ -154,8 +154,8 @@ class TicMotion(MotionPart):
 class Tmc2209Motion(MotionPart):
     """A stepper on a TMC2209 at its UART.
 
-    port: serial port.  address: address of the chip.  microsteps: microsteps, 1/256 of a full step each, per millimeter or
-    degree.  baud: baud rate of the port.
+    port: serial port.  address: address of the chip.  microsteps: microsteps per millimeter or degree,
+    256 to a full step.  baud: baud rate of the port.
     """
 
     port: str
@@ -168,7 +168,7 @@ class Tmc2209Motion(MotionPart):
 
 
 class GrblMotion(MotionPart):
-    """A stepper on a GRBL 1.1 board, whose mm are mm or degrees.  port: serial port.  axis: its axis.  baud: baud rate."""
+    """A stepper on a GRBL 1.1 board, whose mm may be degrees.  port: serial port.  axis: its axis.  baud: baud rate."""
 
     port: str
     axis: Literal["X", "Y", "Z"] = "X"
@@ -186,7 +186,8 @@ class TextMotion(MotionPart):
 
     port: serial port.  ask: line that queries the position.  answer: pattern of the answer, with a group ``position``
     or ``steps``.  run: line that starts a motion at a speed.  stop: line that ends it.  move: line that moves to a
-    position; by default the axis runs to it.  accepted: pattern of the answer to these lines; by default none.  baud: baud rate.
+    position; by default the axis runs to it.  accepted: pattern of the answer to these lines; none by default.
+    baud: baud rate.
     """
 
     port: str

@@ -37,7 +37,7 @@ class LaserLight(LightPart):
 
 
 class DiodeLaserLight(LightPart):
-    """A serial diode laser.  port: serial port.  kind: cobolt or obis.  watts: power at full drive.  baud: baud rate."""
+    """A diode laser that takes commands.  port: serial port.  kind: its kind.  watts: full power.  baud: baud rate."""
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "line"
     port: str

@@ -66,7 +66,7 @@ def open_device(name: str | Device | None = None) -> Device:
         The device.
 
     Raises:
-        DeviceError: There is no such device (the message names those that exist). Or it cannot keep fields in files.
+        DeviceError: There is no such device (the message names those that exist), or it cannot keep fields in files.
     """
     if name is None:
         name = default_device()

@@ -189,7 +189,7 @@ class Tomograph:
         """Standard deviation of the extinction due to the noise of a turn's images.
 
         Simulated noise of the camera goes through the same steps, and its magnitude is measured around every voxel.
-        The higher certainty of voids from x ≥ 0, and errors by smoothing, are not included.
+        It ignores errors by smoothing, and that x ≥ 0 makes voids more certain.
 
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.

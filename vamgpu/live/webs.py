@@ -167,7 +167,7 @@ class WebReplanner:
         self, path: str | Path, plan: PlanFolders, horizon: int, *, count: int | None = None,
         delivered: np.ndarray | None = None, overwrite: bool = False, progress: Progress | None = None,
     ) -> WebFolder:  # fmt: skip
-        """Write a web of the committed frames, byte for byte, and of the new frames for the rest.
+        """Write a web: the committed frames, byte for byte, then the new frames.
 
         A killed run leaves a folder of whole segments; the same call continues it and gives the same bytes.
 
@@ -181,7 +181,7 @@ class WebReplanner:
             progress: Called after each segment.
 
         Returns:
-            The folder, from which `vamgpu.webs.proof.prove_web` knows the light of its frames.
+            The folder; `vamgpu.webs.proof.prove_web` reads from it the light of its frames.
 
         Raises:
             BadInput, ShapeMismatch, TileError: As for `segments`.

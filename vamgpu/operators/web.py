@@ -28,7 +28,8 @@ class WebProjection(LinearOperator):
     start + angle·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count as 0. A window
     that begins between two columns interpolates linearly, and light is the mean over the film's motion while a frame is
     lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never
-    stored: memory is that of f and g, and for steps between columns one more g. A pixel is that of the `Propagation`,
+    stored: it takes the memory of f and g, and of one more g if steps are not whole columns. A pixel is that of the
+    `Propagation`,
     without point spread.
 
     Args:

@@ -170,7 +170,7 @@ class Scene:
             name: Name in messages and reports; by default that of the first printed body.
 
         Returns:
-            The target, its `limits` per voxel.
+            The target; its `limits` hold the dose that each voxel requires.
 
         Raises:
             BadInput: A value is out of its range.

@@ -100,7 +100,7 @@ class Model(Protocol):
         ...
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Compute derivatives by the light last exposed from those by its effective dose.
+        """Compute derivatives with respect to the last exposed light from those with respect to its effective dose.
 
         Args:
             slope: Derivatives by the effective dose [x, y, z].
@@ -131,7 +131,7 @@ class LinearModel(Model):
     Args:
         visible, ultraviolet: Operators of both colors.
         resin: Response of the resin to light.
-        turns: Number of times that the light of a turn is shown.
+        turns: Number of turns, all with the same light.
     """
 
     resin: TwoColorResin
@@ -154,8 +154,8 @@ class KineticModel(Model):
     """The state of every voxel through all turns; light arrives in the order of rotation.
 
     Effective dose = 1 + X − [A] − [B]/α, relative to the induction: the visible exposure so far, minus the exposure
-    that consumes the inhibitors made by ultraviolet. Below 1, only the share given by ε polymerizes; above 1, the
-    exposure X.
+    that consumes the inhibitors made by ultraviolet. Below an effective dose of 1, only a share set by ε polymerizes;
+    above 1, the exposure X does.
 
     Memory, in volumes: 4·runs for light and gradients, 3·turns for the states at the beginnings of turns, 3·runs·steps
     for those of the turn that is recomputed, and about 10.
@@ -164,7 +164,7 @@ class KineticModel(Model):
         visible, ultraviolet: Operators of both colors on one grid, turntable and device; absorbing vessels attenuate
             each color separately.
         resin: Response of the resin to light.
-        turns: Number of times that the light of a turn is shown.
+        turns: Number of turns, all with the same light.
         period: Time of a turn [s], needed for pairing.
         runs: Number of runs of angles per turn; the light of a run arrives at once.
         steps: Depletion substeps within a run.
@@ -205,7 +205,7 @@ class KineticModel(Model):
         """The same resin for other turns; the lamps may have changed.
 
         Args:
-            turns: Number of times that the light of a turn is shown.
+            turns: Number of turns, all with the same light.
             start: The state before; None for fresh resin.
             visible, ultraviolet: Light of each lamp, relative to this model's lamp.
             operators: Operators of both colors, if they have changed; None for this model's.
