@@ -45,7 +45,7 @@ class ControllerMotion(MotionPart):
 
 
 class ZaberMotion(StagePart):
-    """A stage by Zaber, whose trigger output can fire at every pose.
+    """A stage by Zaber, whose trigger output can fire at every angle.
 
     port: serial port, or socket://host:port.  device: device number on the line.  axis: axis number of the device.
     output: digital output that triggers the mirrors.  gate: digital output that is high while the other triggers, for
@@ -75,7 +75,7 @@ class ZaberMotion(StagePart):
 class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
-    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, of 256 each.
+    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, each of 256 parts.
     """
 
     port: str
@@ -232,7 +232,7 @@ class ControllerClock(Part):
 
 
 class StageClock(Part):
-    """The trigger output of the stage triggers the mirrors at every pose."""
+    """The trigger output of the stage triggers the mirrors at every angle."""
 
 
 class RefreshClock(Part):

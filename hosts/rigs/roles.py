@@ -160,8 +160,8 @@ class LensPart(Part):
     """The tunable lens.
 
     settle: settling time from plane to plane.  latency: response delay of its driver.  lowest: lowest power allowed
-    [dpt].  highest: highest power allowed [dpt].  controlled_by: what controls it: the controller in time with its
-    rows, or the host, which sets one focus before a print.  baud: speed of the controller's line to it.  axis: power
+    [dpt].  highest: highest power allowed [dpt].  controlled_by: what controls it: the controller, at every row, or
+    the host, which sets one focus before a print.  baud: speed of the controller's line to it.  axis: power
     that focuses on the roller's axis [dpt], from a calibration.  slope: focus shift per power [mm/dpt], negative, from
     a calibration; by default that of the relays, ``focal``, in the web's bath.  focal: focal lengths of the relays.
     """

@@ -137,7 +137,7 @@ def _open(name: str) -> Device:
         from vamgpu.backend.warp import WarpDevice
 
         return WarpDevice(name, rest)
-    raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
+    raise DeviceError(f"no device {name!r}; available: {', '.join(devices())} (`vam doctor` says why others are not)")
 
 
 def _full(name: str) -> str:

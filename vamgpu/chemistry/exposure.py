@@ -59,8 +59,8 @@ class ColorExposure:
         motion = Turntable(given[0].shape[0]) if self.motion is None else self.motion
         object.__setattr__(self, "motion", motion)
         if motion.angles != given[0].shape[0] or motion.dwell is not None:
-            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, each lit as "
-                           "long: solve with a Turntable without dwell")  # fmt: skip
+            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, lit for "
+                           "equal times: solve with a Turntable without dwell")  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int, int]:

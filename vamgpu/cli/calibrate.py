@@ -191,7 +191,7 @@ def turn(
     *, rig: str, out: Path | None = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the vial's speed, and its turn in degrees that the motion reports: a camera watches a mark on the vial.
+    """Measure the vial's speed, and its turn per degree that the motion reports: a camera watches a mark on the vial.
 
     Args:
         rig: the TOML file of the rig, or emulated

@@ -102,14 +102,14 @@ def export(
         repeats: number of turns
         rig: TOML file of a rig; frames are made for its gray curve, flat field and axis
         projector: number of the projector of that rig, from 1
-        machine: files as a machine plays them, with a card: opencal, tvam-code, rotary or lightcrafter; with --out and
-            --rpm, its turns by --repeats
-        out: the folder for them
+        machine: machine to write a film and a card for: opencal, tvam-code, rotary or lightcrafter; needs --out and
+            --rpm, and --repeats sets the number of turns
+        out: the folder for this film and card
         rpm: speed of that machine's turntable; in videos it replaces --fps
-        dark: seconds without light before and after the turns of its film, made whole turns
+        dark: seconds without light before and after the turns of its film, rounded to whole turns
         channel: the only channel of a video that is lit: red, green or blue
-        keystone: corners at which those of the canvas are drawn, "column,row" from its left top: left top, right top,
-            right bottom, left bottom
+        keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
+            canvas are drawn
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.jobs.web import is_web_folder

@@ -72,7 +72,7 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
         if len(set(numbers)) > 1:
             return numbers
     same = ", ".join(names[:2])
-    raise SliceError(f"{place}: names such as {same} have the same number; expected a number that counts them")
+    raise SliceError(f"{place}: names such as {same} have the same number; expected a different number in each")
 
 
 def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:

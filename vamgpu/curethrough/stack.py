@@ -209,7 +209,7 @@ class GooStack(FileStack):
         super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.goo.count)))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
-        raise SliceError(f"{self._label(name)} is no picture of its own; read the stack")
+        raise SliceError(f"{self._label(name)} is not a separate picture; read the stack")
 
     def _decode(self, name: str, out: np.ndarray) -> None:
         self.goo.decode(self.names.index(name), out)

@@ -179,8 +179,8 @@ class MonitoringCamera:
         check(self)
         vessel = self.projection.vessel
         if vessel is not None and vessel.absorption > 0:
-            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: what the resin takes of the "
-                           "camera's light before the print is in the open field")  # fmt: skip
+            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: the open field already "
+                           "contains the absorption before the print")  # fmt: skip
         field = np.asarray(self.open_field, np.float32)
         if field.shape not in ((), self.shape[1:], self.shape):
             raise ShapeMismatch(f"the open field has shape {field.shape}; expected {self.shape[1:]} = [row, column], "

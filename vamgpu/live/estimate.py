@@ -463,7 +463,7 @@ class Estimator:
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
             measured = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
             raise BadInput(f"got {measured} from the conversion seen, impossible for a print; expected that of this "
-                           "print: drop this turn's images and go on by the last plan")  # fmt: skip
+                           "print: discard this turn's images and continue with the last plan")  # fmt: skip
 
     def _width(self, axis: int) -> float:
         return self.operator.beam.pixels[axis] * self.operator.beam.pitch

@@ -215,8 +215,8 @@ class WebReplanner:
         if (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
             if folder.details != plain(details, "details"):
-                raise StorageError(f"{str(place)!r} holds another web, or one replanned otherwise; choose another "
-                                   "path, or allow overwriting it")  # fmt: skip
+                raise StorageError(f"{str(place)!r} holds another web, or one replanned with other settings; choose "
+                                   "another path, or allow overwriting it")  # fmt: skip
             return folder
         layout, beam = self.stream.layout, self.stream.beam
         section = self.stream.grid.shape[1], self.stream.grid.shape[2]

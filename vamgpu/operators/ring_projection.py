@@ -358,7 +358,7 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
         )
     if not covers(rings, grid):
         raise BadInput(
-            f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before the last ones that voxels need; "
+            f"got {rings.rings} rings {rings.pitch:g} mm wide, which do not reach the outermost voxels; "
             f"expected {_least(grid, rings.pitch / grid.pitch)} or more for {grid!r}, a multiple of {ROWS}"
         )
     return rings

@@ -44,7 +44,7 @@ def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str
                     )
                 text = unpacked(package, member)
                 if any(mark in text for mark in DOCTYPES):
-                    raise MeshError(f"{name!r} declares a DOCTYPE, which no 3MF may: export the part again")
+                    raise MeshError(f"{name!r} declares a DOCTYPE, which 3MF forbids: export the part again")
                 found[_path(member)] = text
     except MeshError:
         raise
