@@ -113,8 +113,8 @@ class CablePart(DisplayPart):
 
     refresh: refresh rate of the cable.  bits: bits per pixel of a frame, 7 or 8.  screen: number of the output.  order:
     color channels of a video frame in the order in which they are shown.  slots: 1 if the projector shows all colors at
-    once; with one color in order, that color alone carries the frame.  latency: delay from cable to mirrors in video
-    frames.  tolerance: error of the clock that sets the refresh [ppm].
+    once; with one color in order, that color alone carries the frame.  latency: delay from cable to mirrors [video
+    frames].  tolerance: error of the clock that sets the refresh [ppm].
     """
 
     triggered: ClassVar[bool] = False

@@ -55,7 +55,7 @@ class Device(ABC):
         except DeviceError:
             is_named = False
         if not is_named:
-            raise DeviceError(f"got {self!r} to pickle, which no name opens in another process; expected a device of "
+            raise DeviceError(f"got {self!r} to pickle, which no other process opens by name; expected a device of "
                               "vamgpu.open_device: pickle what it computed as NumPy arrays")  # fmt: skip
         return open_device, (self.name,)
 

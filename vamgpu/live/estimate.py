@@ -134,7 +134,7 @@ class Estimator:
 
         minimize Σ ((M(D(p)) − seen) / deviation)² + (p − mean)ᵀ covariance⁻¹ (p − mean)
 
-    by Gauss-Newton. The dose D and its derivatives come from operators with moved and more absorbing resin. The
+    by Gauss-Newton. The dose D and its derivatives come from operators whose resin is shifted or absorbs more. The
     remaining deviation gives each voxel a relative gain, which is smoothed over its neighbors and drawn towards 0.
 
     Args:
@@ -186,7 +186,7 @@ class Estimator:
         return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[0]
 
     def gain(self, values: np.ndarray) -> np.ndarray:
-        """Dose over that of even light.
+        """Dose relative to that with the same light at every height and radius.
 
         Args:
             values: Value of each of `NAMES`, (7,).

@@ -199,7 +199,7 @@ class LiveRecord:
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
-        """Add a turn; its frames are written first, and every decision then has its frames.
+        """Add a turn; its frames are written first, so that every decision has its frames.
 
         Args:
             frames: Gray levels, [angle, row, column].

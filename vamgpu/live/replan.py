@@ -174,8 +174,8 @@ class Replanner:
             turns: Allowed numbers of further turns, 0 for a stop now.
             evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
-            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its
-                missing part. None starts with the plan's light unchanged.
+            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected for what is
+                missing of it. None starts with the plan's light unchanged.
             error: Relative error of the dose, which `Forecast.least` counts in.
 
         Returns:

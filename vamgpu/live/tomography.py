@@ -86,7 +86,7 @@ class Reconstruction:
 class Tomograph:
     """Fields of conversion from the images of a `MonitoringCamera`, turn by turn.
 
-    The most probable extinction x ≥ 0, given images with their noise and neighbors that differ little:
+    The most probable extinction x ≥ 0, given the images and their noise, if neighbors differ little:
 
         minimize Σ w·(A x − y)² + Σ_neighbors (x − x')² / δ²
 

@@ -77,8 +77,8 @@ def optimize(
 ) -> Plan:
     """Find patterns [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. On rings, rays through voxels
-    judge the best and the last patterns at the end; `Plan.history` has the values on rings.
+    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. For an operator on rings, rays
+    through voxels judge the best and the last patterns at the end; `Plan.history` has the values on rings.
 
     Args:
         operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`

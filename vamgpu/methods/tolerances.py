@@ -254,7 +254,7 @@ class Tolerances:
         return tuple(dict.fromkeys((Corner(), *found)))
 
     def scenarios(self, operator: Any, *, judged: Judged | None = None) -> Scenarios:
-        """The operator at every corner, as one.
+        """The operators of all corners, joined in one.
 
         Args:
             operator: The nominal projector.

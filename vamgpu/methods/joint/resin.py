@@ -19,7 +19,8 @@ class TwoColorResin:
 
     Args:
         visible: Share of the induction that a unit of visible dose consumes (k_A/[A]₀).
-        ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).
+        ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, a reaction of first order
+            (k_C/[C]₀).
         supply: [C]₀/[A]₀.
         alpha: Ratio k_B/k_A, visible light's preference for B.
         pairing: Rate k₂·[A]₀ [1/s] at which B recombines to C.
@@ -60,8 +61,7 @@ class TwoColorResin:
             The resin.
 
         Raises:
-            BadInput: The rates are of order 0 in [C], which would need the supply to end within a step, or C is
-                missing.
+            BadInput: The rates are of order 0 in [C], where the supply may end within a step, or C is missing.
         """
         if not rates.supply:
             raise BadInput("the resin has a supply of 0; expected [C] > 0, on which ultraviolet light acts")
