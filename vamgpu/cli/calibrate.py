@@ -211,7 +211,7 @@ def live(
     *, rig: str, out: Path | None = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
     projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the camera of watched prints: open field, dark level, noise, and where it sees which mirror.
+    """Measure the camera of watched prints: open field, dark level, noise, and where it sees each mirror.
 
     Without a vial, single columns and rows of mirrors are lit. Measure again with a vial of fresh resin in front of the
     camera's own light, and --keep-place, which lights no mirror.

@@ -71,7 +71,7 @@ def print_(
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
-        anyway: print a job although its proof does not print; by default a terminal asks
+        anyway: print a job although its proof does not print; by default you are asked at a terminal
         mend: show frames of a vial that were cut short once more, in an added turn, if the proved dose and the budget
             of light allow it
     """

@@ -64,7 +64,7 @@ class Decision:
         turns: Expected number of remaining turns.
         inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
-        iou: Overlap claimed for the end: the least within the errors of gel point and dose, dimensionless.
+        iou: Lowest overlap expected at the end, within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
         doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
             as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
@@ -136,7 +136,7 @@ class LiveState:
         values: The last estimate of the parameters, (7,); None before the first.
         clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
         level: Mean level of the last images, [row, column]; None before the first turn.
-        sunk: Shift of what is cured towards lower rows since it was first seen [pixels].
+        sunk: Shift of the cured part towards lower rows since it was first seen [pixels].
         images: Digest of the last images.
         doubt: Reason why images no longer decide; empty if they do.
     """

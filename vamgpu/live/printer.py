@@ -42,7 +42,7 @@ class CuringResin:
         rate: Rate of curing, per dose.
         solid: Least dose that makes fresh resin solid, in units of the part's.
         dark: Lifetime of radicals [turns].
-        gel_error: Error by which the conversion at the gel point may be wrong, relative.
+        gel_error: Relative error of the conversion at the gel point.
 
     Raises:
         BadInput: A value is out of its range, or the resin is solid before it cures.

@@ -311,7 +311,7 @@ class LiveRecord:
             yield was, frames, decision
 
     def loop(self) -> LiveLoop:
-        """The loop that the record is of, before its first turn.
+        """The loop of the recorded print, before its first turn.
 
         Raises:
             BadInput: The setup cannot be read.
@@ -320,10 +320,10 @@ class LiveRecord:
         return self.setup().loop(self.part(), np.array(map_npy(self.folder / "live-light.npy")))
 
     def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
-        """Go through the print once more with a loop.
+        """Repeat the print with a loop.
 
         Args:
-            loop: The loop of `loop`, before its first turn.
+            loop: A loop made by `loop`, before its first turn.
 
         Yields:
             The state and the repeated decision after each turn.

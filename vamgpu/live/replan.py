@@ -136,7 +136,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
-        thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
+        thresholds: Other values that ``threshold`` may have, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -176,7 +176,7 @@ class Replanner:
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
             expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected for what is
                 missing of it. None starts with the plan's light unchanged.
-            error: Relative error of the dose, which `Forecast.least` counts in.
+            error: Relative error of the dose, which `Forecast.least` allows for.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.
