@@ -118,8 +118,8 @@ class FrameVersions:
         ends = [end for end in (stop, until) if end is not None]
         if not 0 < whole(self.unit, turn, 0) < self.turns or not all(turn < end <= self.turns for end in ends):
             raise BadInput(
-                f"{self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a coming "
-                f"{self.unit}, and an end after it"
+                f"got {self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a first "
+                f"{self.unit} from 1 on, and an end after it"
             )
         light = positive("light of a version", light, zero=True)
         if self.unit == "segment":

@@ -133,11 +133,11 @@ class CablePart(DisplayPart):
         if self.slots == 1:
             if self.order is not None and len(self.order) != 1:
                 raise ValueError(
-                    "slots = 1 shows one frame at once; expected the one color that has light, or no order"
+                    "slots = 1 shows all colors at once; expected order with the one color that has light, or no order"
                 )
         elif self.order is not None and sorted(self.order) != sorted(self.colors[self.bits]):
             names = ", ".join(self.colors[self.bits])
-            raise ValueError(f"{self.bits} bits go to {names}, each once; expected them in order, in any sequence")
+            raise ValueError(f"frames of {self.bits} bits use {names}; expected order to list each of them once")
 
 
 class LightPart(Part):

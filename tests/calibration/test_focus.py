@@ -90,7 +90,7 @@ def test_tenengrad_is_the_sobel_gradient() -> None:
 def test_what_has_no_peak_is_refused_with_numbers() -> None:
     rng = np.random.default_rng(2)
     powers = np.linspace(7.0, 8.0, 41)
-    with pytest.raises(BadInput, match="as sharp, 2"):
+    with pytest.raises(BadInput, match="equally sharp, 2"):
         fit_peak(powers, np.full(41, 2.0))
     with pytest.raises(BadInput, match="outside the powers 7 to 8 dpt|no peak fits"):
         fit_peak(powers, lorentzian(powers, 8.4, 0.5, 1.0, 0.0))

@@ -280,7 +280,7 @@ def test_wrong_input_is_refused() -> None:
         plain(alpha=0.0)
     with pytest.raises(BadInput, match="at most 0.5"):
         plain(floor=0.7)
-    with pytest.raises(BadInput, match="pairs up"):
+    with pytest.raises(BadInput, match="recombines in pairs"):
         KineticModel(A, B, plain(pairing=0.1), 2)
     with pytest.raises(BadInput, match="runs of 8 angles"):
         KineticModel(A, B, plain(), 2, runs=9)

@@ -44,7 +44,7 @@ class ColorExposure:
     def __post_init__(self) -> None:
         given = [light for light in (self.visible, self.ultraviolet) if light is not None]
         if not given or not isinstance(self.device, Device):
-            raise BadInput("an exposure got no light or no device; expected light of a color, the transport's device")
+            raise BadInput("an exposure got no light or no device; expected light of a color, and a device")
         if self.box.radius is None:
             raise BadInput("light enters a cylinder of resin; give the box its radius")
         object.__setattr__(self, "pitch", positive("pitch of the light [mm]", self.pitch or self.box.pitch[0]))

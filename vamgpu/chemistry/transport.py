@@ -41,7 +41,7 @@ class Reaction:
             raise BadInput(f"Reaction order is {self.order!r}; expected 0 or 1")
         if self.mechanical < self.optical:
             raise BadInput(
-                f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; resin turns visible first"
+                f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; expected it at or above"
             )
 
     @classmethod

@@ -188,8 +188,8 @@ class MonitoringCamera:
         if not np.isfinite(field).all() or field.min() < 0 or field.max() <= 0:
             raise BadInput("the open field is dark, negative or not finite; expected gray levels of the lit vial")
         if field.min() >= self.noise.brightest:
-            raise BadInput(f"the open field is {field.min():g} or more everywhere, and the sensor ends at "
-                           f"{self.noise.brightest}; expected less: weaken it, or set the noise's bits")  # fmt: skip
+            raise BadInput(f"the open field is {field.min():g} or more everywhere, but the sensor's brightest level is "
+                           f"{self.noise.brightest}; expected less: weaken the light, or set bits")  # fmt: skip
         object.__setattr__(self, "open_field", field)
 
     @property

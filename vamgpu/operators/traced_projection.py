@@ -215,7 +215,7 @@ def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
         at += some.size
     found, whole = np.concatenate(entries), np.concatenate(pairs)
     if len(whole) >= 2**31:
-        raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be numbered: use a coarser grid")
+        raise OutOfMemory(f"the matrix has {len(whole)} entries; expected fewer than {2**31}: use a coarser grid")
     row = np.repeat(np.arange(found.size, dtype=np.int32), found)
     return SparseEntries(row, whole[:, 0].astype(np.int32), np.ascontiguousarray(whole[:, 1]))
 

@@ -187,9 +187,9 @@ class KineticModel(Model):
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
         self.period: float = positive("period [s]", period, zero=True)
         if resin.pairing and not self.period:
-            raise BadInput("the resin's B pairs up, which makes the period of a turn [s] matter; expected period > 0")
+            raise BadInput("B recombines in pairs, which takes time; expected period > 0, the time of a turn [s]")
         if resin.pairing and visible.motion.dwell is not None:
-            raise BadInput(f"the resin's B pairs up, but {visible.motion} angles are lit for unequal times; expected "
+            raise BadInput(f"B recombines in pairs, but {visible.motion} angles are lit for unequal times; expected "
                            "equal times: leave dwell out of Turntable")  # fmt: skip
         self.steps: int = counts("steps", (steps,), 1)[0]
         self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
@@ -252,7 +252,7 @@ class KineticModel(Model):
 
     def gradient(self, slope: DeviceArray) -> Pair:
         if not self._starts:
-            raise BadInput("there is no light to differentiate at; expose some first")
+            raise BadInput("no light was exposed before the gradient; call expose() first")
         count = len(self._doses) * self.steps
         slopes = [Pair(*(self._constant(0.0) for _ in range(2))) for _ in self._doses]
         a, b, c = self._volumes(3)

@@ -42,7 +42,7 @@ class TwoColorResin:
     def __post_init__(self) -> None:
         check(self)
         if self.floor > 0.5:
-            raise BadInput(f"floor is {self.floor:g}; expected at most 0.5: A and B would hardly inhibit")
+            raise BadInput(f"floor is {self.floor:g}; expected at most 0.5: above it, A and B hardly inhibit")
 
     @classmethod
     def of(
@@ -66,7 +66,7 @@ class TwoColorResin:
         if not rates.supply:
             raise BadInput("the resin has a supply of 0; expected [C] > 0, on which ultraviolet light acts")
         if rates.order != 1:
-            raise BadInput("the rates are of order 0 in [C]; expected order 1, which equals it while [C] is the supply")
+            raise BadInput("the rates are of order 0 in [C]; expected order 1, the same while [C] is the supply")
         a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
         return cls(rates.k_a * seen[0] / a, rates.k_c * seen[1] / rates.supply, rates.supply / a, rates.alpha,
                    rates.k_2 * a, cross * rates.k_a * seen[1] / a, floor)  # fmt: skip
