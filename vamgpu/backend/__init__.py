@@ -100,9 +100,7 @@ def within(device: str | None, memory: str) -> str:
     if device is None:
         device = next((name for name in devices() if name in _opencl_names()[1]), None)
         if device is None:
-            raise BadInput(
-                "fields in files need a processor through OpenCL, and none works here; `vam doctor` says why"
-            )
+            raise BadInput("fields in files need an OpenCL processor, and none works here; `vam doctor` says why")
     return f"{device.partition('@')[0]}@{size - BESIDE}B"
 
 
@@ -115,8 +113,8 @@ def _open(name: str) -> Device:
     kind, _, rest = name.partition(":")
     if limited and (memory is None or name not in _opencl_names()[1]):
         raise DeviceError(
-            f"{name}@{size} is no device; expected a processor through OpenCL, one of "
-            f"{', '.join(_opencl_names()[1]) or 'none here'}, and a size of memory, as in opencl:pocl:0@8GB"
+            f"{name}@{size} is no device; expected an OpenCL processor, one of "
+            f"{', '.join(_opencl_names()[1]) or 'none here'}, with a size of memory, as in opencl:pocl:0@8GB"
         )
     if name.endswith(":*") or "+" in name:
         from vamgpu.backend.slabs import SlabDevice  # PyOpenCL and Warp below are imported only when needed

@@ -454,7 +454,7 @@ class Device(ABC):
         """Raise `DeviceError` for an array of another device."""
         if array.device is not self:
             raise DeviceError(
-                f"the array lives on {array.device.name}, the work on {self.name}; download it and upload it here"
+                f"the array is on {array.device.name}, the work on {self.name}; download it and upload it here"
             )
 
     @final

@@ -52,8 +52,8 @@ def import_(
     if out is not None and out.suffix.lower() == ".toml":
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only the "
-                           "configuration: leave it out")  # fmt: skip
+            raise BadInput(f"got {', '.join(beside)} with --out {out}; a job file is made from the configuration "
+                           "alone: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
