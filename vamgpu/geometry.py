@@ -173,7 +173,7 @@ class Beam:
 def one_ray_a_pixel(operator: str, beam: Beam) -> None:
     """Raise `BadInput` if ``beam`` has a fill factor or a spread, which ``operator`` would ignore."""
     if beam.fill != 1.0 or beam.spread:
-        raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray a pixel and "
+        raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray per pixel and "
                        "knows no point spread; leave fill and spread out")  # fmt: skip
 
 

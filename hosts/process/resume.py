@@ -90,7 +90,7 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
     """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
+            f"the last record in {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
             "therefore not known; start again with fresh resin"
         )
     may_resume(pause, limits)

@@ -197,7 +197,7 @@ def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
     if not (name.isidentifier() and prod(shape) and shape and len(shape) == len(entry.axes) and dtype.kind in "biuf"):
         raise BadInput(
             f"array {name!r} is {dtype} {shape} with axes {entry.axes}; "
-            "expected a plain name, some numbers, and one name an axis"
+            "expected a plain name, some numbers, and one name per axis"
         )
     source = (
         Streamed(shape, dtype, lambda first, last: values[first:last]) if isinstance(values, np.ndarray) else values
