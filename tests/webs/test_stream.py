@@ -282,7 +282,7 @@ def test_a_lens_that_cannot_be_used_is_refused() -> None:
     beam = ROLLER.beam(0.12, 4)
     with pytest.raises(BadInput, match="got 3 as lens; expected a TunableLens, FocusMasks"):
         Stream(part(60), ROLLER, beam, lens=3)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match="about a Roller, and Slanted is none"):
+    with pytest.raises(BadInput, match="of a Roller, but Slanted is not one"):
         stream(part(60), lens=TunableLens())
     with pytest.raises(BadInput, match="bins is 90"):
         Stream(part(60), ROLLER, beam, lens=TunableLens(bins=90))

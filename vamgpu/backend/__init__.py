@@ -113,7 +113,7 @@ def _open(name: str) -> Device:
     kind, _, rest = name.partition(":")
     if limited and (memory is None or name not in _opencl_names()[1]):
         raise DeviceError(
-            f"{name}@{size} is no device; expected an OpenCL processor, one of "
+            f"{name}@{size} is not a device; expected an OpenCL processor, one of "
             f"{', '.join(_opencl_names()[1]) or 'none here'}, with a size of memory, as in opencl:pocl:0@8GB"
         )
     if name.endswith(":*") or "+" in name:

@@ -121,7 +121,7 @@ def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tup
     reach = min(max(REACH * width, NARROWEST), room)
     if reach < FLAT * width or reach < 0.5 * NARROWEST:
         raise BadInput(
-            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; expected "
+            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} pixels beside it; expected "
             f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or use a wider view"
         )
     count = int(reach * OVERSAMPLE)

@@ -51,7 +51,7 @@ class ColorExposure:
         for light in given:
             if np.ndim(light) != 3 or light.shape != given[0].shape or light.shape[2] != self.box.shape[2]:
                 raise ShapeMismatch(
-                    f"light has shape {np.shape(light)}; expected [angle, r, {self.box.shape[2]}] alike for both colors"
+                    f"light has shape {np.shape(light)}; expected [angle, r, {self.box.shape[2]}] for both colors"
                 )
             if not np.isfinite(light).all() or np.min(light) < 0:
                 raise BadInput(f"light holds {np.min(light):g} mW/mm²; expected finite numbers ≥ 0")

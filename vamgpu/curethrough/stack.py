@@ -110,7 +110,7 @@ class FileStack(ABC):
             if found != first:
                 raise SliceError(
                     f"{self._label(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
-                    "expected all slices alike: export them again"
+                    "expected all slices to be the same: export them again"
                 )
         assert first is not None
         return first.shape
