@@ -109,7 +109,7 @@ def test_what_has_no_peak_is_refused_with_numbers() -> None:
 
 def test_bad_recordings_are_refused_by_position() -> None:
     flat = np.full((41, 8, 8), 90, np.uint8)
-    with pytest.raises(BadInput, match=r"position -4 mm: every picture"):
+    with pytest.raises(BadInput, match=r"position -4 mm: all pictures"):
         fit_focus(POSITIONS, POWERS, iter([flat] * 9))
     with pytest.raises(BadInput, match="end after 0 of 9"):
         fit_focus(POSITIONS, POWERS, iter([]))

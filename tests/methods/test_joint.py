@@ -290,7 +290,7 @@ def test_wrong_input_is_refused() -> None:
         LinearModel(A, both((12, 12, 5), 8, "numpy")[1], plain())
     with pytest.raises(DeviceError):
         LinearModel(A, both((12, 12, 4), 8, "warp:cpu")[1], plain())
-    with pytest.raises(BadInput, match="expose some"):
+    with pytest.raises(BadInput, match="call expose"):
         model.gradient(A.device.upload(target))
     with pytest.raises(BadInput, match="outside < 1"):
         LossWeights(1.1, 1.4)
