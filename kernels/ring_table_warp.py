@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from vamgpu.kernels.footprint_warp import BLURRED, FADE, FAR, SHARP, TAIL, THINNEST, faded
+from vamgpu.kernels.footprint_warp import BLURRED, FAR, TAIL, THINNEST, faded
 from vamgpu.kernels.wide_warp import Flat, read, write
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -58,7 +58,7 @@ def shares(u: wp.float64, a: float, b: float, strength: float, fill: float, sigm
     for lane in range(4):
         apart = u - wp.float64(lane)
         light = edge(apart + half, outer, inner, spread) - edge(apart - half, outer, inner, spread)
-        counted = faded(float(apart), reach, 1.0 / (FADE * sigma + SHARP))
+        counted = faded(float(apart), reach, sigma)
         found[lane] = counted * strength / (wide * thin * fill) * wp.max(float(light), 0.0)
     return found
 

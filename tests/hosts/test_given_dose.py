@@ -113,7 +113,7 @@ class Recorder:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.seconds: dict[int, np.ndarray] = {}
-        monkeypatch.setattr("vamgpu.hosts.rig.rehearsal", self._rehearsed)
+        monkeypatch.setattr("vamgpu.hosts.process.order.rehearsal", self._rehearsed)
 
     def _rehearsed(self, *planned: Any, **options: Any) -> Rehearsal:
         stand = rehearsal(*planned, **options)
@@ -229,8 +229,12 @@ def test_another_dose_is_told_and_never_green(
 
 def test_a_dose_that_whole_turns_cannot_give_is_refused_with_the_speed_that_can(part: Path, proof: Proof) -> None:
     rig, proved = parse_rig(PI), replace(ProvedDose.of(proof), seconds=12.0)
-    with pytest.raises(BadInput, match=r"1\.333 turns of 9 s.*expected ×.* turn at 30 deg/s.*--turns 1"):
+    refused = r"1\.333 turns of 9 s.*expected ×.* turn at ([\d.]+) deg/s.*--turns 1"
+    with pytest.raises(BadInput, match=refused) as told:
         plan(part, rig, rehearsed=True, exposure=proved)
+    advice = re.search(refused, str(told.value))
+    followed = plan(part, rig, speed=float(advice[1]), rehearsed=True, exposure=proved).dose if advice else None
+    assert followed is not None and followed.keeps and followed.turns == 1
     with pytest.warns(DoseWarning, match=r"1 turn of light: the dose is ×0\.750"):
         asked = plan(part, rig, rehearsed=True, turns=1, exposure=proved).dose
     assert asked is not None and asked.asked and asked.lit == 1.0 and not asked.whole

@@ -319,7 +319,7 @@ def test_rigs_that_cannot_be_are_told() -> None:
         (ALP + LENS + "lowest = 9.0\n", "lowest below highest"),
         (HDMI.replace('machine = "vial"', 'machine = "slices"'), "prints vials and webs"),
         (HDMI[: HDMI.index("[motion]")] + "[motion]\nmicrosteps = 80\n", "a stage, whose angle chooses"),
-        (HDMI + LENS, "without a lens"),
+        (HDMI + LENS, "prints with one focus, which the host sets"),
         (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each once"),
         (HDMI.replace("[display]", '[[display]]\ndriver = "video"\n[[display]]'), "one projector"),
         (ALP.replace("[[display]]", "[other]"), "display is missing"),

@@ -85,7 +85,7 @@ def opened_door(monkeypatch: pytest.MonkeyPatch, again: float | None) -> None:
         controller.on_light = lit
         return stand
 
-    monkeypatch.setattr("vamgpu.hosts.rig.rehearsal", doored)
+    monkeypatch.setattr("vamgpu.hosts.process.order.rehearsal", doored)
 
 
 def printed(part: Path, run: Path, *words: str) -> int:

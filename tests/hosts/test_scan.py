@@ -116,5 +116,5 @@ def test_a_rehearsed_print_shows_every_frame_at_its_angle(tmp_path: Path, motion
 
 def test_a_rig_refuses_what_its_machines_cannot_show(tmp_path: Path) -> None:
     solved(tmp_path / "part.vam", vam.Turntable(8, dwell=[1, 2, 1, 1, 1, 1, 1, 1]))
-    with pytest.raises(BadInput, match="lit as long"):
+    with pytest.raises(BadInput, match="lit equally long"):
         plan(tmp_path / "part.vam", read_rig("emulated"), speed=20, turns=1)

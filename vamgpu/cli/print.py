@@ -96,8 +96,9 @@ def print_(
         with warnings.catch_warnings():
             if stop is not None:  # its turns are the most, and the scatter decides on the dose
                 warnings.simplefilter("ignore", DoseWarning)
-            planned = plan(folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device,
-                           exposure=exposure)  # fmt: skip
+            planned = plan(
+                folders, config, speed=speed, turns=turns, rehearsed=dry_run, device=device, exposure=exposure
+            )
     exposure = False if planned.dose is None else planned.dose.proved
     if dry_run and not config.setup.emulated:  # check the rig itself as well
         plan(folders, config, speed=speed, turns=turns, device="numpy", exposure=exposure)
