@@ -154,8 +154,7 @@ class TicMotion(MotionPart):
 class Tmc2209Motion(MotionPart):
     """A stepper on a TMC2209 at its UART.
 
-    port: serial port.  address: address of the chip.  microsteps: microsteps per millimeter or degree,
-    256 to a full step.  baud: baud rate of the port.
+    port: serial port.  address: chip address.  microsteps: 256 per full step, per mm or degree.  baud: baud rate.
     """
 
     port: str
@@ -186,8 +185,7 @@ class TextMotion(MotionPart):
 
     port: serial port.  ask: line that queries the position.  answer: pattern of the answer, with a group ``position``
     or ``steps``.  run: line that starts a motion at a speed.  stop: line that ends it.  move: line that moves to a
-    position; by default the axis runs to it.  accepted: pattern of the answer to these lines; none by default.
-    baud: baud rate.
+    position; by default the axis runs to it.  accepted: pattern of their answer; none by default.  baud: baud rate.
     """
 
     port: str

@@ -81,7 +81,7 @@ def test_damaged_goo_files_are_refused_with_the_cause(data: bytes, said: str, tm
 
 def test_goo_needs_the_settings_of_a_goo(tmp_path: Path) -> None:
     with (
-        pytest.raises(StorageError, match=r"would lack the printer data of a \.goo file"),
+        pytest.raises(StorageError, match=r"would lack the printer settings of a \.goo file"),
         writing(tmp_path / "a.goo", ("1.png",)),
     ):
         pass

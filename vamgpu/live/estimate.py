@@ -265,8 +265,7 @@ class Estimator:
             prior: Prior of the parameters of these turns.
             before: The estimate before these turns; None at the start.
             start: Initial values of the search, for example the last values, (7,); None for the prior's.
-            correlated: Whether the errors of neighbors may be correlated; the number that counts as one is then
-                measured.
+            correlated: Whether errors of neighbors may be correlated; their correlation is then measured.
             common: Relative error of the conversion common to all voxels, such as that of the turbidity, and its
                 change from the middle to the top, and to the rim.
 
