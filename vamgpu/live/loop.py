@@ -223,7 +223,7 @@ class LiveLoop:
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
-        """Decide after one more turn of the first committed light, or of the state's light if none is committed.
+        """Decide after one more turn. It showed the first committed light or, if none is committed, the state's light.
 
         If images or estimates are rejected, only the update of this turn is lost.
 

@@ -152,7 +152,7 @@ class LiveSetup:
             return cls(**plain)
         except (TypeError, KeyError) as error:
             raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: "
-                           f"take {SETUP} as it was written") from error  # fmt: skip
+                           f"restore {SETUP}") from error  # fmt: skip
 
 
 class LiveRecord:

@@ -96,13 +96,13 @@ class Colors:
         return subtracted((self.visible, self.uv), (1.0, -self.strength), light)
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Compute derivatives by the light from those by the dose.
+        """Compute derivatives with respect to the light from those with respect to the dose.
 
         Args:
-            slope: Derivatives by the dose [x, y, z].
+            slope: Derivatives with respect to the dose [x, y, z].
 
         Returns:
-            Derivatives by the light [angle, r, z] of both colors.
+            Derivatives with respect to the light [angle, r, z] of both colors.
         """
         return subtracted_gradient((self.visible, self.uv), (1.0, -self.strength), slope)
 

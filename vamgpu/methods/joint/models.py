@@ -103,10 +103,10 @@ class Model(Protocol):
         """Compute derivatives with respect to the last exposed light from those with respect to its effective dose.
 
         Args:
-            slope: Derivatives by the effective dose [x, y, z].
+            slope: Derivatives with respect to the effective dose [x, y, z].
 
         Returns:
-            Derivatives by the light [angle, r, z] of both colors.
+            Derivatives with respect to the light [angle, r, z] of both colors.
 
         Raises:
             BadInput: No light was exposed before.
