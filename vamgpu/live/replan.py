@@ -136,7 +136,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
-        thresholds: Other doses that ``threshold`` may be, see `CuringResin.solid_doses`.
+        thresholds: Other possible values of this dose, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
