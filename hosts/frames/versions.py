@@ -104,7 +104,7 @@ class FrameVersions:
                 self.last + 1 if number is None else number, tuple(sources), turn, stop, light, until
             )
             if version.number <= self.last:
-                raise BadInput(f"version {version.number} comes after version {self.last}; expected a greater number")
+                raise BadInput(f"got version {version.number} after version {self.last}; expected a greater number")
             for source in self.sources:
                 source.prepare(version)
             self.last = version.number
