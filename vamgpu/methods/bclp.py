@@ -90,7 +90,7 @@ class BCLP(ByDescent):
         return self._band(self.ridge)
 
     def apart(self, excess: float) -> BCLP:
-        """The loss with q = p and regularization for the same minimum; distant parts are then independent.
+        """The loss with q = p, regularized so that its minimum is the same; distant parts are then independent.
 
         The power q/p scales the norm's gradient by q/p·excess^(q/p − 1); the regularization is divided by this factor.
 

@@ -41,8 +41,8 @@ class Colors:
     Args:
         visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
             of its color. ``.T`` maps light of the color to dose and is the exact transpose.
-        projector: Operator that turns a pattern of dose into light in the rules with passes, for example one without
-            absorption; None for each color's own.
+        projector: Operator with which rules with passes project doses to light, for example one without absorption;
+            None for each color's own.
         strength: Visible dose that one unit of UV dose cancels.
         whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter. Otherwise,
             methods that use it count only the inscribed cylinder.
