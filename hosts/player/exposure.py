@@ -102,7 +102,7 @@ class ScatterWatch:
         if (over := self._over(image)) > SATURATED:
             raise BadInput(
                 f"{100 * over:.1f} % of the camera's pixels are saturated before the light; expected "
-                f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim the light for the camera"
+                f"{100 * SATURATED:g} % at most: lower exposure in [[feedback]], or dim the camera's light"
             )
         self._folder.event("background", self._background[0], levels=float(image.sum(dtype=np.float64)))
 
@@ -132,7 +132,7 @@ class ScatterWatch:
             "light; allow more turns, or a lower density"
         )
         if self._saturated is not None:
-            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower camera.exposure"
+            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower exposure in [[feedback]]"
         log.warning("%s", said)
         return said
 

@@ -231,7 +231,7 @@ def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
     for wrong in ({"evaluations": 0}, {"evaluations": float("nan")}, {"seed": -1}, {"camera": 3}, {"truth": 3}):
         with pytest.raises(BadInput, match=next(iter(wrong))):
             live(nut, turns=TURNS, folder=run, **wrong)
-    with pytest.raises(BadInput, match="sensor ends at 1023"):
+    with pytest.raises(BadInput, match="brightest level is 1023"):
         live(nut, turns=TURNS, folder=run, camera=RedCamera(open_field=5000.0))
     assert not run.exists()
 

@@ -61,7 +61,7 @@ def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
     )
     said = card.read_text()
     assert "turn at     9 rpm = 54 deg/s, one turn in 6.66667 s" in said
-    assert "2 turns of 12 images, 1.8 images a second, 13.3333 s" in said
+    assert "2 turns of 12 images, 1.8 images per second, 13.3333 s" in said
     assert "1 turns (6.66667 s) before, 2 turns (13.3333 s) after" in said
 
 
@@ -97,7 +97,7 @@ def test_a_lightcrafter_gets_three_frames_an_image(angles: int, tmp_path: Path) 
 def test_a_rotary_film_keeps_to_the_projector_s_rate(tmp_path: Path) -> None:
     made, card = export_for("rotary", plain_frames(), tmp_path, "part", rpm=12.5, canvas=Canvas((16, 24)))
     assert decoded(made)[1] == pytest.approx(2.5) and "film ends in the dark" in card.read_text()
-    with pytest.raises(BadInput, match=r"12 frames a turn at 301 rpm are 60\.2 images a second; .* use 300 rpm"):
+    with pytest.raises(BadInput, match=r"12 frames per turn at 301 rpm are 60\.2 images per second; .* use 300 rpm"):
         export_for("rotary", plain_frames(), tmp_path, "b", rpm=301)
 
 

@@ -55,7 +55,7 @@ class Device(ABC):
         except DeviceError:
             is_named = False
         if not is_named:
-            raise DeviceError(f"got {self!r} to pickle, which no name opens in another process; expected a device of "
+            raise DeviceError(f"got {self!r} to pickle, which no other process opens by name; expected a device of "
                               "vamgpu.open_device: pickle what it computed as NumPy arrays")  # fmt: skip
         return open_device, (self.name,)
 
@@ -425,7 +425,7 @@ class Device(ABC):
         """Raise `DeviceError` for an array of another device."""
         if array.device is not self:
             raise DeviceError(
-                f"the array lives on {array.device.name}, the work on {self.name}; download it and upload it here"
+                f"the array is on {array.device.name}, the work on {self.name}; download it and upload it here"
             )
 
     @final

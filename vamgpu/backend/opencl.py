@@ -49,7 +49,7 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
             file.truncate(whole)
             mapped = mmap.mmap(file.fileno(), 0)
     except OSError as error:
-        raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
+        raise OutOfMemory(f"no {nbytes} bytes for a file in {folder}: {error}; set TMPDIR to a larger disk") from error
     return np.frombuffer(mapped, np.uint8), mapped
 
 

@@ -94,7 +94,7 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
     height = float(sharp[top]) - floor
     if height <= 0:
         raise BadInput(
-            f"every picture of the stack is as sharp, {floor:.4g}; expected a grating in focus at some power"
+            f"all pictures of the stack are equally sharp, {floor:.4g}; expected a grating in focus at some power"
         )
     wide = power[sharp > floor + 0.5 * height]
     start = (power[top], max(0.5 * float(np.ptp(wide)), 0.5 * span / power.size), 1.0, 0.0)

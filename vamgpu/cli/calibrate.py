@@ -181,7 +181,7 @@ def turn(
     *, rig: Rig, out: Out = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the vial's speed, and its turn in degrees that the motion reports: a camera watches a mark on the vial.
+    """Measure the vial's speed, and its turn per degree that the motion reports: a camera watches a mark on the vial.
 
     Args:
         turns: number of turns that are watched
@@ -199,7 +199,7 @@ def live(
     *, rig: Rig, out: Out = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
     projector: Projector = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the camera of watched prints: open field, dark level, noise, and where it sees which mirror.
+    """Measure the camera of watched prints: open field, dark level, noise, and where it sees each mirror.
 
     Without a vial, single columns and rows of mirrors are lit. Measure again with a vial of fresh resin in front of the
     camera's own light, and --keep-place, which lights no mirror.

@@ -52,8 +52,8 @@ def import_(
     if out is not None and out.suffix.lower() == ".toml":
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only the "
-                           "configuration: leave it out")  # fmt: skip
+            raise BadInput(f"got {', '.join(beside)} with --out {out}; a job file is made from the configuration "
+                           "alone: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
@@ -102,14 +102,14 @@ def export(
         repeats: number of turns
         rig: TOML file of a rig; frames are made for its gray curve, flat field and axis
         projector: number of the projector of that rig, from 1
-        machine: files as a machine plays them, with a card: opencal, tvam-code, rotary or lightcrafter; with --out and
-            --rpm, its turns by --repeats
-        out: the folder for them
+        machine: machine to write a film and a card for: opencal, tvam-code, rotary or lightcrafter; needs --out and
+            --rpm, and --repeats sets the number of turns
+        out: the folder for this film and card
         rpm: speed of that machine's turntable; in videos it replaces --fps
-        dark: seconds without light before and after the turns of its film, made whole turns
+        dark: seconds without light before and after the turns of its film, rounded to whole turns
         channel: the only channel of a video that is lit: red, green or blue
-        keystone: corners at which those of the canvas are drawn, "column,row" from its left top: left top, right top,
-            right bottom, left bottom
+        keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
+            canvas are drawn
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
     from vamgpu.methods.plan_folder import load_plan

@@ -42,14 +42,14 @@ def header(data: bytes, name: str) -> Header:
     except Exception as error:  # noqa: BLE001 - damaged files raise whatever their reader stumbles over
         raise _damaged(name, error) from error
     if pages != 1:
-        raise SliceError(f"{name} holds {pages} pages; expected one slice a file: split it")
+        raise SliceError(f"{name} holds {pages} pages; expected one slice per file: split it")
     bits = 1 if mode == "1" else 16 if mode in DEEP else 8
     return _promised(Header((height, width), f"{bits}-bit {'gray' if mode in ('1', 'L') else mode}"), bits, name)
 
 
 def _promised(found: Header, bits: int, name: str) -> Header:
     if bits > 8:
-        raise SliceError(f"{name} has {bits} bits a pixel; expected 8: export the slices again with 8 bits")
+        raise SliceError(f"{name} has {bits} bits per pixel; expected 8: export the slices again with 8 bits")
     if min(found.shape) < 1 or found.shape[0] * found.shape[1] > MOST_PIXELS:
         size = f"{found.shape[1]} × {found.shape[0]}"
         raise SliceError(f"{name} is {size} pixels; expected 1 to {MOST_PIXELS:,} in all: check the file")

@@ -56,7 +56,7 @@ def measured_levels(light: Any) -> tuple[float, ...]:
     except (TypeError, ValueError) as error:
         raise BadInput(f"light is {light!r}; expected {LEVELS} numbers [mW/mm²]") from error
     if values.shape != (LEVELS,) or not np.isfinite(values).all() or (values < 0).any():
-        raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one a gray level")
+        raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one per gray level")
     fall = np.flatnonzero(np.diff(values) < 0)
     if fall.size:
         at = int(fall[0])

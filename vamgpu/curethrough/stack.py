@@ -110,7 +110,7 @@ class FileStack(ABC):
             if found != first:
                 raise SliceError(
                     f"{self._label(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
-                    "expected all slices alike: export them again"
+                    "expected all slices to be the same: export them again"
                 )
         assert first is not None
         return first.shape
@@ -207,7 +207,7 @@ class GooStack(FileStack):
         super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.goo.count)))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
-        raise SliceError(f"{self._label(name)} is no picture of its own; read the stack")
+        raise SliceError(f"{self._label(name)} is not a separate picture; read the stack")
 
     def _decode(self, name: str, out: np.ndarray) -> None:
         self.goo.decode(self.names.index(name), out)

@@ -72,7 +72,7 @@ def sweep(
     source, place = Path(job).resolve(), Path(path).resolve()
     combinations = list(product(*vary.values())) if vary else []
     if not 1 <= len(combinations) <= MOST:
-        raise BadInput(f"got {len(combinations)} points; expected 1 to {MOST}: name keys and values to vary")
+        raise BadInput(f"got {len(combinations)} combinations; expected 1 to {MOST}: name keys and values to vary")
     checked = read_job(source, settings)
     try:
         place.mkdir(parents=True, exist_ok=True)

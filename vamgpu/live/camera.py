@@ -171,8 +171,8 @@ class MonitoringCamera:
         check(self)
         vessel = self.projection.vessel
         if vessel is not None and vessel.absorption > 0:
-            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: what the resin takes of the "
-                           "camera's light before the print is in the open field")  # fmt: skip
+            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: the open field already "
+                           "contains the absorption before the print")  # fmt: skip
         field = np.asarray(self.open_field, np.float32)
         if field.shape not in ((), self.shape[1:], self.shape):
             raise ShapeMismatch(f"the open field has shape {field.shape}; expected {self.shape[1:]} = [row, column], "
@@ -180,8 +180,8 @@ class MonitoringCamera:
         if not np.isfinite(field).all() or field.min() < 0 or field.max() <= 0:
             raise BadInput("the open field is dark, negative or not finite; expected gray levels of the lit vial")
         if field.min() >= self.noise.brightest:
-            raise BadInput(f"the open field is {field.min():g} or more everywhere, and the sensor ends at "
-                           f"{self.noise.brightest}; expected less: weaken it, or set the noise's bits")  # fmt: skip
+            raise BadInput(f"the open field is {field.min():g} or more everywhere, but the sensor's brightest level is "
+                           f"{self.noise.brightest}; expected less: weaken the light, or set bits")  # fmt: skip
         object.__setattr__(self, "open_field", field)
 
     @property

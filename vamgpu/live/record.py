@@ -152,7 +152,7 @@ class LiveSetup:
             return cls(**plain)
         except (TypeError, KeyError) as error:
             raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: "
-                           f"take {SETUP} as it was written") from error  # fmt: skip
+                           f"restore {SETUP}") from error  # fmt: skip
 
 
 class LiveRecord:
@@ -197,7 +197,7 @@ class LiveRecord:
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
-        """Add a turn; its frames are written first, and every decision then has its frames.
+        """Add a turn; its frames are written first, so that every decision has its frames.
 
         Args:
             frames: Gray levels, [angle, row, column].
@@ -304,7 +304,7 @@ class LiveRecord:
             yield was, frames, decision
 
     def loop(self) -> LiveLoop:
-        """The loop that the record is of, before its first turn.
+        """The loop of the recorded print, before its first turn.
 
         Raises:
             BadInput: The setup cannot be read.
@@ -313,10 +313,10 @@ class LiveRecord:
         return self.setup().loop(self.part(), np.array(map_npy(self.folder / "live-light.npy")))
 
     def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
-        """Go through the print once more with a loop.
+        """Repeat the print with a loop.
 
         Args:
-            loop: The loop of `loop`, before its first turn.
+            loop: A loop made by `loop`, before its first turn.
 
         Yields:
             The state and the repeated decision after each turn.

@@ -121,7 +121,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
-        thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
+        thresholds: Other possible values of this dose, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -159,9 +159,9 @@ class Replanner:
             turns: Allowed numbers of further turns, 0 for a stop now.
             evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
-            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its
-                missing part. None starts with the plan's light unchanged.
-            error: Relative error of the dose, which `Forecast.least` counts in.
+            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected for what is
+                missing of it. None starts with the plan's light unchanged.
+            error: Relative error of the dose, which `Forecast.least` allows for.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.

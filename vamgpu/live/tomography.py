@@ -76,7 +76,7 @@ class Reconstruction:
 class Tomograph:
     """Fields of conversion from the images of a `MonitoringCamera`, turn by turn.
 
-    The most probable extinction x ≥ 0, given images with their noise and neighbors that differ little:
+    The most probable extinction x ≥ 0, given the images and their noise, if neighbors differ little:
 
         minimize Σ w·(A x − y)² + Σ_neighbors (x − x')² / δ²
 
@@ -179,7 +179,7 @@ class Tomograph:
         """Standard deviation of the extinction due to the noise of a turn's images.
 
         Simulated noise of the camera goes through the same steps, and its magnitude is measured around every voxel.
-        The higher certainty of voids from x ≥ 0, and errors by smoothing, are not included.
+        It ignores errors by smoothing, and that x ≥ 0 makes voids more certain.
 
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.

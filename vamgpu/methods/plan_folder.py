@@ -160,7 +160,7 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
         return dict(beam)
     warnings.warn(
         "the folder does not state the beam's fill and point spread: it was solved for pixels lit all over and a "
-        "perfect lens, and is read with these (fill 1, spread 0); solve it again for the light that a lens makes",
+        "perfect lens, and is read with these (fill 1, spread 0); solve it again for a real lens",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | dict(beam)

@@ -117,8 +117,8 @@ class Tolerances:
 
     One threshold must hold for all scenarios: the corners, which combine both ends of every tolerance, the middles of
     the faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
-    box. Each scenario has its own operator with its beam, vessel or axis. Linear interpolation moves images only for a
-    wobble, and for an axis unless the operator is a `Projection` of a round vessel or air.
+    box. Each scenario has its own operator with its beam, vessel or axis. Images are shifted by linear interpolation
+    for a wobble, and for an axis error unless the operator is a `Projection` of a round vessel or air.
 
     Args:
         axis: Position error of the axis of rotation across the light, ± [mm].
@@ -127,9 +127,9 @@ class Tolerances:
         dose: Dose of the whole exposure, ± a share of it.
         index: Refractive index of the resin, ±.
         wobble: Distance of the vial from the axis, in any direction [mm]; four directions are evaluated.
-        judged: "worst" for the least and the greatest dose of all corners; "mean + spread" for their mean dose, and
-            corners whose deviation from it is divided by √(number of tolerances), which is the standard deviation if
-            all tolerances have equal effects.
+        judged: "worst" judges the least and the greatest dose of all corners. "mean + spread" divides each corner's
+            deviation from their mean dose by √(number of tolerances): the standard deviation if all tolerances have
+            equal effects.
 
     Raises:
         ToleranceError: The least point spread exceeds the greatest.
@@ -230,7 +230,7 @@ class Tolerances:
         return tuple(dict.fromkeys((Corner(), *found)))
 
     def scenarios(self, operator: Any, *, judged: Judged | None = None) -> Scenarios:
-        """The operator at every corner, as one.
+        """The operators of all corners, joined in one.
 
         Args:
             operator: The nominal projector.

@@ -92,7 +92,7 @@ class Canvas:
     def undone(self, images: np.ndarray, angles: int, rows: int, columns: int) -> np.ndarray:
         """The levels of the first turn among images that a canvas was exported as. Raises `BadInput`."""
         if self.keystone is not None or self.rotation % 90:
-            raise BadInput("the images were rotated by a part of a quarter turn, or have a keystone; expected plain "
+            raise BadInput("the images were not rotated by whole quarter turns, or have a keystone; expected plain "
                            "ones: prove the job that they were exported from")  # fmt: skip
         shape = (rows, columns)[:: -1 if round(self.rotation / 90) % 2 else 1]
         top, left = self._corner(shape, images.shape[1:] if self.size is None else self.size[::-1])

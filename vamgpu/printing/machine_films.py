@@ -67,16 +67,16 @@ def export_for(
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
     kind, motion = MACHINES[machine], frames.motion
     if motion is not None and not motion.is_even:
-        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn: no film has others")
+        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn, as in every film")
     turn = 60.0 / positive("rpm", rpm)
     before, after = (ceil(positive("seconds of dark", each, zero=True) / turn - 1e-9) for each in dark)
     lit = replace(canvas, size=canvas.size or kind.size, dark=(before * frames.shape[0], after * frames.shape[0]))
     film = Film(frames, name, rpm, lit, channel, overwrite)
     most = min(kind.speed, 60.0 * kind.fastest / frames.shape[0])
     if rpm > most * (1.0 + 1e-9):
-        raise BadInput(f"{frames.shape[0]} frames a turn at {rpm:g} rpm are {film.fps:.4g} images a second; {machine} "
-                       f"shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm or "
-                       "less, or fewer angles")  # fmt: skip
+        raise BadInput(f"{frames.shape[0]} frames per turn at {rpm:g} rpm are {film.fps:.4g} images per second; "
+                       f"{machine} shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm "
+                       "or less, or fewer angles")  # fmt: skip
     check_folder(Path(folder) / name)
     made = kind.write(film, Path(folder))
     card = made.with_name(f"{made.stem}.txt")
@@ -93,7 +93,7 @@ def _card(film: Film, machine: str, made: Path) -> str:
     lines = [
         f"{made.name} for {machine}",
         f"turn at     {film.rpm:g} rpm = {6.0 * film.rpm:g} deg/s, one turn in {turn:.6g} s",
-        f"light       {light}, {film.fps:.6g} images a second, {seconds}",
+        f"light       {light}, {film.fps:.6g} images per second, {seconds}",
         f"dark        {dark[0]} turns ({dark[0] * turn:.6g} s) before, {dark[1]} turns ({dark[1] * turn:.6g} s) after",
         f"image       {canvas.size[0]} x {canvas.size[1]} pixels, light in {film.channel or 'all channels'}"
         if canvas.size else "",

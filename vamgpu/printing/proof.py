@@ -157,7 +157,7 @@ class Proof:
         return body_doses(self.dose.numpy(), self.target.numpy(), self.limits, at, grid)
 
     def fine(self, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
-        """Compute the dose again, on voxels at most half as wide as the part's and as a column in the resin.
+        """Compute the dose again, on voxels at most half as wide as those of the part, and as a column in the resin.
 
         See `IndependentExposure.fine`.
 
@@ -289,7 +289,7 @@ class Proof:
         Args:
             path: Path of the page.
             plan: Plan whose convergence and papers the page shows.
-            judgement: Window over tolerance, tolerance table and surface; by default `Proof.judgement`.
+            judgement: Windows and surface that the page shows; by default `Proof.judgement`.
 
         Returns:
             The path.

@@ -114,7 +114,7 @@ def _text(data: bytes) -> str:
         except UnicodeDecodeError:
             text = data.decode("latin-1")
     if "\0" in text:
-        raise csv.Error("it is no text")
+        raise csv.Error("it is not text")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -58,11 +58,11 @@ class WebFolder:
             segments = tuple(_segment(entry) for entry in data["segments"])
             return cls(Path(path), dict(data["details"]), segments, bool(data["complete"]))
         except FileNotFoundError as error:
-            raise StorageError(f"{str(path)!r} is no web: it has no {RECORD}; check the path") from error
+            raise StorageError(f"{str(path)!r} is not a web: it has no {RECORD}; check the path") from error
         except OSError as error:
             raise explained("read", file, error) from error
         except (KeyError, TypeError, ValueError) as error:
-            raise StorageError(f"{str(file)!r} is no record of a web: {error}; check the path") from error
+            raise StorageError(f"{str(file)!r} is not a record of a web: {error}; check the path") from error
 
     @classmethod
     def create(

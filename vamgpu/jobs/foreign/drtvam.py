@@ -80,7 +80,7 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
         place = patterns if patterns is not None else _beside(path, said)
         light = _patterns(place) if place.is_file() else images_of(place)[0]
     if setup.inserts:
-        raise BadInput(f"{str(path)!r} has occlusions, which patterns alone cannot be judged with; make a job of "
+        raise BadInput(f"{str(path)!r} has occlusions, without which its patterns cannot be judged; make a job of "
                        "it with --out job.toml, then import its folder of EXR images with --job job.toml")  # fmt: skip
     if light.ndim != 3:
         raise BadInput(f"its patterns have shape {light.shape}; expected [pattern, row, column]")
