@@ -123,7 +123,6 @@ class _Laps:
 class LiveState:
     """State of the loop between turns."""
 
-<<<<<<< HEAD
     turn: int  # turns shown so far
     shown: DeviceArray | np.ndarray  # sum of the light shown so far, [angle, r, z], on the device or NumPy
     pending: DeviceArray | np.ndarray  # light whose radicals have not reacted yet, [angle, r, z], also there or NumPy
@@ -138,40 +137,6 @@ class LiveState:
     sunk: float = 0.0  # shift of what is cured towards lower rows since it was first seen [pixels]
     images: str = ""  # digest of the last images
     doubt: str = ""  # reason why images no longer decide; empty if they do
-=======
-    Args:
-        turn: Turns shown so far.
-        shown: Sum of the light shown so far, [angle, r, z], on the device or NumPy.
-        pending: Light whose radicals have not reacted yet, [angle, r, z], on the device or NumPy.
-        light: Light of the next turn, [angle, r, z].
-        turns: Number of turns for which the light is to be shown.
-        version: Version of the light.
-        seen: The last field; None before the first.
-        committed: Light of earlier turns that can no longer be changed, one [angle, r, z] each; the next images belong
-            to the first of them.
-        values: The last estimate of the parameters, (7,); None before the first.
-        clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
-        level: Mean level of the last images, [row, column]; None before the first turn.
-        sunk: Shift of the cured part towards lower rows since it was first seen [pixels].
-        images: Digest of the last images.
-        doubt: Reason why images no longer decide; empty if they do.
-    """
-
-    turn: int
-    shown: DeviceArray | np.ndarray
-    pending: DeviceArray | np.ndarray
-    light: np.ndarray
-    turns: int
-    version: int = 0
-    seen: Reconstruction | None = None
-    committed: tuple[np.ndarray, ...] = ()
-    values: np.ndarray | None = None
-    clear: np.ndarray | None = None
-    level: np.ndarray | None = None
-    sunk: float = 0.0
-    images: str = ""
-    doubt: str = ""
->>>>>>> 97b943ff17fe96153302474df16cbb99ef535885
 
 
 @dataclass(frozen=True, eq=False)
