@@ -114,19 +114,10 @@ def test_what_has_no_peak_is_refused_with_numbers() -> None:
 
 def test_bad_recordings_are_refused() -> None:
     flat = np.full((41, 8, 8), 90, np.uint8)
-<<<<<<< HEAD
     with pytest.raises(BadInput, match="all pictures"):
         line_through([flat] * 9)
     with pytest.raises(BadInput, match="two or more different"):
         focus_line([1.0, 1.0], [Peak(7.5, 0.1, 1.0, 0.0, 0.01, 0.0)] * 2)
-=======
-    with pytest.raises(BadInput, match=r"position -4 mm: all pictures"):
-        fit_focus(POSITIONS, POWERS, iter([flat] * 9))
-    with pytest.raises(BadInput, match="end after 0 of 9"):
-        fit_focus(POSITIONS, POWERS, iter([]))
-    with pytest.raises(BadInput, match="two or more different"):
-        fit_focus([1.0, 1.0], POWERS, iter([flat]))
->>>>>>> 97b943ff17fe96153302474df16cbb99ef535885
     with pytest.raises(BadInput, match="3 × 3"):
         tenengrad(np.zeros((4, 2, 9)))
     with pytest.raises(BadInput, match="not finite"):
