@@ -285,9 +285,15 @@ def test_positions_that_are_not_finite_are_refused() -> None:
 class Tinted(Vial):
     """A vial of one's own, which passes a share that is no field."""
 
-    def illuminate(self, across: Any, along: Any) -> Any:
+    def illuminate(self: Any, across: Any, along: Any) -> Any:
         u, weight = Vial.illuminate(self, across, along)
-        return u, vars(self)["passed"] * weight
+        return u, self.passed * weight
+
+
+class Slotted(Tinted):
+    """The same, kept in a slot."""
+
+    __slots__ = ("passed",)
 
 
 @dataclass(frozen=True)
@@ -309,7 +315,7 @@ def light_of(vessel: Vessel) -> np.ndarray:
     return tabulate(Grid((24, 24, 1), 0.1), Beam((24, 1), 0.1), vessel).map[..., 1]
 
 
-@pytest.mark.parametrize("kind", [Tinted, Attributed, Uncompared])
+@pytest.mark.parametrize("kind", [Tinted, Slotted, Attributed, Uncompared])
 @pytest.mark.parametrize("bathed", [False, True])
 def test_equal_vials_that_pass_other_shares_have_tables_of_their_own(kind: type[Vial], bathed: bool) -> None:
     def vessel(passed: float) -> Vessel:
