@@ -80,7 +80,7 @@ def export(
     offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
     repeats: int = 1, rig: Path | None = None, projector: int = 1,
     machine: Annotated[str | None, Parameter(name="--for")] = None, out: Path | None = None, rpm: float | None = None,
-    dark: tuple[float, float] = (5.0, 10.0), channel: str | None = None, keystone: str | None = None,
+    dark: tuple[float, float] | None = None, channel: str | None = None, keystone: str | None = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Write the frames of a job as files for other programs.
@@ -106,7 +106,7 @@ def export(
             --rpm, and --repeats sets the number of turns
         out: the folder for this film and card
         rpm: speed of that machine's turntable; in videos it replaces --fps
-        dark: seconds without light before and after the turns of its film, rounded to whole turns
+        dark: seconds without light before and after the turns of its film, rounded to whole turns; 5 and 10 by default
         channel: the only channel of a video that is lit: red, green or blue
         keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
             canvas are drawn
