@@ -55,7 +55,7 @@ def rehearsal(
     rig = config.setup
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}), **_view(rig))
-    emulated = EmulatedCalibrationRig(optics, rig, tuple(range(len(rig.display))))
+    emulated = EmulatedCalibrationRig(optics, rig)
     machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.mirrors(), {
         "lens": emulated.lens, "camera": emulated.camera, "camera_stage": emulated.stage, "photodiode": emulated.meter,
     })  # fmt: skip
@@ -79,7 +79,7 @@ def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[TurnMachines, 
     if rig.emulated:
         return TurnMachines(rig, *marked_vial(ratio)), ratio
     if driver_of(rig.motion) == "controller":
-        raise BadInput("the controller's own motor has index and encoder; expected another driver in [motion]")
+        raise BadInput("the controller's motor uses index or encoder instead; expected another driver in [motion]")
     stage = rig.motion.open("deg")
     with closed_on_error(stage):
         return TurnMachines(rig, RealClock(), stage, camera.open()), None
@@ -90,8 +90,7 @@ def _assembled(
     openers: Mapping[str, Callable[[], Any]],
 ) -> CalibrationMachines:  # fmt: skip
     """Open mirrors and the machines of the tables, which are closed together."""
-    channels = tuple(range(len(rig.display)))
-    machines = CalibrationMachines(rig, clock, controller, (), channels, closers=[controller.close])
+    machines = CalibrationMachines(rig, clock, controller, (), closers=[controller.close])
     with closed_on_error(machines):
         for section, dmd in zip(rig.display, mirrors, strict=True):
             machines.closers.append(dmd.close)

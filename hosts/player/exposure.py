@@ -1,7 +1,4 @@
-"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough.
-
-On a real clock a thread takes the images; on a simulated clock they are taken when due.
-"""
+"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.scatter import ScatterReading, ScatterStop
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = SECOND // 10  # least time between two readings [ns]
@@ -45,13 +42,12 @@ class ScatterWatch:
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
-        period: int = PERIOD, patience: int = PATIENCE, board: Board | None = None,
+        patience: int = PATIENCE, board: Board | None = None,
     ) -> None:  # fmt: skip
         self.rule: ScatterStop = ScatterStop(wanted.voxels, wanted.threshold)
         self._board = board or Board()
         self._board.show(scatter=self.rule.readings, threshold=wanted.threshold)
         self._camera, self._clock, self._wanted, self._folder, self._lit = camera, clock, wanted, folder, lit
-        self._period = whole("period [ns]", period)
         self._patience = whole("patience [ns]", patience) + round(wanted.exposure * SECOND)
         self._background: tuple[int, np.ndarray] | None = None
         self._origin: int | None = None
@@ -60,12 +56,11 @@ class ScatterWatch:
         self._saturated: float | None = None
         self._failed: BaseException | None = None
         self._seen, self._leave = threading.Event(), threading.Event()
+        # on a simulated clock, images are taken when due
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
-        try:
+        with explaining("write", folder.path / "scatter.csv"):
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")
             self._file.write("seconds,density\n")
-        except OSError as error:
-            raise explained("write", folder.path / "scatter.csv", error) from error
 
     # ---- around the print ------------------------------------------------------------------------------------
     def begin(self) -> None:
@@ -107,7 +102,7 @@ class ScatterWatch:
         if (over := self._over(image)) > SATURATED:
             raise BadInput(
                 f"{100 * over:.1f} % of the camera's pixels are saturated before the light; expected "
-                f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim the light for the camera"
+                f"{100 * SATURATED:g} % at most: lower exposure in [[feedback]], or dim the camera's light"
             )
         self._folder.event("background", self._background[0], levels=float(image.sum(dtype=np.float64)))
 
@@ -137,7 +132,7 @@ class ScatterWatch:
             "light; allow more turns, or a lower density"
         )
         if self._saturated is not None:
-            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower camera.exposure"
+            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower exposure in [[feedback]]"
         log.warning("%s", said)
         return said
 
@@ -171,7 +166,7 @@ class ScatterWatch:
             self._background = (now, image)
             self._seen.set()
         elif self._origin is not None and now >= self._due and self._said is None:
-            self._due += self._period * (1 + (now - self._due) // self._period)
+            self._due += PERIOD * (1 + (now - self._due) // PERIOD)
             seconds = (now - self._origin) / SECOND
             if self._saturated is None and (over := self._over(image)) > SATURATED:
                 self._saturated = seconds
@@ -184,7 +179,7 @@ class ScatterWatch:
         assert self._background is not None
         when, image = self._background
         self._keep(self.rule.see((min(when, origin) - origin) / SECOND, image))
-        self._due += self._period * max(0, -((self._due - self._clock.now()) // self._period))
+        self._due += PERIOD * max(0, -((self._due - self._clock.now()) // PERIOD))
         self._origin = origin
 
     def _keep(self, reading: ScatterReading) -> None:

@@ -50,12 +50,9 @@ class TriggeringStage(Stage, Protocol):
 
 @dataclass
 class StageMachines:
-    """The opened machines of a rig whose stage triggers the mirrors.
+    """The opened machines of a rig whose stage triggers the mirrors."""
 
-    run_up: time before its first slot at which the stage starts moving [s].
-    """
-
-    run_up: ClassVar[float] = 2.0
+    run_up: ClassVar[float] = 2.0  # time before its first slot at which the stage starts moving [s]
     clock: Clock
     stage: TriggeringStage
     mirrors: Sequence[Dmd]
@@ -128,12 +125,9 @@ class Inspected(Protocol):
 
 @dataclass
 class VideoMachines:
-    """The opened machines of a rig with a projector on a video cable.
+    """The opened machines of a rig with a projector on a video cable."""
 
-    run_up: of a web, until it is in step with the cable [s].
-    """
-
-    run_up: ClassVar[float] = 12.0
+    run_up: ClassVar[float] = 12.0  # of a web, until it is in step with the cable [s]
     clock: Clock
     controller: Controller | None  # gates the light and holds its lease; None: there is none
     stage: Stage  # stage of the vial [deg] or web [mm]
@@ -187,16 +181,13 @@ def within_travel(schedule: Schedule, machines: Machines) -> None:
     begin, end = here - machines.run_up * float(schedule.speed), here + float(schedule.advance) * len(schedule)
     if begin < low or end > high:
         raise BadInput(
-            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage tells that it goes from "
+            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage reports that it goes from "
             f"{low:.4g} to {high:.4g} mm: move it to its start, or check microsteps in [motion]"
         )
 
 
 def inspect(machines: Machines) -> dict[str, float]:
-    """Ask the machines that no status poll reads; returns what they answer, as a `Snapshot` names it.
-
-    Raises `DeviceError` for a machine that does not answer, or has a fault.
-    """
+    """Ask the machines that no status poll reads; their answers, as a `Snapshot` names them. Raises `DeviceError`."""
     if isinstance(machines, VideoMachines):
         if isinstance(machines.lamp, Inspected):
             machines.lamp.inspect()
@@ -246,14 +237,3 @@ class ScreenBlackout:
         self.dark = True
         if threading.get_ident() == self._owner:
             self._projector.black()
-
-
-class MirrorBlackout:
-    """Mirrors as a switch that turns the light off."""
-
-    def __init__(self, dmd: Dmd) -> None:
-        self._dmd = dmd
-
-    def off(self) -> None:
-        """Halt: the mirrors deflect the light."""
-        self._dmd.halt()

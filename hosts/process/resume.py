@@ -21,7 +21,7 @@ from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 from vamgpu.storage.reading import MOST_TOML, read_text
 
 
@@ -57,18 +57,8 @@ class Interrupted:
                 folder.shown(FrameRecord(slot, frame, pose, light, on, engine=engine, version=version(slot)))
 
 
-@dataclass(frozen=True, eq=False)
-class AbandonedRun:
-    """State of the folder of a dead host."""
-
-    run: RunRecord
-    segment: dict[str, Any]  # the event that began the last run segment
-    sign: float  # last sign of light [s]
-    dark: bool  # whether the host had turned the light off
-
-
-def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
-    """State of the folder of a dead host. Raises `BadInput` if its print cannot be resumed."""
+def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> tuple[dict[str, Any], float, bool]:
+    """A dead host's last run segment, last sign of light [s], and whether it went off. Raises `BadInput`."""
     path = run.path
     if run.state is not PrintState.PRINTING and not run.state.waits:
         raise BadInput(f"{str(path)!r} is {run.state.value}; only interrupted prints can be resumed")
@@ -83,14 +73,14 @@ def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedR
     _check_pause(path, float(run.events[-1]["wall"]), limits)
     signs = [event for event in run.events if event["event"] in ("segment", "light", "poll")]
     dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "poll")
-    return AbandonedRun(run, segment, float(signs[-1]["wall"]), dark)
+    return segment, float(signs[-1]["wall"]), dark
 
 
 def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
     """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
+            f"the last record in {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
             "therefore not known; start again with fresh resin"
         )
     may_resume(pause, limits)
@@ -100,8 +90,8 @@ def interrupted(
     path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
 ) -> Interrupted:
     """State of a print from its folder and its controller, which kept its power. Raises `BadInput`."""
-    left = left_in(read_run(path), limits)
-    run, segment, now = left.run, left.segment, controller.status()
+    run, now = read_run(path), controller.status()
+    segment, sign, off = left_in(run, limits)
     if now.zero != segment.get("zero"):
         raise BadInput(
             f"the controller has lost the print of {str(path)!r}: it lost its power, was reset when its port opened or "
@@ -124,9 +114,9 @@ def interrupted(
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     origin = Origin(segment["origin"], segment["zero"])
     lit = recorded > segment["first"]  # frames shown after that count as dark, so that a pause is never too short
-    since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
+    since = sign if lit else segment["wall"] - segment["dark"] / SECOND
     _check_pause(path, since, limits)
-    return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
+    return Interrupted(run, shown, recorded - int(lit and not off), origin, tuple(map(tuple, lost)), since)
 
 
 def _since(wall: float) -> int:
@@ -175,12 +165,12 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     if driver_of(planned.rig.setup.clock) == "stage":
         raise BadInput(
             "the stage triggered the mirrors to the end of their frames, and it is not known which of them were lit: "
-            "it cannot be resumed; start again with fresh resin"
+            "the print cannot be resumed; start again with fresh resin"
         )
     if planned.display is not None:
         raise BadInput(
-            "a video projector repeated its last frame while the vial turned, until the lease ended: it cannot be "
-            "resumed; start again with fresh resin"
+            "a video projector repeated its last frame while the vial turned, until the lease ended: the print "
+            "cannot be resumed; start again with fresh resin"
         )
     before = read_run(folder)
     asked, wanted = before.asked, asked_for(planned)
@@ -202,10 +192,8 @@ def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -
 def _same_rig(rig: RigConfig, run: RunRecord) -> None:
     """Raise `BadInput` for a rig whose light or motion differs from that of the print."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
-    try:
+    with explaining("read", file):
         first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
-    except OSError as error:
-        raise explained("read", file, error) from error
     began, now = (_light(read.setup) for read in (first, rig))
     if different := [name for name in now if now[name] != began[name]]:
         settings = "".join(f" --set {setting!r}" for setting in given)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vamgpu.curethrough.images import encode_colors
 from vamgpu.errors import BadInput
 from vamgpu.printing.export import Canvas, export
 from vamgpu.quantity import positive
 from vamgpu.storage.atomic import check_folder, replacing
+from vamgpu.storage.images import encode_png
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
@@ -27,17 +27,10 @@ DARK = (5.0, 10.0)
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine, and how its files are made.
+    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and what its operator has to know."""
 
-    Args:
-        size: Columns and rows of its images.
-        fastest: Images per second that it shows.
-        speed: Greatest speed of its stage [rpm].
-        dark: Seconds without light before the first turn and after the last, by default; None if its files hold one
-            turn of light alone.
-        write: Writes its files, and says what their levels are.
-        notes: What its operator has to know.
-    """
+    # dark: default seconds before and after the turns; None if its files hold one turn of light alone. write: also says
+    # what the levels are.
 
     size: tuple[int, int]
     fastest: float
@@ -68,33 +61,18 @@ def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
     dark: tuple[float, float] | None = None, channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames as the files of a machine, and a card beside them.
+    """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
 
-    Args:
-        machine: ``"opencal"``, ``"tvam-code"``, ``"rotary"`` or ``"lightcrafter"``.
-        frames: The frames, of equal angles over a full turn.
-        folder: An existing folder.
-        name: Name of the part, with which those of the files begin.
-        rpm: Speed of the turntable [rpm].
-        canvas: Placement, and number of turns; its size is by default that of the machine.
-        dark: Seconds without light before the first turn and after the last, by default 5 and 10; made whole turns, so
-            that a film that is played in a loop begins at the same angle again. Only films have it, and end with it.
-        channel: ``"red"``, ``"green"`` or ``"blue"`` to light one channel of a film alone.
-        overwrite: Whether to replace files.
-
-    Returns:
-        The file or folder, and its card.
-
-    Raises:
-        BadInput: The machine is unknown, cannot show the frames so fast, cannot turn so fast or cannot hold them; or an
-            argument is out of its range.
-        StorageError: A file exists or cannot be written.
+    name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
+    seconds without light before the first turn of a film and after the last, by default 5 and 10, made whole turns: a
+    film that is played in a loop then begins at the same angle again. channel: the only one that is lit: "red", "green"
+    or "blue". Raises `BadInput` if the machine cannot show, turn or hold them, `StorageError`.
     """
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
     kind, motion = MACHINES[machine], frames.motion
     if motion is not None and not motion.is_even:
-        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn: no film has others")
+        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn, as in every film")
     turn = 60.0 / positive("rpm", rpm)
     asked = dark or kind.dark or (0.0, 0.0)
     before, after = (ceil(positive("seconds of dark", each, zero=True) / turn - 1e-9) for each in asked)
@@ -107,9 +85,9 @@ def export_for(
     film = Film(frames, name, rpm, lit, channel, overwrite)
     most = min(kind.speed, 60.0 * kind.fastest / frames.shape[0])
     if rpm > most * (1.0 + 1e-9):
-        raise BadInput(f"{frames.shape[0]} frames a turn at {rpm:g} rpm are {film.fps:.4g} images a second; {machine} "
-                       f"shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm or "
-                       "less, or fewer angles")  # fmt: skip
+        raise BadInput(f"{frames.shape[0]} frames per turn at {rpm:g} rpm are {film.fps:.4g} images per second; "
+                       f"{machine} shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm "
+                       "or less, or fewer angles")  # fmt: skip
     check_folder(Path(folder) / name)
     made, levels = kind.write(film, Path(folder))
     card = made.with_name(f"{made.stem}.txt")
@@ -126,7 +104,7 @@ def _card(film: Film, machine: str, made: Path, levels: str) -> str:
     lines = [
         f"{made.name} for {machine}",
         f"turn at     {film.rpm:g} rpm = {6.0 * film.rpm:g} deg/s, one turn in {turn:.6g} s",
-        f"light       {light}, {film.fps:.6g} frames a second, {seconds}",
+        f"light       {light}, {film.fps:.6g} frames per second, {seconds}",
         f"dark        {before} turns ({before * turn:.6g} s) before, {after} turns ({after * turn:.6g} s) after"
         if after else "dark        none in the files",
         f"image       {canvas.size[0]} x {canvas.size[1]} pixels, light in {film.channel or 'all channels'}"
@@ -177,14 +155,14 @@ def _lightcrafter(film: Film, folder: Path) -> tuple[Path, str]:
     """Images of 24 bits with three frames each, in the order in which the controller takes them: green, red, blue."""
     place, n = folder / f"{film.name}-lightcrafter", film.frames.shape[0]
     if n % 3:
-        raise BadInput(f"got {n} frames a turn; expected a multiple of 3, because an image of a LightCrafter holds "
+        raise BadInput(f"got {n} frames per turn; expected a multiple of 3, because an image of a LightCrafter holds "
                        f"three frames of one turn: solve with {n + 3 - n % 3} angles")  # fmt: skip
     with replacing(place, overwrite=film.overwrite) as draft:
         draft.mkdir()
         images = replace(film.canvas, repeats=1).images(film.frames)
         for number, (first, second, third) in enumerate(zip(images, images, images, strict=True)):
             colors = np.stack([second, first, third], 2)
-            (draft / f"{number:04d}.png").write_bytes(encode_colors(colors))
+            (draft / f"{number:04d}.png").write_bytes(encode_png(colors))
     return place, f"gray curve {film.frames.gray.describe()}"
 
 

@@ -72,18 +72,10 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a table in text: commas, semicolons, tabs, bars or blanks between cells, a header above them.
+    """Read a table in UTF-8, UTF-16 or Latin-1: commas, semicolons, tabs, bars or blanks between cells, a header above.
 
-    Args:
-        path: The file in UTF-8, UTF-16 or Latin-1; lines that begin with ``#`` are left out. Decimals may have commas
-            if no comma is between cells.
-
-    Returns:
-        The table.
-
-    Raises:
-        StorageError: The file cannot be read.
-        BadInput: The file is no table of lines that have as many cells as the header; the message names the line.
+    Lines that begin with # are left out. Decimals may have commas if no comma is between cells. Raises `StorageError`,
+    and `BadInput` with the line that has not as many cells as the header.
     """
     file = Path(path)
     try:
@@ -127,7 +119,7 @@ def _text(data: bytes) -> str:
         except UnicodeDecodeError:
             text = data.decode("latin-1")
     if "\0" in text:
-        raise csv.Error("it is no text")
+        raise csv.Error("it is not text")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
