@@ -164,8 +164,9 @@ def test_cameras_are_opened_with_their_settings(monkeypatch: pytest.MonkeyPatch)
     settings = {"exposure_us": 5000.0, "gain": 3.0, "pixels": "Mono12", "trigger": "Line0"}
     assert seen.pop() == (("a.cti", None), {**settings, "binning": 1, "crop": None})
     monkeypatch.setattr(micromanager.MicroManagerCamera, "open", lambda *names: SimpleNamespace(
+        frame=lambda *area: seen.append((names, area)), close=lambda: seen.append("closed"),
         expose=lambda microseconds: seen.append((names, microseconds))))  # fmt: skip
     found = rig(MOTOR, ALP, feedback("camera", config='"a.cfg"', label='"Cam"')).setup.camera
     assert found is not None
     found.open()
-    assert seen == [(("a.cfg", "Cam"), 10_000.0)]
+    assert seen == [(("a.cfg", "Cam"), (1, None)), (("a.cfg", "Cam"), 10_000.0)]
