@@ -86,13 +86,16 @@ class PolledStage(ClosedOnce):
     def run_to(self, position: float, speed: float) -> None:
         """Run until the axis has passed a position, then stop it; for motors that only know speeds."""
         way, waited = position - self.position(), 0.0
-        self.run(copysign(speed, way))
-        while (position - self.position()) * way > 0.0:
-            if waited > abs(way) / speed + self._patience:
-                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
-            self._pause(POLL)
-            waited += POLL
-        self.run(0.0)
+        try:
+            if way:
+                self.run(copysign(speed, way))
+            while (position - self.position()) * way > 0.0:
+                if waited > abs(way) / speed + self._patience:
+                    raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
+                self._pause(POLL)
+                waited += POLL
+        finally:
+            self.run(0.0)
 
     def endings(self) -> tuple[Callable[[], object], ...]:
         """Stop, and release the line."""
@@ -228,6 +231,8 @@ class ZaberStage(PolledStage):
         try:
             self.position()
         except DeviceRefused as error:
+            if "encoder" not in self._place:
+                raise
             raise WrongDevice(f"{self._link.name} has no encoder ({error}); set encoder = false in [motion]") from error
         if (turn := self.turn()) and self.unit == "deg" and abs(turn / 360 / self.microsteps - 1) > SAME:
             raise WrongDevice(

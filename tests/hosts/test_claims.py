@@ -13,7 +13,7 @@ import needs
 import pytest
 from chances import NAMES, RIGS, RigStand
 
-from vamgpu.errors import BadInput, DeviceError, WrongDevice
+from vamgpu.errors import BadInput, DeviceError, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
@@ -164,6 +164,14 @@ def test_an_encoder_of_the_file_that_is_not_there_is_refused() -> None:
     found = stage(machine, 1000.0, encoder=True)
     machine.track.set_position(0, 10_000)
     assert found.position() == pytest.approx(9.0), "where the encoder is, not the steps"
+
+
+def test_a_stage_that_tells_no_position_is_not_blamed_for_an_encoder() -> None:
+    machine = turning(360_000)
+    act = machine._act
+    machine._act = lambda words, now: (False, "BADDATA") if words == ["get", "pos"] else act(words, now)
+    with pytest.raises(DeviceRefused, match="BADDATA"):
+        stage(machine, 1000.0)
 
 
 def test_a_web_stays_within_the_travel_that_its_stage_tells(tmp_path: Path) -> None:
