@@ -197,10 +197,8 @@ def inspect(machines: Machines) -> dict[str, float]:
 
     Raises `DeviceError` for a machine that does not answer, or has a fault.
     """
-    if isinstance(machines, VideoMachines):
-        if isinstance(machines.lamp, Inspected):
-            machines.lamp.inspect()
-        return {}
+    if isinstance(lamp := getattr(machines, "lamp", None), Inspected):
+        lamp.inspect()
     return {} if machines.lens is None else {"focus": machines.lens.inspect()}
 
 

@@ -217,7 +217,8 @@ class Print:
         self._why = self._why or self._enough() or ""
         if not seen.running or self._at_stop:
             return self._over()
-        if self._watch.due(self.next, self.player.schedule, self._seen):
+        end = self.next if self._finishing else self._end_slot
+        if self._watch.due(self.next, self.player.schedule, self._seen, end):
             self.board.show(**self._watch.ask(self.next, self.player.schedule))
         self.player.feed()
         self._alive()
