@@ -262,6 +262,16 @@ def test_grbl_turns_on_beyond_a_jog() -> None:
     assert not machine.track.moving(clock.now()), "it does not turn forever without its host"
 
 
+def test_grbl_moves_from_a_run_without_its_jogs() -> None:
+    clock, machine = VirtualClock(), EmulatedGrbl()
+    stage = grbl_of(machine, clock)
+    stage.run(20.0)
+    clock.sleep(SECOND)
+    stage.move(90.0, 20.0)
+    stage.wait()
+    assert stage.position() == 90.0 and not machine.queued
+
+
 def test_what_grbl_would_do_otherwise_is_told() -> None:
     settings = EmulatedGrbl().settings
     with pytest.raises(WrongDevice, match=r"80 steps per deg \(\$100\)"):
