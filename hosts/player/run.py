@@ -26,6 +26,7 @@ from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState, PrintStates, StateChange, WrongState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH, Budget, InterlockOpen, Lease, OverDose
 from vamgpu.hosts.safety.light import LightGuard
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.given_dose import GivenDose
 
@@ -309,8 +310,9 @@ class Print:
         schedule = self.player.schedule
         if self._mending is None or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
             return
-        light = float((schedule.on[:, None] * schedule.power)[slots].sum()) * 1e-9 * self.power
-        why, facts = self._mending.refused(schedule.frame[slots].tolist(), light), {"first": slots.start}
+        lit = np.array(slots)[schedule.frame[slots] != NONE]
+        light = float((schedule.on[:, None] * schedule.power)[lit].sum()) * 1e-9 * self.power
+        why, facts = self._mending.refused(schedule.frame[lit].tolist(), light), {"first": slots.start}
         if why is None:
             self.player.repeat(slots)
         told = ("mended", {}) if why is None else ("not mended", {"why": why})

@@ -412,7 +412,7 @@ class SpinningPlayer:
 
     def repeat(self, slots: range) -> None:
         """Show frames of a vial once more, in an added turn."""
-        for slot in range(slots.start * self._repeats, slots.stop * self._repeats):
+        for slot in (each for pose in slots for each in self._wanted(pose)):  # none is dark
             self._missed.policy.drop(slot % self._turn)
             self._missed.miss(slot % self._turn, self._version(slot))
 
