@@ -81,7 +81,7 @@ def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> 
     """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` with what it expects."""
     example = f'write it like "{EXAMPLES[kind]}"'
     if not isinstance(text, str):
-        if isinstance(text, int | float):
+        if isinstance(text, int | float) and not isinstance(text, bool):
             example = f'write it like "{text:g} {unit_of(kind)}"'
         raise ValueError(f"expected {kind} with its unit in quotes: {example}")
     match = QUANTITY.fullmatch(text)

@@ -15,7 +15,8 @@ import vamgpu as vam
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.numpy import NumpyDevice
-from vamgpu.backend.opencl import OpenclDevice
+from vamgpu.backend.opencl import PLACES, OpenclDevice
+from vamgpu.backend.opencl_platforms import context_of
 from vamgpu.backend.slabs import SlabDevice
 from vamgpu.errors import DeviceError, OutOfMemory
 from vamgpu.kernels.catalog import kernels
@@ -237,3 +238,17 @@ def test_scenarios_stay_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     target, A = lit(THREE)
     vam.optimize(A, target, iterations=1, tolerances=vam.Tolerances(spread=(0.15, 0.3)), progress=False)
     assert not {"put_slices", "resample", "copy_slices"} & set(met)
+
+
+def test_slices_for_a_neighbor_pass_through_few_pinned_pages(opencl_name: str) -> None:
+    """Copies that follow each other, of several sizes, arrive in order, and their number bounds the memory."""
+    context = context_of(opencl_name)
+    source, sink = OpenclDevice(opencl_name, context), OpenclDevice(opencl_name, context)
+    rng, arrived = np.random.default_rng(0), []
+    for count in (1000, 50_000, 1000, 200_000, 50_000) * 4:
+        values = rng.random(count).astype(np.float32)
+        there, here = source.upload(values, table=True), sink.empty(values.shape, np.float32, table=True)
+        sink._through_host(here.handle, source, there.handle)
+        arrived.append((values, here))
+    assert all(np.array_equal(here.numpy(), values) for values, here in arrived)
+    assert [len(pages) for pages in sink._pinned.values()] == [PLACES]

@@ -108,7 +108,7 @@ def test_light_that_cannot_begin_is_refused() -> None:
     light = np.ones(A.range.shape)
     plan = vam.optimize(A, target, "bclp", 2, start=light)
     for given, error in ((-light, BadInput), (0 * light, NoLight), (light[1:], ShapeMismatch)):
-        with pytest.raises(error, match="light to start from"):
+        with pytest.raises(error, match="initial light"):
             vam.optimize(A, target, "bclp", 2, start=given)
     with pytest.raises(BadInput, match="begins with the target"):
         vam.optimize(A, target, "osmo", 2, start=light)

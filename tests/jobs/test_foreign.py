@@ -402,7 +402,7 @@ def test_a_job_says_what_images_do_not(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"(?s)own.npy' lacks keys of a job; .*: --job job.toml\n.*target is missing"):
         import_patterns(sinogram, tmp_path / "a.vam", device="cpu")
     assert not (tmp_path / "a.vam").exists()
-    with pytest.raises(BadInput, match="patterns for 16 angles, the job 99"):
+    with pytest.raises(BadInput, match="patterns for 16 angles, but the job has 99"):
         import_patterns(place, tmp_path / "a.vam", job=job, settings=["turntable.angles=99"], device="cpu")
     with pytest.raises(BadInput, match="leave beam.pixels out"):
         import_patterns(place, tmp_path / "a.vam", job=job, settings=["beam.pixels=[3, 4]"], device="cpu")

@@ -90,7 +90,7 @@ def test_auto_keeps_to_voxels_where_the_table_is_too_large(tmp_path: Path, monke
     def full(_: Any, shape: tuple[int, ...]) -> Any:
         raise OutOfMemory(f"no room for {shape}")
 
-    monkeypatch.setattr("vamgpu.backend.device.Device.room", full)
+    monkeypatch.setattr(type(open_device("cpu")), "reserve", full)
     monkeypatch.setattr("vamgpu.operators.projector.prefers_rings", lambda _: True)
     auto = JOB.replace('"rings"', '"auto"\nmethod = "lbfgs"')  # the default has tables of the resin beside the part
     solve(job(tmp_path, auto), tmp_path / "boat.vam")

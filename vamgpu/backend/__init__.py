@@ -123,7 +123,7 @@ def _open(name: str) -> Device:
 
         found = [each for each in devices() if each.startswith(name[:-1])] if name.endswith(":*") else name.split("+")
         if found:
-            return SlabDevice(name, [open_device(each) for each in found])
+            return SlabDevice(name, _members(found))
     if name == "numpy":
         from vamgpu.backend.numpy import NumpyDevice
 
@@ -138,6 +138,18 @@ def _open(name: str) -> Device:
 
         return WarpDevice(name, rest)
     raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
+
+
+def _members(names: list[str]) -> list[Device]:
+    """Devices that share slices; GPUs of one platform share a context."""
+    if importlib.util.find_spec("pyopencl") and all(name.startswith("opencl:") for name in names):
+        from vamgpu.backend.opencl import OpenclDevice
+        from vamgpu.backend.opencl_platforms import shared_context
+
+        if (context := shared_context(names)) is not None:
+            found = {name: OpenclDevice(name, context) for name in names}
+            return [found[name] for name in names]
+    return [open_device(name) for name in names]
 
 
 def _full(name: str) -> str:

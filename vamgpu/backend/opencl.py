@@ -6,6 +6,7 @@ import mmap
 import os
 import tempfile
 import weakref
+from collections import deque
 from functools import lru_cache
 from math import prod
 from typing import Any
@@ -58,12 +59,20 @@ def _divisor(count: int) -> int:
     return next(size for size in range(min(count, MOST_TOGETHER), 0, -1) if count % size == 0)
 
 
+PLACES = 4
+"""Copies from another GPU that may be under way in pinned memory."""
+HELD = 4
+"""Part of a GPU's memory that freed arrays may keep from other programs, as a divisor."""
+MOST_ENTRIES = 1 << 31
+"""Entries of a table that an int32 cannot count."""
+
+
 class OpenclDevice(Device):
     """An OpenCL device with one in-order queue; an item takes 16 to 64 lanes on a CPU, four on a GPU."""
 
     def __init__(self, name: str, context: cl.Context, memory: int | None = None) -> None:
         named = all_devices().get(name.partition("@")[0])
-        device = named if named in context.devices else context.devices[0]
+        device = next((each for each in context.devices if each == named), context.devices[0])
         super().__init__(name, f"{device.name.strip()} ({device.platform.name})")
         self.is_gpu: bool = bool(device.type & cl.device_type.GPU)
         self.context = context
@@ -78,7 +87,8 @@ class OpenclDevice(Device):
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
         # drivers of GPUs take milliseconds to find and to free memory
         self._pool = MemoryPool(ImmediateAllocator(self.queue)) if self.is_gpu else None
-        self._pinned: dict[tuple[str, int], tuple[np.ndarray, cl.Event, cl.Event]] = {}  # by source and size
+        self._pinned: dict[str, deque[tuple[np.ndarray, cl.Event]]] = {}  # by the device that is copied from
+        self._copies: deque[cl.Event] = deque()
         self._compiled = lru_cache(maxsize=None)(self.compile)
         self._planned = lru_cache(maxsize=4096)(self._plan)
 
@@ -105,6 +115,8 @@ class OpenclDevice(Device):
             if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
             if self._pool is not None:
+                if self._pool.managed_bytes - self._pool.active_bytes > self._device.global_mem_size // HELD:
+                    self._pool.free_held()
                 return self._pool.allocate(max(nbytes, 4))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
@@ -118,7 +130,7 @@ class OpenclDevice(Device):
 
     def reserve(self, shape: tuple[int, ...]) -> DeviceArray:
         nbytes, limit = 4 * prod(shape), self._device.max_mem_alloc_size
-        if nbytes > limit and (self.is_gpu or not self._shares_memory):
+        if prod(shape) >= MOST_ENTRIES or (nbytes > limit and (self.is_gpu or not self._shares_memory)):
             raise OutOfMemory(
                 f"a table of {nbytes} bytes; {self.name} takes at most {limit} at once: use a Projection in place of "
                 "rings, a coarser grid or fewer angles"
@@ -178,19 +190,26 @@ class OpenclDevice(Device):
 
     def _through_host(self, handle: Any, other: OpenclDevice, source: Any) -> None:
         """Copy by way of pinned memory: NVIDIA's driver has the host wait for a copy between two of its GPUs."""
-        nbytes, flags = min(handle.size, source.size), cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
-        place = other.name, nbytes
-        if place not in self._pinned:
-            access: Any = cl.map_flags.READ | cl.map_flags.WRITE
-            buffer = cl.Buffer(self.context, flags, nbytes)
-            pages, mapped = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
-            self._pinned[place] = pages, mapped, mapped
-        pages, free, _ = self._pinned[place]
-        read = cl.enqueue_copy(other.queue, pages, source, is_blocking=False, wait_for=[free])
+        nbytes, places = min(handle.size, source.size), self._pinned.setdefault(other.name, deque())
+        pages, free = places.popleft() if len(places) == PLACES else self._pages(nbytes)
+        if pages.nbytes < nbytes:
+            free.wait()
+            pages, free = self._pages(nbytes)
+        read = cl.enqueue_copy(other.queue, pages[:nbytes], source, is_blocking=False, wait_for=[free])
         other.queue.flush()
-        written = cl.enqueue_copy(self.queue, handle, pages, is_blocking=False, wait_for=[read])
-        self._pinned[place] = pages, written, read  # an event of host memory that is dropped waits for its end
+        written = cl.enqueue_copy(self.queue, handle, pages[:nbytes], is_blocking=False, wait_for=[read])
         self.queue.flush()
+        places.append((pages, written))
+        self._copies += [read, written]  # PyOpenCL waits for copies of host memory whose events are dropped
+        while self._copies and self._copies[0].command_execution_status == cl.command_execution_status.COMPLETE:
+            self._copies.popleft()
+
+    def _pages(self, nbytes: int) -> tuple[np.ndarray, cl.Event]:
+        """Pinned memory, and the event after which it is free."""
+        access: Any = cl.map_flags.READ | cl.map_flags.WRITE
+        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR, nbytes)
+        mapped: Any = cl.enqueue_map_buffer(self.queue, buffer, access, 0, (nbytes,), np.dtype(np.uint8))
+        return mapped
 
     def compile(
         self, kernel: Kernel, lanes: int, fixed: tuple[tuple[str, int], ...] = (), *, cached: bool = True

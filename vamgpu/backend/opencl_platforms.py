@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
@@ -86,20 +86,19 @@ def all_devices() -> dict[str, Any]:
 @cache
 def context_of(name: str) -> Any:
     """The only context of a named device: PoCL loads its library of built-in functions anew for each context."""
-    # GPUs of a platform share one, so that each can wait for what another does.
     import pyopencl as cl
 
-    device = all_devices()[name]
-    if not device.type & cl.device_type.GPU:
-        return cl.Context([device])
-    return _context_of_gpus(device.platform)
+    return cl.Context([all_devices()[name]])
 
 
-@cache
-def _context_of_gpus(platform: Any) -> Any:
+def shared_context(names: Sequence[str]) -> Any:
+    """A context of several GPUs, whose queues can wait for each other; None if they are not GPUs of one platform."""
     import pyopencl as cl
 
-    return cl.Context([each for each in platform.get_devices() if each.type & cl.device_type.GPU])
+    found = [all_devices()[name] for name in dict.fromkeys(names) if name in all_devices()]
+    gpus = [device for device in found if device.type & cl.device_type.GPU]
+    alike = len({device.platform for device in gpus}) == 1 and len(gpus) == len(set(names))
+    return cl.Context(gpus) if alike and len(gpus) > 1 else None
 
 
 @contextmanager

@@ -46,7 +46,7 @@ def begin(state: OptimizerState, method: Method, start: Any, resume: Plan | None
     if start is None:
         filtered_light(state, state.volume())
         return
-    source = own_light(state.operator, start, "the light to start from")
+    source = own_light(state.operator, start, "the initial light")
     light, dose = state.sinogram(), state.volume()
     state.scale(scale, source, light)
     state.expose(light, dose)

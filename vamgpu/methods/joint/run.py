@@ -260,7 +260,7 @@ def _copied(model: Model, start: Pair | ColorPlan) -> Pair:
     """The initial light, checked and copied; the given light does not change."""
     copies = []
     for A, light in zip(model.operators, start.light if isinstance(start, ColorPlan) else start, strict=True):
-        require(A.range, light, "the light to start from")
+        require(A.range, light, "the initial light")
         given = light if isinstance(light, DeviceArray) else A.device.upload(light)
         A.device.check_mine(given)
         copies.append(combine(1.0, given, 0.0, given, A.device.empty(A.range.shape), floor=0.0))
