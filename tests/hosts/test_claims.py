@@ -217,11 +217,12 @@ def test_a_projector_that_lost_its_video_or_its_light_is_told() -> None:
 
 def test_lamp_and_lens_are_asked_on_every_kind_of_rig() -> None:
     lens = SimpleNamespace(inspect=lambda: 1.25)
-    for kind in (MirrorMachines, StageMachines, VideoMachines):
+    kinds: tuple[Any, ...] = MirrorMachines, StageMachines, VideoMachines
+    for kind in kinds:
         asked = list[str]()
         lamp = SimpleNamespace(inspect=lambda asked=asked: asked.append("lamp"))
         has = {field.name: None for field in fields(kind)} | {"lens": lens}
-        machines: Any = kind(**has | ({"lamp": lamp} if "lamp" in has else {}))
+        machines = kind(**has | ({"lamp": lamp} if "lamp" in has else {}))
         assert inspect(machines) == {"focus": 1.25} and (asked == ["lamp"]) is ("lamp" in has)
 
 
