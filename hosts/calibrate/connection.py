@@ -55,7 +55,7 @@ def rehearsal(
     rig = config.setup
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}), **_view(rig))
-    emulated = EmulatedCalibrationRig(optics, rig, tuple(range(len(rig.display))))
+    emulated = EmulatedCalibrationRig(optics, rig)
     machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.mirrors(), {
         "lens": emulated.lens, "camera": emulated.camera, "camera_stage": emulated.stage, "photodiode": emulated.meter,
     })  # fmt: skip
@@ -90,8 +90,7 @@ def _assembled(
     openers: Mapping[str, Callable[[], Any]],
 ) -> CalibrationMachines:  # fmt: skip
     """Open mirrors and the machines of the tables, which are closed together."""
-    channels = tuple(range(len(rig.display)))
-    machines = CalibrationMachines(rig, clock, controller, (), channels, closers=[controller.close])
+    machines = CalibrationMachines(rig, clock, controller, (), closers=[controller.close])
     with closed_on_error(machines):
         for section, dmd in zip(rig.display, mirrors, strict=True):
             machines.closers.append(dmd.close)

@@ -72,13 +72,12 @@ class SteppedTurntable:
 
 @dataclass
 class CalibrationMachines:
-    """Opened machines of a calibration, with the screen and channel of light of each projector."""
+    """Opened machines of a calibration, with the screen of each projector, whose light has its number as channel."""
 
     rig: RigFile
     clock: Clock
     controller: Controller
     screens: tuple[PatternScreen, ...]
-    channels: tuple[int, ...]
     lens: Lens | None = None
     camera: CameraDriver | None = None
     stage: Stage | None = None
@@ -173,7 +172,7 @@ class CalibrationLight:
     def __init__(self, machines: CalibrationMachines, projector: int = 0) -> None:
         safety = machines.rig.safety
         self.clock, self.controller, self._power = machines.clock, machines.controller, machines.rig.light.power
-        lamp = LampGate(machines.controller, (machines.channels[projector],), steady=True)
+        lamp = LampGate(machines.controller, (projector,), steady=True)
         self.lease: Lease = Lease(machines.clock, lamp.renew, round(safety.lease * 1e9))
         others = {"mirrors": machines.screen(projector)}
         self.guard: LightGuard = LightGuard(lamp, self.lease, tolerance=1.0, others=others)

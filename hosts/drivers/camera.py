@@ -127,7 +127,6 @@ class GenicamCamera(Closing):
             self._choose(name, "Off")
 
     def grab(self) -> np.ndarray:
-        """Take an image."""
         try:
             with self._acquirer.fetch(timeout=self._timeout) as buffer:
                 part = buffer.payload.components[0]
@@ -136,7 +135,6 @@ class GenicamCamera(Closing):
             raise DeviceLost(f"the camera gave no image in {self._timeout} s ({error}); check its cable") from error
 
     def close(self) -> None:
-        """Release the camera; may be called more than once."""
         acquirer, self._acquirer = self._acquirer, None
         harvester, self._harvester = self._harvester, None
         for part, name in ((acquirer, "stop"), (acquirer, "destroy"), (harvester, "reset")):

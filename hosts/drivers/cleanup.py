@@ -29,10 +29,15 @@ def run_all(*acts: Callable[[], object]) -> list[BaseException]:
     return failed
 
 
+def all_of(*acts: Callable[[], object]) -> None:
+    """Do all of them; then raise the first error."""
+    if failed := run_all(*acts):
+        raise failed[0]
+
+
 def close_all(closers: Sequence[Callable[[], None]]) -> None:
     """Call all, the last first; then raise the first error."""
-    if failed := run_all(*reversed(closers)):
-        raise failed[0]
+    all_of(*reversed(closers))
 
 
 class Closing:

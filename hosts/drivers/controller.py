@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Self
@@ -70,7 +70,6 @@ class Controller(Closing):
     """The controller: it answers every command; a command is repeated if its answer is lost or malformed."""
 
     capacity: int
-    longest_lease_ms: int
     channels: int
 
     def __init__(self, wire: Wire, microsteps_per_mm: float = 1.0) -> None:
@@ -82,7 +81,6 @@ class Controller(Closing):
         self._ramp: float | None = None
         self._measuring: tuple[Encoder | None, Index | None] = (None, None)
         self.events: deque[tuple[str, ...]] = deque(maxlen=1000)
-        self.repeated: int = 0
         with closed_on_error(wire):
             self._start()
 
@@ -97,7 +95,7 @@ class Controller(Closing):
         self._wire.drain()
         try:
             words = self.ask("hello")
-            name, version, capacity, longest, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
+            name, version, capacity, _, channels = words[0], int(words[1]), *(int(word) for word in words[2:5])
         except (DeviceLost, DeviceRefused, ProtocolError, ValueError, IndexError) as error:
             raise WrongDevice(f"{self._wire.name} does not answer as a controller: {error}") from error
         if name != protocol.NAME or version != protocol.VERSION:
@@ -105,7 +103,7 @@ class Controller(Closing):
                 f"{self._wire.name} is {name} version {version}; expected {protocol.NAME} version {protocol.VERSION}, "
                 "which measures the position: load the sketch of this library (hosts/firmware)"
             )
-        self.capacity, self.longest_lease_ms, self.channels = capacity, longest, channels
+        self.capacity, self.channels = capacity, channels
 
     def revive(self) -> None:
         """Open the port again if the controller does not answer, as after it was unplugged."""
@@ -126,7 +124,6 @@ class Controller(Closing):
             line = protocol.encode(self._number, verb, *arguments)
             for attempt in range(TRIES):
                 if attempt:
-                    self.repeated += 1
                     log.warning("controller: %s again", verb)
                 self._wire.send(line)
                 reply = self._answer()
@@ -134,28 +131,27 @@ class Controller(Closing):
                     return self._accept(verb, reply)
         raise DeviceLost(f"{self._wire.name} did not answer {verb!r} in {TRIES} tries; check plug and power")
 
-    def _answer(self) -> Reply | None:
-        """The reply to the last number; None if it is missing, or the command must be repeated."""
+    def _replies(self, wait: bool = True) -> Iterator[Reply]:
+        """Replies, without malformed ones; events are kept. wait: for the next line."""
         for _ in range(LONGEST_BABBLE):
-            line = self._wire.line(protocol.LONGEST_LINE)
+            line = self._wire.line(protocol.LONGEST_LINE) if wait or self._wire.waiting() else b""
             if not line:
-                return None
+                return
             try:
                 reply = protocol.parse(line)
             except ProtocolError as error:
                 log.warning("controller: %s", error)
                 continue
             if reply.kind == "!":
-                self._note(reply.words)
-            elif reply.kind == "?":
-                return None
-            elif reply.number == self._number:
-                return reply
-        return None
+                log.info("controller says %s", " ".join(reply.words))
+                self.events.append(reply.words)
+            else:
+                yield reply
 
-    def _note(self, words: tuple[str, ...]) -> None:
-        log.info("controller says %s", " ".join(words))
-        self.events.append(words)
+    def _answer(self) -> Reply | None:
+        """The reply to the last number; None if it is missing, or the command must be repeated."""
+        found = next((each for each in self._replies() if each.kind == "?" or each.number == self._number), None)
+        return None if found is None or found.kind == "?" else found
 
     @staticmethod
     def _accept(verb: str, reply: Reply) -> tuple[str, ...]:
@@ -167,16 +163,7 @@ class Controller(Closing):
     def poll(self) -> tuple[tuple[str, ...], ...]:
         """Return the controller's events since the last call."""
         with self._wire.lock:
-            for _ in range(LONGEST_BABBLE):
-                if not self._wire.waiting():
-                    break
-                try:
-                    reply = protocol.parse(self._wire.line(protocol.LONGEST_LINE))
-                except ProtocolError as error:
-                    log.warning("controller: %s", error)
-                    continue
-                if reply.kind == "!":
-                    self._note(reply.words)
+            deque(self._replies(wait=False), maxlen=0)
         taken = tuple(self.events)
         self.events.clear()
         return taken
@@ -210,13 +197,6 @@ class Controller(Closing):
     def row(self, row: ControllerRow) -> int:
         """Queue one slot; returns how many more fit."""
         return int(self.ask("row", *row.words())[0])
-
-    def load(self, rows: Iterable[ControllerRow]) -> int:
-        """Queue slots in order while they fit; returns how many more fit."""
-        free = self.capacity
-        for row in rows:
-            free = self.row(row)
-        return free
 
     def end(self, count: int) -> None:
         """Set the number of rows of the print."""

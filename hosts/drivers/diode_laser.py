@@ -8,7 +8,6 @@ from typing import NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceLost, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error
-from vamgpu.hosts.drivers.text_line import exchange
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 
@@ -39,6 +38,7 @@ KINDS = {
 class DiodeLaser(ClosedOnce):
     """A laser whose power at full drive is ``watts``; it is off until `on`."""
 
+    watts: float
     called = "the laser"
 
     def __init__(self, wire: Wire, kind: str, watts: float) -> None:
@@ -60,7 +60,7 @@ class DiodeLaser(ClosedOnce):
 
     def _tell(self, text: str, pattern: str | None = None) -> str:
         """Send a command or query; its answer."""
-        return exchange(self._wire, f"{text}\r", pattern or self._says.accepted, self._says.refused).string
+        return self._wire.exchange(f"{text}\r", pattern or self._says.accepted, self._says.refused).string
 
     def on(self, power: float = 1.0) -> None:
         """Turn the light on at a share of the power; DeviceRefused with an open interlock."""
@@ -87,5 +87,4 @@ class DiodeLaser(ClosedOnce):
             raise DeviceError(f"{self._wire.name} is off, and should be on; check its interlock and its temperature")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Turn the light off, and release the port."""
         return self.off, self._wire.close

@@ -1,7 +1,4 @@
-"""Messages of TI's DLPC350, the controller of a LightCrafter 4500, over USB HID: reports of 64 bytes.
-
-The DLPC900 has the same reports, light and start; its patterns are in `dlpc900_protocol`.
-"""
+"""Messages of TI's DLPC350 (LightCrafter 4500) over USB HID; the DLPC900 differs only in `dlpc900_protocol`."""
 
 from __future__ import annotations
 

@@ -34,15 +34,11 @@ class SequenceLimits:
 
     least_picture_us: int
     greatest_picture_us: int
-    least_illuminate_us: int
     on_us: int
 
 
 class Dmd(ClosedOnce):
-    """An array of ``height`` rows and ``width`` columns of mirrors; ``memory_planes`` bit planes fit at first.
-
-    rising: the trigger's edge.
-    """
+    """An array of mirrors. rising: edge of its trigger."""
 
     called = "the DMD"
 
@@ -54,10 +50,9 @@ class Dmd(ClosedOnce):
             self.width: int = self.inquire(alp.DISPLAY_WIDTH)
             self.height: int = self.inquire(alp.DISPLAY_HEIGHT)
             self.serial: int = self.inquire(alp.DEVICE_NUMBER)
-            self.memory_planes: int = self.inquire(alp.AVAILABLE_MEMORY)
             if size is not None and size != (self.height, self.width):
                 raise WrongDevice(f"the array has {self.height} x {self.width} mirrors; expected {size[0]} x {size[1]}")
-        log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.memory_planes)
+        log.info("DMD %d: %d x %d, %d planes free", self.serial, self.height, self.width, self.free_planes())
 
     @classmethod
     def open(cls, path: str | Path, serial: int = 0, size: tuple[int, int] | None = None, rising: bool = True) -> Self:
@@ -133,8 +128,11 @@ class Dmd(ClosedOnce):
         self.call("AlpProjHalt")
         self.call("AlpDevHalt")
 
+    def off(self) -> None:
+        """Deflect the light, as a switch of it."""
+        self.halt()
+
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Halt, rest the mirrors and release the device."""
         return (
             partial(self.call, "AlpProjHalt"),
             partial(self.call, "AlpDevHalt"),
@@ -169,7 +167,7 @@ class PlaneSequence:
 
     def limits(self) -> SequenceLimits:
         """The device's limits for these frames, and their present lit time."""
-        kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.MIN_ILLUMINATE_TIME, alp.ON_TIME)
+        kinds = (alp.MIN_PICTURE_TIME, alp.MAX_PICTURE_TIME, alp.ON_TIME)
         return SequenceLimits(*(self.inquire(kind) for kind in kinds))
 
     def retime(self, timing: SlotTiming) -> None:

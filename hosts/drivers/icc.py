@@ -74,29 +74,24 @@ class IccLens(Closing):
         return not self._call(self._board.MiscFeatures.GetDeviceType, "the type of its device", self._number)
 
     def set_power(self, diopters: float) -> None:
-        """Set the focal power [1/m]; returns before the lens has settled."""
         if not self.least <= diopters <= self.greatest:
             raise BadInput(f"a focal power of {diopters:g} dpt; the lens has {self.least:g} to {self.greatest:g} dpt")
         self._call(self._channel.StaticInput.SetFocalPower, "a focal power", float(diopters))
         self._set = diopters
 
     def power(self) -> float:
-        """The focal power set [1/m]."""
         return _number(self._call(self._channel.StaticInput.GetFocalPower, "the focal power"))
 
     def temperature(self) -> float:
-        """The lens's temperature [degC]."""
         found = self._call(self._channel.TemperatureManager.GetDeviceTemperature, "the temperature")
         if found is None:
             raise DeviceRefused("the lens has no temperature sensor; check that a lens is plugged in", "sensor")
         return _number(found)
 
     def status(self) -> tuple[str, ...]:
-        """Faults of the lens; empty if there are none."""
         return ("lens or sensor missing",) if self._missing() else ()
 
     def inspect(self) -> float:
-        """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
         power = self.power()

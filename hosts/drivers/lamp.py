@@ -43,9 +43,7 @@ class TtlLamp(ClosedOnce):
         self._set(True)
 
     def off(self) -> None:
-        """Turn the light off."""
         self._set(False)
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Turn the light off, and release the port."""
         return self.off, self._port.close

@@ -112,24 +112,20 @@ class LensDriver(Closing):
         return ld4.power_code(diopters, self.firmware)
 
     def power(self) -> float:
-        """The focal power set [1/m]."""
         return ld4.power_of(ld4.signed(self.ask(ld4.GET_POWER)), self.firmware)
 
     def temperature(self) -> float:
-        """The lens's temperature [degC]; DeviceRefused without a sensor."""
         raw = ld4.signed(self.ask(ld4.GET_TEMPERATURE))
         if raw == ld4.NO_SENSOR:
             raise DeviceRefused("the lens has no temperature sensor; check that a lens is plugged in", "sensor")
         return raw / 16
 
     def status(self) -> tuple[str, ...]:
-        """Faults of the lens; empty if there are none."""
         answer = self.ask(ld4.GET_STATUS)
         texts = ld4.status_texts(answer[3])
         return (*texts, "lens not compatible") if answer[2] & 1 else texts
 
     def inspect(self) -> float:
-        """The power set [1/m]. Raises `DeviceError` for a fault."""
         if said := self.status():
             raise DeviceRefused(f"the lens reports {', '.join(said)}; check its cable, and let it warm up", "status")
         power = self.power()

@@ -14,6 +14,7 @@ from vamgpu.hosts.drivers.cleanup import ClosedOnce, close_all, closed_on_error,
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
 
 LATE = 16  # most answers to earlier commands, which came after their time-out
+PATIENCE = 15.0  # longest wait for a state of the projector [s]
 
 
 class LightCrafter(ClosedOnce):
@@ -22,11 +23,11 @@ class LightCrafter(ClosedOnce):
     called = "the projector"
 
     def __init__(
-        self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep, wait_s: float = 15.0,
+        self, device: Any, timeout_s: float = 1.0, pause: Callable[[float], None] = time.sleep,
         dlpc: dlpc350.Dlpc = dlpc350.DLPC350,
     ) -> None:  # fmt: skip
         self._dlpc = dlpc
-        self._device, self._timeout, self._pause, self._wait = device, round(timeout_s * 1000), pause, wait_s
+        self._device, self._timeout, self._pause = device, round(timeout_s * 1000), pause
         self._number, self._lit, self._lock = 0, False, threading.RLock()
         with closed_on_error(device):
             self.off()
@@ -92,9 +93,9 @@ class LightCrafter(ClosedOnce):
                 raise DeviceRefused(f"the projector has no answer to {step.what}", "empty")
             if data[0] & step.mask == step.value:
                 return data[0]
-            if waited > self._wait:
+            if waited > PATIENCE:
                 raise DeviceLost(
-                    f"the projector has not reached {step.what} in {self._wait} s; check its video cable, or "
+                    f"the projector has not reached {step.what} in {PATIENCE} s; check its video cable, or "
                     "turn it off and on"
                 )
             self._pause(0.05)
@@ -127,7 +128,6 @@ class LightCrafter(ClosedOnce):
             raise DeviceError("the projector's LEDs are off, and should be on; check its temperature and its power")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Turn the light off, stop, and release."""
         return self.off, partial(self._ask, dlpc350.DISPLAY, b"\0", "the stop"), self._device.close
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from vamgpu.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.cleanup import Closing, extra
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero
+from vamgpu.hosts.drivers.stages import PolledStage
 
 log: logging.Logger = logging.getLogger(__name__)
 UM_IN_MM = 1000.0
@@ -66,11 +65,10 @@ class MicroManagerStage(_Device, PolledStage):
     """A linear stage of one axis; it moves to positions and cannot run at a speed."""
 
     def __init__(
-        self, core: Any, label: str, speed_property: str | None = None, patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep, owned: bool = False,
-    ) -> None:  # fmt: skip
+        self, core: Any, label: str, speed_property: str | None = None, owned: bool = False, **options: Any
+    ) -> None:
         _Device.__init__(self, core, label, "StageDevice", owned)
-        PolledStage.__init__(self, label, "mm", patience_s, pause)
+        PolledStage.__init__(self, self, label, 1.0, "mm", **options)
         self._speed_property = speed_property
 
     @classmethod
@@ -79,12 +77,9 @@ class MicroManagerStage(_Device, PolledStage):
         return cls(open_core(configuration), label, speed_property, owned=True)
 
     def position(self) -> float:
-        """Reported position of the axis [mm]."""
         return self._call("getPosition", self.label, lost=DeviceLost) / UM_IN_MM
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position [mm]."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         if self._speed_property is not None:
             self._call("setProperty", self.label, self._speed_property, speed)
         self._call("setPosition", self.label, position * UM_IN_MM)
@@ -100,11 +95,9 @@ class MicroManagerStage(_Device, PolledStage):
         self.stop()
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         return self._call("deviceBusy", self.label, lost=DeviceLost)
 
     def stop(self) -> None:
-        """Start to stop the axis."""
         self._call("stop", self.label)
 
 
@@ -139,7 +132,6 @@ class MicroManagerCamera(_Device):
             self._call("setROI", *crop)
 
     def grab(self) -> np.ndarray:
-        """Take an image."""
         self._call("snapImage", lost=DeviceLost)
         image = np.array(self._call("getImage", lost=DeviceLost))
         if image.ndim != 2:
@@ -147,5 +139,4 @@ class MicroManagerCamera(_Device):
         return image
 
     def close(self) -> None:
-        """Release the core; may be called more than once."""
         self.release()

@@ -99,7 +99,6 @@ class PygletWindow:
             self.show(np.zeros((*size, 3), np.uint8))
 
     def show(self, video_frame: np.ndarray, /) -> int:
-        """Show a video frame from the next refresh on; returns when it is on the screen."""
         rows, columns = self.size
         if self._window.has_exit:
             raise DeviceLost("the projector's window was closed; leave it open while a print runs")

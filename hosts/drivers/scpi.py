@@ -88,5 +88,4 @@ class PowerMeter(Closing):
         return self.number("MEAS:POW?") * MILLI
 
     def close(self) -> None:
-        """Release the port."""
         self._wire.close()

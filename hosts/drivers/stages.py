@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import time
 import types
@@ -22,7 +21,7 @@ from vamgpu.errors import (
     WrongDevice,
 )  # fmt: skip
 from vamgpu.hosts.drivers import zaber_protocol as zaber
-from vamgpu.hosts.drivers.cleanup import ClosedOnce, closed_on_error, extra
+from vamgpu.hosts.drivers.cleanup import Closable, ClosedOnce, closed_on_error, extra
 from vamgpu.hosts.drivers.wire import Wire
 
 
@@ -40,51 +39,49 @@ class Stage(Protocol):
     def close(self) -> None: ...  # stop, and release the axis
 
 
-log: logging.Logger = logging.getLogger(__name__)
 SAME = 1e-6  # relative tolerance of a file's microsteps against those of the device
 POLL = 0.02  # time between two queries whether an axis moves [s]
 
 
 class PolledStage(ClosedOnce):
-    """An axis whose motion is polled; when closed, it stops and releases its line."""
+    """An axis with ``microsteps`` per unit, whose motion is polled; when closed, it stops and releases its line."""
 
     unit: str
+    microsteps: float
     called = "a stage"
 
-    def __init__(self, name: str, unit: str, patience_s: float, pause: Callable[[float], None]) -> None:
-        self._name, self.unit, self._patience, self._pause = name, unit, patience_s, pause
+    def __init__(
+        self, line: Closable, name: str, microsteps: float, unit: str = "deg", patience_s: float = 60.0,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:  # fmt: skip
+        self._line, self._name, self.microsteps, self.unit = line, name, microsteps, unit
+        self._patience, self._pause = patience_s, pause
+        with closed_on_error(line):
+            geared(microsteps, unit)
+            self._start()
+
+    def _start(self) -> None:
+        """Check that the machine is there, and make it ready."""
 
     def position(self) -> float:
         """Reported position of the axis."""
         raise NotImplementedError
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
+        """Start moving at a constant speed; 0 stops the axis."""
         raise NotImplementedError
 
     def busy(self) -> bool:
         """Whether the axis moves."""
         raise NotImplementedError
 
-    def stop(self) -> None:
-        """Start to stop the axis."""
-        raise NotImplementedError
+    def move(self, position: float, speed: float) -> None:
+        """Start moving to a position, at most at a speed; a motor that only knows speeds is there on return."""
+        above_zero(speed)
+        self._move(position, speed)
 
-    def release(self) -> None:
-        """Release the line."""
-        raise NotImplementedError
-
-    def wait(self) -> None:
-        """Return when the axis is at rest; DeviceError if that exceeds the stage's patience."""
-        waited = 0.0
-        while self.busy():
-            if waited > self._patience:
-                raise DeviceError(f"{self._name} still moves after {self._patience} s; check its commands")
-            self._pause(POLL)
-            waited += POLL
-
-    def run_to(self, position: float, speed: float) -> None:
-        """Run until the axis has passed a position, then stop it; for motors that only know speeds."""
+    def _move(self, position: float, speed: float) -> None:
+        """Run until the axis has passed a position, then stop it."""
         way, waited = position - self.position(), 0.0
         try:
             if way:
@@ -97,8 +94,24 @@ class PolledStage(ClosedOnce):
         finally:
             self.run(0.0)
 
+    def wait(self) -> None:
+        """Return when the axis is at rest; DeviceError if that exceeds the stage's patience."""
+        waited = 0.0
+        while self.busy():
+            if waited > self._patience:
+                raise DeviceError(f"{self._name} still moves after {self._patience} s; check its commands")
+            self._pause(POLL)
+            waited += POLL
+
+    def stop(self) -> None:
+        """Start to stop the axis."""
+        self.run(0.0)
+
+    def release(self) -> None:
+        """Release the line."""
+        self._line.close()
+
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and release the line."""
         return self.stop, self.release
 
 
@@ -134,19 +147,16 @@ class ZaberLines:
         wire.drain()
 
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
-        """Send a command and return the reply."""
         with self._wire.lock:
             self._number = (self._number + 1) % 96
             self._wire.send(zaber.command(device, axis, self._number, text))
             while line := self._wire.line():
                 message = zaber.parse(line)
-                if message.kind == "@" and message.device == device and message.number == self._number:
+                if message.device == device and message.number == self._number:
                     return message
-                log.info("stage says %s", message)
         raise DeviceLost(f"{self.name} does not answer {text!r}; check its power and its number")
 
     def close(self) -> None:
-        """Release the port."""
         self._wire.close()
 
 
@@ -176,7 +186,6 @@ class ZaberConnection:
             ) from error
 
     def exchange(self, device: int, axis: int, text: str) -> zaber.Message:
-        """Send a command and return the reply."""
         try:
             found = self._connection.generic_command(text, device, axis, check_errors=False, timeout=self._timeout)
         except self._library.RequestTimeoutException as error:
@@ -186,7 +195,7 @@ class ZaberConnection:
         except self._library.MotionLibException as error:
             raise ProtocolError(f"{self.name} answered {text!r} badly ({error.message}); check the port") from error
         accepted, busy = found.reply_flag == "OK", found.status == "BUSY"
-        return zaber.Message("@", device, axis, None, accepted, busy, found.warning_flag, found.data)
+        return zaber.Message(device, None, accepted, busy, found.warning_flag, found.data)
 
     def close(self) -> None:
         """Release the port; may be called more than once."""
@@ -194,25 +203,15 @@ class ZaberConnection:
 
 
 class ZaberStage(PolledStage):
-    """One axis of one Zaber device, with ``microsteps`` per unit, ``mm`` or ``deg``.
-
-    output: digital output that triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both.
-    """
-
-    microsteps: float
+    """One axis. output: triggers the mirrors.  gate: output that is high meanwhile, for a board that joins both."""
 
     def __init__(
         self, link: Wire | ZaberLink, microsteps: float, unit: str = "deg", device: int = 1, axis: int = 1,
-        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep, encoder: bool = False,
-        output: int = 1, gate: int | None = None,
+        encoder: bool = False, output: int = 1, gate: int | None = None, **options: Any,
     ) -> None:  # fmt: skip
-        super().__init__(f"stage {device}", unit, patience_s, pause)
-        self.microsteps, self._device, self._axis, self._output, self._gate = microsteps, device, axis, output, gate
-        with closed_on_error(link):
-            geared(microsteps, unit)
-            self._link = ZaberLines(link) if isinstance(link, Wire) else link
-            self._place = "get encoder.pos" if encoder else "get pos"
-            self.kind: int = self._start()
+        self._device, self._axis, self._output, self._gate = device, axis, output, gate
+        self._place = "get encoder.pos" if encoder else "get pos"
+        super().__init__(link, f"stage {device}", microsteps, unit, **options)
 
     @classmethod
     def open(
@@ -222,10 +221,12 @@ class ZaberStage(PolledStage):
         """Open a stage at a serial port, or at ``socket://host:port``, through the maker's package."""
         return cls(ZaberConnection(url, f"stage {device}", timeout_s), microsteps, unit, device, axis, **options)
 
-    def _start(self) -> int:
-        """The kind of device, once its encoder and its microsteps per turn are those of the rig's file."""
+    def _start(self) -> None:
+        """Check that its encoder and its microsteps per turn are those of the rig's file."""
+        line: Any = self._line
+        self._link: ZaberLink = ZaberLines(line) if isinstance(line, Wire) else line
         try:
-            kind = self._whole("get deviceid")
+            self.kind: int = self._whole("get deviceid")
         except (ProtocolError, DeviceLost) as error:
             raise WrongDevice(f"{self._link.name} does not answer as a Zaber device: {error}") from error
         try:
@@ -239,7 +240,6 @@ class ZaberStage(PolledStage):
                 f"{self._link.name} has {turn} microsteps per turn, {turn / 360:.8g} per degree; expected "
                 f"{self.microsteps:.8g}, the file's: every angle would be wrong; set microsteps = {turn / 360!r}"
             )
-        return kind
 
     def turn(self) -> int:
         """Microsteps per turn, from the device; 0 for a linear one."""
@@ -271,31 +271,22 @@ class ZaberStage(PolledStage):
         return self._link.exchange(self._device, self._axis if axis is None else axis, text)
 
     def position(self) -> float:
-        """Reported position of the axis."""
         return self._whole(self._place) / self.microsteps
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         self.ask(f"set maxspeed {self._speed(speed)}")
         self.ask(f"move abs {round(position * self.microsteps)}")
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         self.ask("stop" if speed == 0 else f"move vel {self._speed(speed)}")
 
     def _speed(self, speed: float) -> int:
         return round(speed * self.microsteps * zaber.SPEED_UNITS)
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         message = self._exchange("")
         zaber.accept(message, "")
         return message.busy
-
-    def stop(self) -> None:
-        """Start to stop the axis."""
-        self.ask("stop")
 
     def trigger_every(self, distance: float) -> None:
         """Raise the output each time the axis has traveled a distance, first after half of it; 0 ends it."""
@@ -319,10 +310,6 @@ class ZaberStage(PolledStage):
         for text in texts:
             zaber.accept(self._exchange(text, axis=0), text)
 
-    def release(self) -> None:
-        """Release the line."""
-        self._link.close()
-
 
 def _axis(uri: str) -> Any:
     """The maker's axis at an address such as ``xi-com:///dev/ttyACM0``."""
@@ -343,6 +330,7 @@ class StandaStage(ClosedOnce):
     """One axis of libximc's ``highlevel.Axis``, with ``steps`` full steps per unit, each of ``fraction`` microsteps."""
 
     steps: float
+    unit: str
     called = "a stage"
 
     def __init__(self, axis: Any, steps: float, unit: str = "deg", fraction: int = 256) -> None:
@@ -374,18 +362,15 @@ class StandaStage(ClosedOnce):
         self._call("set_move_settings", settings)
 
     def position(self) -> float:
-        """Reported position of the axis."""
         found = self._call("get_position")
         return (found.Position + found.uPosition / self._fraction) / self.steps
 
     def move(self, position: float, speed: float) -> None:
-        """Start moving to a position."""
         above_zero(speed)
         self._speed(speed)
         self._call("command_move", *self._split(position))
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         if speed == 0:
             self.stop()
             return
@@ -393,13 +378,10 @@ class StandaStage(ClosedOnce):
         self._call("command_right" if speed > 0 else "command_left")
 
     def wait(self) -> None:
-        """Return when the axis is at rest."""
         self._call("command_wait_for_stop", 10)
 
     def stop(self) -> None:
-        """Start to stop the axis."""
         self._call("command_sstp")
 
     def endings(self) -> tuple[Callable[[], object], ...]:
-        """Stop, and release the axis."""
         return self.stop, partial(self._call, "close_device")

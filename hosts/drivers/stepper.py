@@ -51,7 +51,6 @@ class SysfsPwm(Closing):
             raise DeviceError(f"cannot write {str(file)!r}: {error.strerror}; check its permissions") from error
 
     def rate(self, hz: float) -> float:
-        """Set the pulses per second; returns the actual rate."""
         if hz == 0:
             self._write(self._place / "enable", 0)
             return 0.0
@@ -63,7 +62,6 @@ class SysfsPwm(Closing):
         return SECOND / period
 
     def close(self) -> None:
-        """Stop the pulses."""
         self.rate(0.0)
 
 
@@ -137,11 +135,9 @@ class StepperStage(Closing):
         """It is at rest when `run` and `move` return."""
 
     def stop(self) -> None:
-        """Stop."""
         self.run(0.0)
 
     def close(self) -> None:
-        """Stop, and release output and index."""
         try:
             self._set(0.0)
             self._pulses.close()
@@ -178,9 +174,7 @@ class GpioIndex(Closing):
         self._edges.append(self._clock.now())
 
     def edges(self) -> tuple[int, ...]:
-        """Times of the marks since the last call [ns]."""
         return tuple(self._edges.popleft() for _ in range(len(self._edges)))
 
     def close(self) -> None:
-        """Release the pin; may be called more than once."""
         self._device.close()

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, WrongDevice
-from vamgpu.hosts.drivers.cleanup import closed_on_error
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
-from vamgpu.hosts.drivers.text_line import MOST, exchange
-from vamgpu.hosts.drivers.wire import Wire, open_wire
+from vamgpu.hosts.drivers.stages import PolledStage
+from vamgpu.hosts.drivers.wire import MOST, Wire, open_wire
 
 TRIES = 16  # queries until a board that restarts at the opening of its port must have answered
 SLOW = 0.2  # time in which a moving axis makes a step at least [s]
@@ -35,19 +31,11 @@ class Dialogue(NamedTuple):
 
 
 class TextStage(PolledStage):
-    """One axis, with ``microsteps`` per unit."""
+    """One axis."""
 
-    microsteps: float
-
-    def __init__(
-        self, wire: Wire, dialogue: Dialogue, microsteps: float, unit: str = "deg", patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:  # fmt: skip
-        super().__init__(wire.name, unit, patience_s, pause)
-        self._wire, self._says, self.microsteps = wire, dialogue, microsteps
-        with closed_on_error(wire):
-            geared(microsteps, unit)
-            self._start()
+    def __init__(self, wire: Wire, dialogue: Dialogue, microsteps: float, unit: str = "deg", **options: Any) -> None:
+        self._wire, self._says = wire, dialogue
+        super().__init__(wire, wire.name, microsteps, unit, **options)
 
     @classmethod
     def open(cls, port: str, dialogue: Dialogue, microsteps: float, unit: str = "deg", baud: int = 115200) -> Self:
@@ -65,7 +53,7 @@ class TextStage(PolledStage):
         raise WrongDevice(f"{self._wire.name} does not answer {self._says.ask!r}; check port, baud and firmware")
 
     def _ask(self) -> re.Match[str]:
-        return exchange(self._wire, self._says.ask, self._says.answer, self._says.refused)
+        return self._wire.exchange(self._says.ask, self._says.answer, self._says.refused)
 
     def _tell(self, template: str, speed: float, position: float = 0.0, way: float = 0.0) -> None:
         text = template.format(
@@ -73,7 +61,7 @@ class TextStage(PolledStage):
             steps_per_s=speed * self.microsteps,
         )  # fmt: skip
         if self._says.accepted:
-            exchange(self._wire, text, self._says.accepted, self._says.refused)
+            self._wire.exchange(text, self._says.accepted, self._says.refused)
         else:
             self._wire.send(text.encode("latin-1"))
 
@@ -82,26 +70,21 @@ class TextStage(PolledStage):
         return float(given["position"]) if given.get("position") else float(given["steps"]) / self.microsteps
 
     def position(self) -> float:
-        """Reported position of the axis."""
         return self._place(self._ask())
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position; a firmware that only runs is at it when this returns."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         if self._says.move:
             self._tell(self._says.move, speed, position)
         else:
-            self.run_to(position, speed)
+            super()._move(position, speed)
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         if speed == 0:
             self.stop()
         else:
             self._tell(self._says.run, speed)
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         found = self._ask()
         if self._says.resting:
             return not re.fullmatch(self._says.resting, found["state"])
@@ -109,12 +92,7 @@ class TextStage(PolledStage):
         return self._place(self._ask()) != self._place(found)
 
     def stop(self) -> None:
-        """Start to stop the axis."""
         self._tell(self._says.stop, 0.0)
-
-    def release(self) -> None:
-        """Release the port."""
-        self._wire.close()
 
 
 def grbl(axis: str = "X") -> Dialogue:
@@ -197,11 +175,10 @@ class GrblStage(TextStage):
             self.stop()
             self.wait()
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position."""
+    def _move(self, position: float, speed: float) -> None:
         self._bounded(speed)
         self._rest()
-        super().move(position, speed)
+        super()._move(position, speed)
 
     def stop(self) -> None:
         """Start to stop the axis; its jogs are dropped."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple, Self
 
 from vamgpu.errors import BadInput, DeviceLost, WrongDevice
-from vamgpu.hosts.drivers.cleanup import closed_on_error, extra
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
+from vamgpu.hosts.drivers.cleanup import extra
+from vamgpu.hosts.drivers.stages import PolledStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -34,19 +32,11 @@ CUBES = {"KDC": SERVO, "TDC": SERVO, "KBD": BRUSHLESS, "TBD": BRUSHLESS, "KST": 
 
 
 class ThorlabsStage(PolledStage):
-    """One axis, with ``counts`` per unit: of its encoder, or microsteps on a stepper's cube."""
+    """One axis. counts: per unit, of its encoder, or microsteps on a stepper's cube."""
 
-    counts: float
-
-    def __init__(
-        self, wire: Wire, counts: float, unit: str = "deg", patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:  # fmt: skip
-        super().__init__("the Thorlabs stage", unit, patience_s, pause)
-        self._wire, self.counts, self._ended = wire, counts, True
-        with closed_on_error(wire):
-            geared(counts, unit)
-            self._start()
+    def __init__(self, wire: Wire, counts: float, unit: str = "deg", **options: Any) -> None:
+        self._wire, self._ended = wire, True
+        super().__init__(wire, "the Thorlabs stage", counts, unit, **options)
 
     @classmethod
     def open(cls, port: str, counts: float, unit: str = "deg", timeout_s: float = 0.5) -> Self:
@@ -90,8 +80,7 @@ class ThorlabsStage(PolledStage):
         return self._ask(f"mot_req_{kind}", f"mot_get_{kind}", CHANNEL)
 
     def position(self) -> float:
-        """Reported position of the axis."""
-        return self._status().position / self.counts
+        return self._status().position / self.microsteps
 
     def _speed(self, speed: float) -> None:
         """Set the greatest speed, and keep the rest of its profile."""
@@ -102,21 +91,18 @@ class ThorlabsStage(PolledStage):
         self._send("mot_set_velparams", CHANNEL, profile.min_velocity, profile.acceleration, units)
 
     def _whole(self, units: float, what: str, value: float) -> int:
-        found = round(units * self.counts)
+        found = round(units * self.microsteps)
         if abs(found) > LARGEST:
             raise BadInput(f"a {what} of {value:g} {self.unit} is {found} units; the {self.kind} counts to {LARGEST}")
         return found
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         goal = self._whole(position, "position", position)
         self._speed(speed)
         self._ended = False
         self._send("mot_move_absolute", CHANNEL, goal)
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed."""
         if speed == 0:
             return self.stop()
         self._speed(speed)
@@ -124,15 +110,9 @@ class ThorlabsStage(PolledStage):
         self._send("mot_move_velocity", CHANNEL, FORWARD if speed > 0 else REVERSE)
 
     def busy(self) -> bool:
-        """Whether the axis moves."""
         said = self._status()
         return not self._ended or any(getattr(said, name) for name in MOVING)
 
     def stop(self) -> None:
-        """Start to stop the axis."""
         self._ended = True
         self._send("mot_move_stop", CHANNEL, PROFILED)
-
-    def release(self) -> None:
-        """Release the port."""
-        self._wire.close()

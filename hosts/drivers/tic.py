@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceNotFound, DeviceRefused
-from vamgpu.hosts.drivers.cleanup import closed_on_error, extra
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
+from vamgpu.hosts.drivers.cleanup import extra
+from vamgpu.hosts.drivers.stages import PolledStage
 from vamgpu.hosts.drivers.wire import open_wire
 
 SPEED = 10_000  # units of speed in a microstep per second
@@ -27,24 +25,19 @@ ERRORS = (
 class TicStage(PolledStage):
     """One motor, with ``microsteps`` per unit; it stops by itself if nobody asks for its position for its timeout."""
 
-    microsteps: float
+    def __init__(self, tic: Any, line: Any, name: str, microsteps: float, unit: str = "deg", **options: Any) -> None:
+        self._tic = tic
+        super().__init__(line, name, microsteps, unit, **options)
 
-    def __init__(
-        self, tic: Any, line: Any, name: str, microsteps: float, unit: str = "deg", patience_s: float = 60.0,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:  # fmt: skip
-        super().__init__(name, unit, patience_s, pause)
-        self._tic, self._line, self.microsteps = tic, line, microsteps
-        with closed_on_error(line):
-            geared(microsteps, unit)
-            if self._call("get_control_mode", of=tic.settings) != COMMANDED:
-                raise DeviceRefused(
-                    f"{name} is not controlled by commands; set Serial/I2C/USB in Tic Control Center", "mode"
-                )
-            self._most: int = self._call("get_max_speed")
-            for act in ("energize", "exit_safe_start", "reset_command_timeout"):
-                self._call(act)
-            self._checked()
+    def _start(self) -> None:
+        if self._call("get_control_mode", of=self._tic.settings) != COMMANDED:
+            raise DeviceRefused(
+                f"{self._name} is not controlled by commands; set Serial/I2C/USB in Tic Control Center", "mode"
+            )
+        self._most: int = self._call("get_max_speed")
+        for act in ("energize", "exit_safe_start", "reset_command_timeout"):
+            self._call(act)
+        self._checked()
 
     @classmethod
     def open(cls, port: str, microsteps: float, unit: str = "deg", baud: int = 9600) -> Self:
@@ -89,9 +82,7 @@ class TicStage(PolledStage):
         self._call("reset_command_timeout")
         return self._call("get_current_position") / self.microsteps
 
-    def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed."""
-        above_zero(speed)
+    def _move(self, position: float, speed: float) -> None:
         goal = round(position * self.microsteps)
         if abs(goal) > LARGEST:
             raise BadInput(f"a position of {position:g} {self.unit} is {goal} microsteps; the Tic counts to {LARGEST}")
@@ -99,12 +90,10 @@ class TicStage(PolledStage):
         self._call("set_target_position", goal)
 
     def run(self, speed: float) -> None:
-        """Start moving at a constant speed; 0 stops it."""
         self._call("set_max_speed", self._most)
         self._call("set_target_velocity", self._units(speed))
 
     def busy(self) -> bool:
-        """Whether the motor moves."""
         self._call("reset_command_timeout")
         self._checked()
         if self._call("get_current_velocity") != 0:
@@ -112,12 +101,8 @@ class TicStage(PolledStage):
         goes = self._call("get_planning_mode") == BY_POSITION
         return goes and self._call("get_current_position") != self._call("get_target_position")
 
-    def stop(self) -> None:
-        """Start to stop the motor."""
-        self.run(0.0)
-
     def release(self) -> None:
         """Take the current off the motor, and release the line."""
         with suppress(DeviceLost):
             self._call("deenergize")
-        self._line.close()
+        super().release()

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Self
+from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceLost, DeviceRefused, ProtocolError, WrongDevice
-from vamgpu.hosts.drivers.cleanup import closed_on_error
-from vamgpu.hosts.drivers.stages import PolledStage, above_zero, geared
+from vamgpu.hosts.drivers.stages import PolledStage
 from vamgpu.hosts.drivers.wire import Wire, open_wire
 from vamgpu.hosts.schedules.clock import Clock, RealClock
 from vamgpu.hosts.schedules.timing import SECOND
@@ -44,29 +41,27 @@ def datagram(node: int, register: int, value: int | None = None) -> bytes:
 class Tmc2209Stage(PolledStage):
     """One motor, with ``microsteps`` per unit, 256 in a full step; ask for its position at least each second."""
 
-    microsteps: float
-
     def __init__(
         self, wire: Wire, microsteps: float, unit: str = "deg", node: int = 0, clock: Clock | None = None,
-        patience_s: float = 60.0, pause: Callable[[float], None] = time.sleep,
+        **options: Any,
     ) -> None:  # fmt: skip
-        super().__init__(wire.name, unit, patience_s, pause)
-        self._wire, self._node, self._clock, self.microsteps = wire, node, clock or RealClock(), microsteps
+        self._wire, self._node, self._clock = wire, node, clock or RealClock()
         self._steps, self._rate, self._since, self._echoes = 0.0, 0.0, self._clock.now(), False
         self._hz, self._tune, self._wanted = INTERNAL_HZ, SHORTEST, 0.0
         self._begin: tuple[float, int] | None = None
-        with closed_on_error(wire):
-            geared(microsteps, unit)
-            try:
-                version = self._read(INPUTS) >> 24
-            except (DeviceLost, ProtocolError) as error:
-                raise WrongDevice(f"{wire.name} does not answer as a TMC2209: {error}") from error
-            if version != VERSION:
-                raise WrongDevice(f"{wire.name} has version {version:#x}; expected a TMC2209 with {VERSION:#x}")
-            self._write(VACTUAL, 0)
-            self._write(GCONF, self._read(GCONF) | BY_UART)
-            self._write(CHOPPER, self._read(CHOPPER) & ~RESOLUTION)
-            self._steps = float(self._read(COUNTER))
+        super().__init__(wire, wire.name, microsteps, unit, **options)
+
+    def _start(self) -> None:
+        try:
+            version = self._read(INPUTS) >> 24
+        except (DeviceLost, ProtocolError) as error:
+            raise WrongDevice(f"{self._name} does not answer as a TMC2209: {error}") from error
+        if version != VERSION:
+            raise WrongDevice(f"{self._name} has version {version:#x}; expected a TMC2209 with {VERSION:#x}")
+        self._write(VACTUAL, 0)
+        self._write(GCONF, self._read(GCONF) | BY_UART)
+        self._write(CHOPPER, self._read(CHOPPER) & ~RESOLUTION)
+        self._steps = float(self._read(COUNTER))
 
     @classmethod
     def open(cls, port: str, microsteps: float, unit: str = "deg", node: int = 0, baud: int = 115200) -> Self:
@@ -137,13 +132,7 @@ class Tmc2209Stage(PolledStage):
             self.position()
             self._set(speed * self.microsteps)
 
-    def move(self, position: float, speed: float) -> None:
-        """Run to a position; returns when the motor has passed it."""
-        above_zero(speed)
-        self.run_to(position, speed)
-
     def busy(self) -> bool:
-        """Whether the motor moves."""
         return self._rate != 0.0
 
     def stop(self) -> None:
@@ -154,7 +143,3 @@ class Tmc2209Stage(PolledStage):
             self.position()
         finally:
             self._set(0.0)
-
-    def release(self) -> None:
-        """Release the port."""
-        self._wire.close()

@@ -9,15 +9,17 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound
+from vamgpu.errors import BadInput, DeviceBusy, DeviceLost, DeviceNotFound, DeviceRefused
 from vamgpu.hosts.drivers.cleanup import Closing, extra
 
 log: logging.Logger = logging.getLogger(__name__)
+MOST = 200  # most lines of text before an answer
 
 
 class Port(Protocol):
@@ -42,19 +44,16 @@ class _MessagePort:
         raise NotImplementedError
 
     def read(self, size: int = 1, /) -> bytes:
-        """Receive from the present message, or the next."""
         if not self._pending:
             self._pending = self._message()
         taken, self._pending = self._pending[:size], self._pending[size:]
         return taken
 
     def reset_input_buffer(self) -> None:
-        """Discard received bytes."""
         self._pending = b""
 
     @property
     def in_waiting(self) -> int:
-        """Unread bytes of the message."""
         return len(self._pending)
 
 
@@ -72,14 +71,12 @@ class UsbtmcPort(_MessagePort):
             raise
 
     def write(self, data: bytes, /) -> int:
-        """Send one message."""
         return os.write(self._file, data)
 
     def _message(self) -> bytes:
         return os.read(self._file, 4096)
 
     def close(self) -> None:
-        """Release the instrument."""
         os.close(self._file)
 
 
@@ -91,7 +88,6 @@ class VisaPort(_MessagePort):
         resource.timeout = round(timeout_s * 1000)
 
     def write(self, data: bytes, /) -> int:
-        """Send one message."""
         try:
             return self._resource.write_raw(data)
         except _visa().errors.Error as error:
@@ -107,7 +103,6 @@ class VisaPort(_MessagePort):
             raise OSError(errno.EIO, str(error)) from error
 
     def close(self) -> None:
-        """Release the instrument."""
         self._resource.close()
 
 
@@ -180,6 +175,21 @@ class Wire(Closing):
                     break
                 self._ahead += more
         return self._take(end + 1 if end >= 0 else longest)
+
+    def exchange(self, text: str, pattern: str, refused: str) -> re.Match[str]:
+        """Send a text; the first line that matches the pattern. DeviceRefused at a line that matches ``refused``."""
+        with self.lock:
+            self.drain()
+            self.send(text.encode("latin-1"))
+            for _ in range(MOST):
+                if not (raw := self.line()):
+                    break
+                line = raw.decode("ascii", "replace").strip()
+                if error := re.search(refused, line):
+                    raise DeviceRefused(f"{self.name} refused {text.strip()!r}: {line}", error[0])
+                if found := re.search(pattern, line):
+                    return found
+        raise DeviceLost(f"{self.name} does not answer {text.strip()!r}; check its power and its plug")
 
     def _take(self, size: int) -> bytes:
         taken = bytes(self._ahead[:size])

@@ -1,12 +1,14 @@
-"""Zaber's ASCII protocol: commands with message numbers and check sums, replies, and unsolicited alerts."""
+"""Zaber's ASCII protocol: commands with message numbers and check sums, and replies to them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from typing import NamedTuple
 
 from vamgpu.errors import BadInput, DeviceRefused, ProtocolError
 
 SPEED_UNITS = 1.6384  # units of the device's speed in one microstep per second
+REPLY = re.compile(rb"@((\d\d) \d (\d\d) (OK|RJ) (BUSY|IDLE) (\S\S) (.*)):([0-9A-F]{2})\r?\n?")
 
 
 def lrc(data: bytes) -> int:
@@ -14,14 +16,11 @@ def lrc(data: bytes) -> int:
     return -sum(data) & 0xFF
 
 
-@dataclass(frozen=True)
-class Message:
-    """A message of a device: ``kind`` is ``@`` for a reply, ``!`` for an alert, ``#`` for information."""
+class Message(NamedTuple):
+    """A reply of a device."""
 
-    kind: str
     device: int
-    axis: int
-    number: int | None
+    number: int | None  # of the command
     accepted: bool
     busy: bool
     warning: str
@@ -37,42 +36,14 @@ def command(device: int, axis: int, number: int, text: str) -> bytes:
 
 
 def parse(line: bytes) -> Message:
-    """The message of one line without its ending; ProtocolError if it is not one."""
-    text = line.decode("ascii", "replace").strip("\r\n")
-    if len(text) < 5 or text[0] not in "@!#":
-        raise ProtocolError(f"{line!r} is not a message of a Zaber device; check the port and the baud rate")
-    kind, body = text[0], text[1:]
-    if len(body) > 3 and body[-3] == ":":
-        try:
-            given = int(body[-2:], 16)
-        except ValueError:
-            given = -1
-        body = body[:-3]
-        if given != lrc(body.encode("ascii", "replace")):
-            raise ProtocolError(f"the check sum of {line!r} is wrong; check the cable")
-    return _fields(kind, body.split(" "), line)
-
-
-def _fields(kind: str, words: list[str], line: bytes) -> Message:
-    """The message of its words."""
-    try:
-        device, axis = int(words[0]), int(words[1])
-        rest = words[2:]
-        number = None
-        if rest and len(rest[0]) == 2 and rest[0].isdigit():
-            number, rest = int(rest[0]), rest[1:]
-        if kind == "#":
-            return Message(kind, device, axis, number, True, False, "--", " ".join(rest))
-        accepted = True
-        if kind == "@":
-            if rest[0] not in ("OK", "RJ"):
-                raise ValueError(rest[0])
-            accepted, rest = rest[0] == "OK", rest[1:]
-        if rest[0] not in ("BUSY", "IDLE"):
-            raise ValueError(rest[0])
-        return Message(kind, device, axis, number, accepted, rest[0] == "BUSY", rest[1], " ".join(rest[2:]))
-    except (ValueError, IndexError):
-        raise ProtocolError(f"{line!r} is not a message of a Zaber device; check the port and the baud rate") from None
+    """The reply in a line; ProtocolError for another line, or a wrong check sum."""
+    if (found := REPLY.fullmatch(line)) is None:
+        raise ProtocolError(f"{line!r} is not a reply of a Zaber device; check the port and the baud rate")
+    body, device, number, flag, state, warning, data, given = found.groups()
+    if int(given, 16) != lrc(body):
+        raise ProtocolError(f"the check sum of {line!r} is wrong; check the cable")
+    said = (warning.decode("ascii", "replace"), data.decode("ascii", "replace"))
+    return Message(int(device), int(number), flag == b"OK", state == b"BUSY", *said)
 
 
 def accept(message: Message, text: str) -> str:

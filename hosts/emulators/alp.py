@@ -1,7 +1,4 @@
-"""A mirror array behind the ALP library's own functions: memory of bit planes, limits, a queue, triggers and light.
-
-``EmulatedAlp.library`` has real C functions; wrong integer widths or bad pointers therefore fail as on the device.
-"""
+"""A mirror array behind real C functions of the ALP library, where wrong integer widths and bad pointers fail."""
 
 from __future__ import annotations
 
@@ -136,9 +133,7 @@ class EmulatedAlp(EmulatedArray):
     def _AlpSeqInquire(self, stored: Stored) -> dict[int, int]:  # noqa: N802
         least, lit_us = self.model.least_picture_us(stored.bits), self._lit_ns(stored) // MICRO
         return {
-            2200: stored.bits, 2201: stored.count, 2203: stored.picture_us,
-            2204: stored.illuminate_us, 2207: stored.delay_us, 2210: 130_000, 2211: least, 2212: max(least - 1, 1),
-            2213: 10_000_000, 2214: lit_us, 2215: stored.picture_us - lit_us,
+            2203: stored.picture_us, 2204: stored.illuminate_us, 2211: least, 2213: 10_000_000, 2214: lit_us,
         }  # fmt: skip
 
     def _AlpSeqPut(self, stored: Stored, first: int, count: int, address: int) -> int:  # noqa: N802

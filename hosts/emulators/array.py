@@ -125,20 +125,16 @@ class EmulatedArray:
         period = max(stored.picture_us * MICRO, edges[-1] - start)
         self._current = (shown, start + period)
         head.next += 1
-        if head.next > stored.last or head.next >= head.frames:
-            self._iterate(head)
+        if head.next > stored.last or head.next >= head.frames:  # `_finish` drops a sequence without iterations
+            if head.iterations is not None:
+                head.iterations -= 1
+            if head.iterations is None or head.iterations > 0:
+                head.next = 0
 
     def _lit_ns(self, stored: Stored) -> int:
         if stored.uninterrupted and stored.bits == 1:
             return stored.picture_us * MICRO
         return max(stored.illuminate_us - self.model.dark_us, 0) * MICRO
-
-    def _iterate(self, head: Queued) -> None:
-        """Repeat a sequence, or remove it from the queue after its last frame."""
-        if head.iterations is not None:
-            head.iterations -= 1
-        if head.iterations is None or head.iterations > 0:
-            head.next = 0
 
     def _finish(self) -> None:
         """End the frame that shows, and drop its sequence if it was its last."""

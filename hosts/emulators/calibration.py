@@ -41,7 +41,6 @@ class EmulatedMeter(LineDevice):
         self.wavelength, self.count = 405.0, 1
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         for line in self.lines(data):
             if words := line.decode("ascii", "replace").upper().split():
                 answer = self._answer(words, now)
@@ -270,7 +269,6 @@ class RigCamera(EmulatedCamera):
 
     emulated: EmulatedCalibrationRig
     pixel: float
-    grabbed: int
 
     def __init__(self, emulated: EmulatedCalibrationRig, sensor: Sensor, pixel: float) -> None:
         super().__init__(emulated.clock, lambda now: np.zeros(emulated.optics.view), sensor,
@@ -278,13 +276,11 @@ class RigCamera(EmulatedCamera):
         self.emulated, self.pixel = emulated, pixel
 
     def grab(self) -> np.ndarray:
-        """Take an image [row, column]; the clock passes the exposure."""
         start = self.clock.now()
         end = start + round(self.exposure_us * MICRO)
         self.clock.sleep_until(end)
         light = sum(sight.light(start, end, box) for sight in self.emulated.sights)
         blur, angle = self.emulated.blur((start + end) // 2), self.emulated.angle(end)
-        self.grabbed += 1
         return self._digitize(
             self.emulated.optics.image(np.asarray(light), self.pixel, blur, angle) * (end - start) * 1e-9
         )
@@ -297,15 +293,13 @@ class EmulatedCalibrationRig:
     rig: Any  # contents of its file
     clock: VirtualClock
 
-    def __init__(self, optics: Optics, rig: Any, numbers: tuple[int, ...] = (0,)) -> None:
+    def __init__(self, optics: Optics, rig: Any) -> None:
         self.optics, self.rig, self.clock = optics, rig, VirtualClock()
         rows, columns = optics.mirrors
         model = ArrayModel(height=rows, width=columns)
-        self.box: EmulatedController = EmulatedController(channels=max(2, *(number + 1 for number in numbers)))
-        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in numbers]
-        self.sights: list[ProjectedLight] = [
-            ProjectedLight(alp, number, optics) for alp, number in zip(self.alps, numbers, strict=True)
-        ]
+        self.box: EmulatedController = EmulatedController(channels=max(2, len(rig.display)))
+        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in rig.display]
+        self.sights: list[ProjectedLight] = [ProjectedLight(alp, k, optics) for k, alp in enumerate(self.alps)]
         self.glass: EmulatedLens = EmulatedLens()
         self.axis: EmulatedStage = EmulatedStage(limit=round(TRAVEL * self._microsteps()))
         self.box.on_light = self._lamp

@@ -1,4 +1,4 @@
-"""An emulated camera: the light of a scene during the exposure, with blur and noise, as whole numbers."""
+"""An emulated camera: the light of a scene during the exposure, with noise, as whole numbers."""
 
 from __future__ import annotations
 
@@ -31,17 +31,14 @@ class EmulatedCamera:
     clock: VirtualClock
     scene: Scene
     sensor: Sensor = Sensor()
-    blur: float | Callable[[int], float] = 0.0  # standard deviation of the spot [pixel], or a function of time
     samples: int = 4
     seed: int = 0
 
     def __post_init__(self) -> None:
         self.exposure_us: float = 10_000.0
-        self.grabbed: int = 0
         self._random = np.random.default_rng(self.seed)
 
     def expose(self, exposure_us: float) -> None:
-        """Set the exposure time [us]."""
         self.exposure_us = exposure_us
 
     def grab(self) -> np.ndarray:
@@ -52,19 +49,9 @@ class EmulatedCamera:
         for sample in range(self.samples):
             middle = start + round((sample + 0.5) * part)
             self.clock.sleep_until(middle)
-            electrons = electrons + self._sample(middle) * (part * 1e-9)
+            electrons = electrons + np.asarray(self.scene(middle), float) * (part * 1e-9)
         self.clock.sleep_until(start + round(self.samples * part))
-        self.grabbed += 1
         return self._digitize(np.asarray(electrons))
-
-    def _sample(self, now: int) -> np.ndarray:
-        seen = np.asarray(self.scene(now), float)
-        spot = self.blur(now) if callable(self.blur) else self.blur
-        if spot <= 0:
-            return seen
-        from scipy.ndimage import gaussian_filter
-
-        return gaussian_filter(seen, spot, mode="nearest")
 
     def _digitize(self, electrons: np.ndarray) -> np.ndarray:
         sensor = self.sensor
@@ -81,8 +68,6 @@ class EmulatedCamera:
 
 class RunningCamera(EmulatedCamera):
     """A free-running camera with an image every ``period`` [ns]; `grab` waits for a new one."""
-
-    grabbed: int
 
     def __init__(
         self, clock: VirtualClock, scene: Scene, sensor: Sensor = Sensor(), period: int = 100_000_000, samples: int = 2,
@@ -115,7 +100,7 @@ class RunningCamera(EmulatedCamera):
         """Sample, and start again if the image is complete."""
         if self._polls:
             part = self.exposure_us * MICRO * 1e-9 / self.samples
-            self._electrons = self._electrons + self._sample(self._polls.pop(0)) * part
+            self._electrons = self._electrons + np.asarray(self.scene(self._polls.pop(0)), float) * part
             return
         self._ready = np.asarray(self._electrons)
         self._begin(now)
@@ -127,12 +112,10 @@ class RunningCamera(EmulatedCamera):
                 ready, self._ready = self._ready, None
                 until = self._end
             if ready is not None:
-                self.grabbed += 1
                 return self._digitize(ready)
             self.clock.sleep_until(until)
 
     def close(self) -> None:
-        """No more images."""
         self.clock.detach(self)
 
 
@@ -175,14 +158,12 @@ RATE = 5.0  # dose rate at full drive [mW/mm3]
 LIQUID = 1000.0  # electrons of an image's pixel in liquid resin: the lamp of the camera is adapted to the exposure
 
 
-def resin_camera(
-    recorder: DoseRecorder, clock: VirtualClock, exposure: float = 0.01, bits: int = 8, rate: float = RATE
-) -> RunningCamera:
+def resin_camera(recorder: DoseRecorder, clock: VirtualClock, exposure: float = 0.01, bits: int = 8) -> RunningCamera:
     """Watch the resin with one pixel per mirror, which receives its mirror's light from all sides; exposure [s]."""
     scene = ResinScene(recorder.mirrors, electrons_per_s=LIQUID / exposure)
 
     def lit(mirrors: np.ndarray, start: int, end: int) -> None:
-        scene.deposit(rate * mirrors[: recorder.mirrors[0]], start, end)
+        scene.deposit(RATE * mirrors[: recorder.mirrors[0]], start, end)
 
     recorder.listeners.append(lit)
     camera = RunningCamera(clock, scene, Sensor(bits=bits))

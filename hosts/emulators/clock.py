@@ -22,8 +22,8 @@ class VirtualClock:
 
     real = False
 
-    def __init__(self, start: int = 0) -> None:
-        self._now = int(start)
+    def __init__(self) -> None:
+        self._now = 0
         self._machines: list[Timed] = []
         self.lock: threading.RLock = threading.RLock()
 

@@ -1,7 +1,4 @@
-"""The emulated controller of web, trigger, lens and light: its line, and the timing of its rows.
-
-Its limits are defined separately; a wrong limit in the driver's protocol is therefore rejected here.
-"""
+"""The emulated controller of web, trigger, lens and light, which rejects a wrong limit in the driver's protocol."""
 
 from __future__ import annotations
 
@@ -18,22 +15,49 @@ from vamgpu.hosts.emulators.track import Track
 MICRO = 1000
 TRIGGER_GAP = 50 * MICRO  # least time from trigger to trigger [ns]
 RAMP = 200_000.0  # acceleration of the web until a host sets it [microsteps/s2]
+MILLI = 1_000_000
+LONGEST_LEASE_MS = 1000
+CAPACITY = 256
+LONGEST_LINE = 160
+FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
+STEEPEST = 10**8  # the greatest acceleration [microsteps/s2]
+GREATEST = 10**15  # the greatest count of microseconds or microsteps, some thirty years
+LONGEST_US = 2**31 - 1
+LONGEST_RATIO = 10**6
+NUMBER = re.compile(r"-?[0-9]{1,18}")
+ANY, NUMBERED, SPEED = (-GREATEST * 1000, GREATEST * 1000), (1, 65535), 1000 * FASTEST
+RANGES: dict[str, tuple[tuple[int, int], ...]] = {
+    "hello": (), "arm": (), "disarm": (), "stop": (), "stat": (), "lease": ((1, LONGEST_LEASE_MS),),
+    "power": (ANY, (0, 65535)), "light": (ANY,), "row": (ANY,) * 6, "end": ((0, GREATEST * 1000),),
+    "go": (NUMBERED,), "zero": (NUMBERED,), "home": (NUMBERED, (1, SPEED)), "move": ((-SPEED, SPEED),),
+    "ramp": ((1, STEEPEST),), "encoder": ((-LONGEST_RATIO, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
+    "index": ((0, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
+}  # fmt: skip
+"""Least and greatest of each argument."""
+AT_REST = ("go", "zero", "encoder", "index", "home")  # rejected while rows are played
 
 
-class RowPlayer:
-    """Queue, web, lease and gate of the firmware; the last argument of callbacks is the time [ns]."""
+class EmulatedController(LineDevice):
+    """The firmware: its line, and its queue, web, lease and gate; the last argument of callbacks is the time [ns]."""
 
-    # ``intervals`` records times, channels and drives of light, ``row_times`` the time of each row.
+    # ``intervals`` records times, channels and drives of light.
 
+    capacity: int
+    channels: int
     armed: bool
     running: bool
     done: bool
     next_row: int
     shown: int
+    late: int
     zero: int
+    play: int
+    started: int
 
-    def __init__(self, channels: int) -> None:
-        self.channels = channels
+    def __init__(self, capacity: int = CAPACITY, channels: int = 2) -> None:
+        super().__init__(latency_us=50.0)
+        self.capacity, self.channels = capacity, channels
+        self._last: tuple[bytes, bytes] | None = None
         self.on_trigger: Callable[[int], None] | None = None
         self.on_lens: Callable[[bytes, int], None] | None = None
         self.on_light: Callable[[int, int], None] | None = None
@@ -42,7 +66,6 @@ class RowPlayer:
         self.interlock_closed: bool = True
         self.powers: list[int] = [65535] * channels
         self.intervals: deque[tuple[int, int, int, tuple[int, ...]]] = deque(maxlen=4096)
-        self.row_times: deque[tuple[int, int]] = deque(maxlen=4096)
         self.light: int = 0
         self._lit_at = 0
         self._begin()
@@ -54,7 +77,7 @@ class RowPlayer:
         self.armed = self.running = self.done = False
         self.fault: str = "none"
         self.lease_end: int | None = None
-        self.steps_mode = False
+        self.steps_mode: bool = False
         self.rows: deque[tuple[int, int, int | None, int, int, int]] = deque()
         self.next_row = self.shown = self.late = self.zero = self.play = 0
         self.total: int | None = None
@@ -64,9 +87,6 @@ class RowPlayer:
         self._pulse_end: int | None = None
         self._judge_at: int | None = None
         self._steady = 0
-
-    def say(self, now: int, *words: object) -> None:
-        """Send an event to the host."""
 
     def due(self) -> int | None:
         """Time of its next event."""
@@ -133,7 +153,6 @@ class RowPlayer:
 
     def _act_row(self, at: int) -> None:
         index, _, code, delay_us, on_us, channels = self.rows.popleft()
-        self.row_times.append((index, at))
         self._floor = at
         self.next_row = index + 1
         if code is not None and self.on_lens is not None:
@@ -225,46 +244,7 @@ class RowPlayer:
         self.interlock_closed = False
         self.close("interlock", now)
 
-
-MILLI = 1_000_000
-LONGEST_LEASE_MS = 1000
-CAPACITY = 256
-LONGEST_LINE = 160
-FASTEST = 200_000  # the greatest speed of the web [microsteps/s]
-STEEPEST = 10**8  # the greatest acceleration [microsteps/s2]
-GREATEST = 10**15  # the greatest count of microseconds or microsteps, some thirty years
-LONGEST_US = 2**31 - 1
-LONGEST_RATIO = 10**6
-NUMBER = re.compile(r"-?[0-9]{1,18}")
-ANY, NUMBERED, SPEED = (-GREATEST * 1000, GREATEST * 1000), (1, 65535), 1000 * FASTEST
-RANGES: dict[str, tuple[tuple[int, int], ...]] = {
-    "hello": (), "arm": (), "disarm": (), "stop": (), "stat": (), "lease": ((1, LONGEST_LEASE_MS),),
-    "power": (ANY, (0, 65535)), "light": (ANY,), "row": (ANY,) * 6, "end": ((0, GREATEST * 1000),),
-    "go": (NUMBERED,), "zero": (NUMBERED,), "home": (NUMBERED, (1, SPEED)), "move": ((-SPEED, SPEED),),
-    "ramp": ((1, STEEPEST),), "encoder": ((-LONGEST_RATIO, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
-    "index": ((0, LONGEST_RATIO), (1, LONGEST_RATIO), ANY),
-}  # fmt: skip
-"""Least and greatest of each argument."""
-AT_REST = ("go", "zero", "encoder", "index", "home")  # rejected while rows are played
-
-
-class EmulatedController(RowPlayer, LineDevice):
-    """The firmware's line: commands in, answers and events out."""
-
-    done: bool
-    steps_mode: bool
-    fault: str
-    armed: bool
-    running: bool
-    started: int
-    late: int
-    next_row: int
-
-    def __init__(self, capacity: int = CAPACITY, channels: int = 2, latency_us: float = 50.0) -> None:
-        RowPlayer.__init__(self, channels)
-        LineDevice.__init__(self, latency_us)
-        self.capacity = capacity
-        self._last: tuple[bytes, bytes] | None = None
+    # the line
 
     def say(self, now: int, *words: object) -> None:
         self._send(" ".join(["!", *map(str, words)]), now)
@@ -276,7 +256,6 @@ class EmulatedController(RowPlayer, LineDevice):
         return line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self.advance(now)
         for line in self.lines(data):
             self.advance(now)
@@ -322,9 +301,9 @@ class EmulatedController(RowPlayer, LineDevice):
         return f"ok vam-controller 3 {self.capacity} {LONGEST_LEASE_MS} {self.channels}"
 
     def _do_lease(self, now: int, milliseconds: int) -> None:
-        self.lease_end: int = now + milliseconds * MILLI
+        self.lease_end = until = now + milliseconds * MILLI
         if self.on_lease is not None:
-            self.on_lease(self.lease_end, now)
+            self.on_lease(until, now)
 
     def _do_arm(self, now: int) -> str | None:
         if not self.interlock_closed:

@@ -1,7 +1,4 @@
-"""An emulated Lens Driver 4 with its lens: real bytes in and out, and a focal power that takes time to settle.
-
-Its lengths and check sums are defined separately; a mistake in the driver's coding therefore cannot be in both.
-"""
+"""An emulated Lens Driver 4 with its lens; lengths and check sums are defined separately from the driver's coding."""
 
 from __future__ import annotations
 
@@ -16,14 +13,10 @@ from vamgpu.hosts.emulators.line import SECOND, LineDevice
 
 @dataclass(frozen=True)
 class LensModel:
-    """The lens: a damped oscillator, a power per milliampere, and a drift with temperature."""
+    """The lens: a damped oscillator."""
 
     natural_hz: float = 300.0
     damping: float = 0.9
-    diopters_per_ma: float = 0.05
-    offset: float = 0.0
-    drift_per_celsius: float = 0.067
-    reference_celsius: float = 25.0
     least: float = -1.5
     greatest: float = 3.5
 
@@ -59,16 +52,15 @@ class LensDynamics:
 
 
 LENGTHS = {
-    b"H": 3, b"V": 3, b"Aw": 6, b"Ar": 6, b"CrMA": 8, b"MwCA": 6, b"MMA": 5,
-    b"PwTA": 10, b"PwDA": 10, b"PrDA": 10, b"TCA": 5, b"TA": 4, b"Sr": 4, b"Start": 5,
+    b"H": 3, b"V": 3, b"CrMA": 8, b"MwCA": 6, b"PwTA": 10, b"PwDA": 10, b"PrDA": 10, b"TCA": 5, b"Sr": 4,
+    b"Start": 5,
 }  # fmt: skip
 """Start of each command → its bytes with the check sum."""
 LONGEST_NAME = max(map(len, LENGTHS))
 BEGINNINGS = {name[:size] for name in LENGTHS for size in range(1, len(name))}
-CURRENT, FOCAL_POWER = 1, 5  # modes
 CRC_TABLE = [0, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401]
 CRC_TABLE += [0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400]
-FULL_MA, FULL_CODE = 292.84, 4095  # the full current, and its code
+FULL_MA = 292.84
 PATIENCE = 20_000_000  # time that the driver waits for the rest of a command [ns]
 
 
@@ -89,27 +81,23 @@ class EmulatedLens(LineDevice):
     firmware: str = "A"
     celsius: float = 25.0
     baud: int = 115200
-    latency_us: float = 100.0
     sensor: bool = True  # it has a thermometer and memory
     legacy: bool = False  # answers bad frames with N, as old firmware does
     stray: bool = False  # sends an extra frame after the handshake, as some units do
 
     def __post_init__(self) -> None:
-        super().__init__(self.latency_us, round(10 * SECOND / self.baud))
-        self.mode: int = CURRENT
-        self.current_code: int = 0
+        super().__init__(100.0, round(10 * SECOND / self.baud))
+        self.holds: bool = False  # whether it is in focal power mode
         self.power_code: int = 0
         self.window: tuple[float, float] | None = None
         self.handshakes: int = 0
         self.settings: int = 0
-        self.refused: list[int] = []
         self._glass = LensDynamics(self.model)
         self._heard = 0
 
     # the line
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self.advance(now)
         self._buffer += data
         self._heard = now
@@ -152,7 +140,6 @@ class EmulatedLens(LineDevice):
         self._out.put(payload + bytes((value & 255, value >> 8)) + b"\r\n", now)
 
     def _refuse(self, reason: int, now: int) -> None:
-        self.refused.append(reason)
         if self.legacy:
             self._out.put(b"N\r\n", now)
         else:
@@ -160,7 +147,7 @@ class EmulatedLens(LineDevice):
 
     def _handshake(self, now: int) -> None:
         self.handshakes += 1
-        self.mode, self.current_code, self.power_code = CURRENT, 0, 0
+        self.holds, self.power_code = False, 0
         self._obey(now)
         self._out.put(b"Ready\r\n", now)
         if self.stray:
@@ -169,8 +156,10 @@ class EmulatedLens(LineDevice):
     # the firmware
 
     def _act(self, name: bytes, data: bytes, now: int) -> None:
-        if name in (b"Aw", b"PwDA"):
-            self._set(name, data, now)
+        if name == b"PwDA":  # not answered
+            self.settings += 1
+            self.power_code = struct.unpack(">h", data[:2])[0]
+            self._obey(now)
         elif name == b"MwCA":
             self._hold_power(now)
         elif name == b"PwTA":
@@ -180,21 +169,11 @@ class EmulatedLens(LineDevice):
         else:
             self._answer(self._report(name), now)
 
-    def _set(self, name: bytes, data: bytes, now: int) -> None:
-        """Settings are not answered."""
-        self.settings += 1
-        value = struct.unpack(">h", data[:2])[0]
-        if name == b"Aw":
-            self.current_code = min(max(value, -FULL_CODE), FULL_CODE)
-        else:
-            self.power_code = value
-        self._obey(now)
-
     def _hold_power(self, now: int) -> None:
         if not self.sensor:
             self._refuse(4, now)
             return
-        self.mode, self.power_code = FOCAL_POWER, round(self._zero() * 200)
+        self.holds, self.power_code = True, round(self._zero() * 200)
         self._obey(now)
         self._answer(b"MCA" + self._range(), now)
 
@@ -219,11 +198,8 @@ class EmulatedLens(LineDevice):
             b"H": b"H" + self.firmware.encode(),
             b"V": b"V" + struct.pack(">BBHH", 1, 9, 1000, 7),
             b"CrMA": b"CMA" + struct.pack(">H", round(100 * FULL_MA)),
-            b"Ar": b"A" + struct.pack(">h", self.current_code),
-            b"MMA": b"MMA" + bytes((self.mode,)),
             b"PrDA": b"PD" + struct.pack(">h", self.power_code),
             b"TCA": b"TCA" + struct.pack(">h", temperature),
-            b"TA": b"TA\x00" + struct.pack(">h", temperature),
             b"Sr": b"S" + bytes((0, 0, 0, self._status())),
         }
         return reports[name]
@@ -231,19 +207,9 @@ class EmulatedLens(LineDevice):
     # the lens
 
     def _obey(self, now: int) -> None:
-        """Set the lens's target from mode, codes and temperature."""
-        if self.mode == FOCAL_POWER:
-            target = min(max(self.power_code / 200 - self._zero(), self.model.least), self.model.greatest)
-        else:
-            current = self.current_code * FULL_MA / FULL_CODE
-            drift = self.model.drift_per_celsius * (self.celsius - self.model.reference_celsius)
-            target = self.model.offset + self.model.diopters_per_ma * current + drift
-        self._glass.step(now, target)
-
-    def warm(self, celsius: float, now: int) -> None:
-        """Change the lens's temperature [degC]."""
-        self.celsius = celsius
-        self._obey(now)
+        """Set the lens's target; without current it has a power of 0."""
+        power = self.power_code / 200 - self._zero() if self.holds else 0.0
+        self._glass.step(now, min(max(power, self.model.least), self.model.greatest))
 
     def power(self, now: int) -> float:
         """The focal power [1/m] at a time [ns], also in the past or while it settles."""
@@ -263,7 +229,6 @@ class LensInput(LineDevice):
         lens._heard, self._heard = self._heard, lens._heard
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self._swap()
         self._lens.receive(data, now)
         self._swap()

@@ -179,7 +179,6 @@ class VirtualPort:
                 self._received += self.faults.to_host(data)
 
     def write(self, data: bytes, /) -> int:
-        """Send."""
         self._check()
         with self.clock.lock:
             self._cable.send(self.faults.to_machine(bytes(data)), self.clock.now())
@@ -206,13 +205,11 @@ class VirtualPort:
 
     @property
     def in_waiting(self) -> int:
-        """Received bytes."""
         self._check()
         self._collect()
         return len(self._received)
 
     def reset_input_buffer(self) -> None:
-        """Discard received bytes."""
         self._check()
         self._collect()
         self._received.clear()

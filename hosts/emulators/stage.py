@@ -22,20 +22,18 @@ class EmulatedStage(LineDevice):
     rotary: bool = False
     acceleration: float = 2_000_000.0
     device: int = 1
-    latency_us: float = 90.0
     encoder: bool = False
     scale: float = 1.0  # ratio of true to reported position, as with a slipping belt
     wired: int = 1  # number of the output on the mirrors' trigger
     joined: int | None = None  # number of the output that a board joins with it
 
     def __post_init__(self) -> None:
-        super().__init__(self.latency_us)
+        super().__init__(latency_us=90.0)
         self.track: Track = Track(self.acceleration)
         limits = {"limit.min": -self.limit if self.rotary else 0, "limit.max": self.limit, "limit.cycle.dist": 0}
         self.settings: dict[str, int] = {"maxspeed": 153600, "resolution": 64} | limits
         self.settings |= {"deviceid": 50081, "system.serial": 42}
         self.fault = ""
-        self.rejected: list[str] = []
         self.on_trigger: Callable[[int], None] | None = None
         self.levels: set[int] = set()  # outputs that are high
         self.edges: int = 0
@@ -62,7 +60,6 @@ class EmulatedStage(LineDevice):
                     self.on_trigger(at)
 
     def receive(self, data: bytes, now: int) -> None:
-        """Receive bytes."""
         self.advance(now)
         self._after = now
         for line in self.lines(data):
@@ -84,8 +81,6 @@ class EmulatedStage(LineDevice):
             return
         number = numbers[2] if len(numbers) > 2 else None
         good, data = self._act(words, now)
-        if not good:
-            self.rejected.append(data)
         state = "BUSY" if self.track.moving(now) else "IDLE"
         warning = self.fault or ("--" if self.rotary else "WR")
         fields = [f"{self.device:02d}", "1" if len(numbers) > 1 and numbers[1] != "0" else "0"]
@@ -182,7 +177,6 @@ class EmulatedStepper:
         self.stalled = True
 
     def edges(self) -> tuple[int, ...]:
-        """Times of the index since the last call [ns]."""
         found, now = [], self.clock.now()
         for piece, (at, place, speed) in enumerate(self._pieces):
             end = self._pieces[piece + 1][0] if piece + 1 < len(self._pieces) else now
@@ -193,5 +187,4 @@ class EmulatedStepper:
         return tuple(at for at in dict.fromkeys(found) if asked < at <= now)
 
     def close(self) -> None:
-        """Stop the pulses."""
         self.rate(0.0)

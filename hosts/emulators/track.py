@@ -30,11 +30,11 @@ class MotionPiece:
 
 
 class Track:
-    """The motion of one axis; the last ``memory`` pieces are stored."""
+    """The motion of one axis; its last pieces are stored."""
 
-    def __init__(self, acceleration: float, memory: int = 4096) -> None:
+    def __init__(self, acceleration: float) -> None:
         self.acceleration: float = acceleration
-        self._pieces: deque[MotionPiece] = deque([MotionPiece(0, 0.0, 0.0)], maxlen=memory)
+        self._pieces: deque[MotionPiece] = deque([MotionPiece(0, 0.0, 0.0)], maxlen=4096)
         self.settled_at: int = 0
         self._reached: tuple[int, float, int | None] = (0, -inf, None)  # last result of `reaches`, and its arguments
 

@@ -44,7 +44,6 @@ class Batch:
 
     first: int
     frames: np.ndarray  # a view, [frame, …]; valid until the buffer is released
-    ready: int  # when they were ready [ns]
     kept: bool = False  # whether the mirrors already have them, and the buffer is empty
 
     @property

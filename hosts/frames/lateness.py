@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from enum import Enum
 from typing import Protocol
 
 from vamgpu.hosts.schedules.timing import whole
-
-
-class Action(Enum):
-    """Consequence of a late frame."""
-
-    BLACK = "show black in its place"
-    STOP = "light off, then stop the web"
 
 
 class LatePolicy(Protocol):
     """Decides on late frames."""
 
     @property
-    def stopped(self) -> str: ...  # why `drop` returned stop
-    def drop(self, pose: int) -> Action: ...  # count a pose with a late frame, in rising order
+    def stopped(self) -> str: ...  # why `drop` ended the print
+    def drop(self, pose: int) -> bool: ...  # count a pose with a late frame, in rising order; whether the print ends
     # uncount a lost pose whose slot did not come, the latest first
     def undo_drop(self, pose: int) -> None: ...
-    def pending_repeats(self) -> Counter[int]: ...  # number of repeats due for each frame
+    def pending_repeats(self) -> Counter[int]: ...  # number of repeats due for each frame; the count restarts
 
 
 class WebLatePolicy:
@@ -37,19 +29,16 @@ class WebLatePolicy:
         self.window, self.allowed = whole("window", window), whole("allowed", allowed, 0)
         self._recent: Counter[int] = Counter()
 
-    def drop(self, pose: int) -> Action:
-        """Count a pose with a late frame, in rising order."""
+    def drop(self, pose: int) -> bool:
         self._recent[pose] += 1
         self._recent = Counter({at: lost for at, lost in self._recent.items() if at > pose - self.window})
-        return Action.STOP if len(self._recent) > self.allowed else Action.BLACK
+        return len(self._recent) > self.allowed
 
     def undo_drop(self, pose: int) -> None:
-        """Uncount a lost pose whose slot did not come."""
         self._recent -= Counter([pose])
 
     @property
     def stopped(self) -> str:
-        """Why `drop` returned stop."""
         return f"more than {self.allowed} of {self.window} angles were lost"
 
     def pending_repeats(self) -> Counter[int]:
@@ -65,24 +54,21 @@ class VialLatePolicy:
         self._pending: Counter[int] = Counter()
         self._row = range(0)
 
-    def drop(self, pose: int) -> Action:
+    def drop(self, pose: int) -> bool:
         """Count a pose that was black; a whole turn of them without a break ends the print."""
         self._row = range(self._row.start if pose == self._row.stop else pose, pose + 1)
         self._pending[pose % self.images] += 1
-        return Action.STOP if len(self._row) >= self.images else Action.BLACK
+        return len(self._row) >= self.images
 
     def undo_drop(self, pose: int) -> None:
-        """Uncount a lost pose whose slot did not come, the latest first."""
         self._row = range(self._row.start, pose) if pose == self._row.stop - 1 else self._row
         self._pending[pose % self.images] -= 1
 
     @property
     def stopped(self) -> str:
-        """Why `drop` returned stop."""
         return f"the frames of a whole turn of {self.images} were lost"
 
     def pending_repeats(self) -> Counter[int]:
-        """Number of repeats due for each frame; the count restarts."""
         pending, self._pending = +self._pending, Counter()
         return pending
 

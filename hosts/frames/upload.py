@@ -7,14 +7,13 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from vamgpu.errors import BadInput, ShapeMismatch, Underrun, VamError
 from vamgpu.hosts.frames.buffers import Batch, BufferRing, pinned_buffers
-from vamgpu.hosts.frames.lateness import Action, LatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import LatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.packer import PlanePacker
 from vamgpu.hosts.frames.versions import Boundaries
 from vamgpu.hosts.schedules.clock import Clock
@@ -46,28 +45,10 @@ class FrameMemory(Protocol):
     def put(self, planes: np.ndarray, name: bytes | None = None) -> None: ...
     def shown(self) -> int: ...  # number of frames triggered so far
 
-    def keep(self, name: bytes) -> bool:
-        """Reserve the frames of a name to show them again; False if they are missing."""
-        return False
-
-    def again(self, name: bytes, frames: int) -> None:
-        """Append the stored frames of a name."""
-
-    def cancel(self) -> None:
-        """Let a running upload end soon; does not wait."""
-
-    def close(self, hung: bool = False) -> None:
-        """Free the memory, except that of an upload that hangs."""
-
-
-@dataclass(frozen=True)
-class LateFrame:
-    """A frame that was late, and so black."""
-
-    slot: int
-    frame: int
-    missed: int  # when it was given up [ns]
-    ready: int | None = None  # when it finally arrived [ns]; None if it has not
+    def keep(self, name: bytes) -> bool: ...  # reserve the frames of a name to show them again; False if missing
+    def again(self, name: bytes, frames: int) -> None: ...  # append the stored frames of a name
+    def cancel(self) -> None: ...  # let a running upload end soon; does not wait
+    def close(self, hung: bool = False) -> None: ...  # free the memory, except that of an upload that hangs
 
 
 class UploadQueue:
@@ -104,7 +85,7 @@ class UploadQueue:
         self.ring: BufferRing = BufferRing(pinned_buffers(depth, (batch, *packer.shape), packer.device))
         self.batch, self.uploaded, self.made, self.ahead, self.share = batch, 0, 0, 0, 0.0
         self.arrived: np.ndarray = np.full(len(self._order), NONE, np.int64)
-        self.late: dict[int, LateFrame] = {}
+        self.late: set[int] = set()  # slots that were black
         self._black = pinned_buffers(1, (1, *packer.shape), packer.device)[0]
         self._sending, self._stop = threading.RLock(), threading.Event()
         self._threads: tuple[threading.Thread, ...] = ()
@@ -141,7 +122,7 @@ class UploadQueue:
             self._taken = first + len(frames)
         if not self._kept(first, buffer[: len(frames)]):
             self._packer.read(frames, buffer)
-            self.ring.commit(Batch(first, buffer[: len(frames)], self._clock.now()))
+            self.ring.commit(Batch(first, buffer[: len(frames)]))
         self.made = first + len(frames)
         return True
 
@@ -181,7 +162,7 @@ class UploadQueue:
         with self._sending:
             if self.uploaded > first or not self._memory.keep(name):
                 return False
-            self.ring.commit(Batch(first, buffer, self._clock.now(), kept=True))
+            self.ring.commit(Batch(first, buffer, kept=True))
             return True
 
     def _room(self, batch: Batch) -> bool:
@@ -196,9 +177,6 @@ class UploadQueue:
             if not self._room(batch):
                 return False
             behind = self.uploaded - batch.first
-            for slot in range(batch.first, min(batch.end, self.uploaded)):  # those were black
-                if slot in self.late and self.late[slot].ready is None:
-                    self.late[slot] = replace(self.late[slot], ready=batch.ready)
             if behind < len(batch.frames):
                 self._put(batch.frames[behind:], batch.kept)
             self.ring.release()
@@ -213,7 +191,7 @@ class UploadQueue:
                 return None
             slot = self.uploaded
             self._put(self._black)
-            self.late[slot] = LateFrame(slot, int(self._order[slot]), self._clock.now())
+            self.late.add(slot)
             return slot
         finally:
             self._sending.release()
@@ -259,7 +237,7 @@ class UploadQueue:
                 continue
             pose = int(self._poses[slot - self._preroll])
             log.warning("angle %d is black: its frame is missing", pose)
-            if self._policy.drop(pose) is Action.STOP:
+            if self._policy.drop(pose):
                 raise Underrun(
                     f"{self._policy.stopped}, the last at angle {pose}: the light is off; print slower, or make "
                     "frames faster"

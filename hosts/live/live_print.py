@@ -13,14 +13,15 @@ from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
 from vamgpu.hosts.live.cameras import RedCamera, camera_of, no_camera
 from vamgpu.hosts.live.planner import PLACE, light_of
-from vamgpu.hosts.process.execution import carry_out, plan, read_rig, rehearsal
+from vamgpu.hosts.process.execution import carry_out
 from vamgpu.hosts.process.live_link import LiveOrder
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.process.watch import may_begin, started, watched
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState
-from vamgpu.hosts.rigs.planning import PrintPlan
-from vamgpu.hosts.rigs.rehearsal import curing, resin_of
+from vamgpu.hosts.rigs.config import read_rig
+from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.hosts.rigs.rehearsal import curing, rehearsal, resin_of
 from vamgpu.hosts.schedules.timing import whole
 from vamgpu.jobs.run import prove
 from vamgpu.live import LiveRecord, LiveSetup, Truth

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from vamgpu.errors import DeviceError, OriginLost
-from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.cleanup import all_of
 from vamgpu.hosts.drivers.controller_protocol import ControllerRow, Status
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.player.machines import MirrorMachines, recover
+from vamgpu.hosts.player.machines import MirrorMachines
 from vamgpu.hosts.player.mirrors import MirrorPlayer
 from vamgpu.hosts.player.motor import Approach, Origin, SpeedMonitor, own_number
 from vamgpu.hosts.player.player import Renew, StatusPoll
@@ -190,11 +190,10 @@ class TriggeredPlayer(MirrorPlayer[MirrorMachines]):
         return status.shown if status.play == self._play else 0
 
     def recover(self) -> None:
-        """Reconnect to controller and lens, and drop remaining rows."""
-        recover(self.machines)
+        """Reconnect, and drop remaining rows."""
+        super().recover()
         self.machines.controller.stop()
 
     def halt(self) -> None:
         """Stop the motion, drop rows, turn the mirrors dark; each even if the one before fails."""
-        if failed := run_all(self.machines.controller.stop, self._close):
-            raise failed[0]
+        all_of(self.machines.controller.stop, self._close)

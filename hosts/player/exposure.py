@@ -1,7 +1,4 @@
-"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough.
-
-On a real clock a thread takes the images; on a simulated clock they are taken when due.
-"""
+"""Automatic exposure of a print: a camera watches the resin, and the light goes off when it scatters enough."""
 
 from __future__ import annotations
 
@@ -45,13 +42,12 @@ class ScatterWatch:
 
     def __init__(
         self, camera: CameraDriver, clock: Clock, wanted: StopRule, folder: RunFolder, lit: Callable[[], float], *,
-        period: int = PERIOD, patience: int = PATIENCE, board: Board | None = None,
+        patience: int = PATIENCE, board: Board | None = None,
     ) -> None:  # fmt: skip
         self.rule: ScatterStop = ScatterStop(wanted.voxels, wanted.threshold)
         self._board = board or Board()
         self._board.show(scatter=self.rule.readings, threshold=wanted.threshold)
         self._camera, self._clock, self._wanted, self._folder, self._lit = camera, clock, wanted, folder, lit
-        self._period = whole("period [ns]", period)
         self._patience = whole("patience [ns]", patience) + round(wanted.exposure * SECOND)
         self._background: tuple[int, np.ndarray] | None = None
         self._origin: int | None = None
@@ -60,6 +56,7 @@ class ScatterWatch:
         self._saturated: float | None = None
         self._failed: BaseException | None = None
         self._seen, self._leave = threading.Event(), threading.Event()
+        # on a simulated clock, images are taken when due
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
         try:
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")
@@ -171,7 +168,7 @@ class ScatterWatch:
             self._background = (now, image)
             self._seen.set()
         elif self._origin is not None and now >= self._due and self._said is None:
-            self._due += self._period * (1 + (now - self._due) // self._period)
+            self._due += PERIOD * (1 + (now - self._due) // PERIOD)
             seconds = (now - self._origin) / SECOND
             if self._saturated is None and (over := self._over(image)) > SATURATED:
                 self._saturated = seconds
@@ -184,7 +181,7 @@ class ScatterWatch:
         assert self._background is not None
         when, image = self._background
         self._keep(self.rule.see((min(when, origin) - origin) / SECOND, image))
-        self._due += self._period * max(0, -((self._due - self._clock.now()) // self._period))
+        self._due += PERIOD * max(0, -((self._due - self._clock.now()) // PERIOD))
         self._origin = origin
 
     def _keep(self, reading: ScatterReading) -> None:

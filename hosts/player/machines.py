@@ -50,12 +50,9 @@ class TriggeringStage(Stage, Protocol):
 
 @dataclass
 class StageMachines:
-    """The opened machines of a rig whose stage triggers the mirrors.
+    """The opened machines of a rig whose stage triggers the mirrors."""
 
-    run_up: time before its first slot at which the stage starts moving [s].
-    """
-
-    run_up: ClassVar[float] = 2.0
+    run_up: ClassVar[float] = 2.0  # time before its first slot at which the stage starts moving [s]
     clock: Clock
     stage: TriggeringStage
     mirrors: Sequence[Dmd]
@@ -128,12 +125,9 @@ class Inspected(Protocol):
 
 @dataclass
 class VideoMachines:
-    """The opened machines of a rig with a projector on a video cable.
+    """The opened machines of a rig with a projector on a video cable."""
 
-    run_up: of a web, until it is in step with the cable [s].
-    """
-
-    run_up: ClassVar[float] = 12.0
+    run_up: ClassVar[float] = 12.0  # of a web, until it is in step with the cable [s]
     clock: Clock
     controller: Controller | None  # gates the light and holds its lease; None: there is none
     stage: Stage  # stage of the vial [deg] or web [mm]
@@ -193,10 +187,7 @@ def within_travel(schedule: Schedule, machines: Machines) -> None:
 
 
 def inspect(machines: Machines) -> dict[str, float]:
-    """Ask the machines that no status poll reads; returns what they answer, as a `Snapshot` names it.
-
-    Raises `DeviceError` for a machine that does not answer, or has a fault.
-    """
+    """Ask the machines that no status poll reads; their answers, as a `Snapshot` names them. Raises `DeviceError`."""
     if isinstance(lamp := getattr(machines, "lamp", None), Inspected):
         lamp.inspect()
     return {} if machines.lens is None else {"focus": machines.lens.inspect()}
@@ -244,14 +235,3 @@ class ScreenBlackout:
         self.dark = True
         if threading.get_ident() == self._owner:
             self._projector.black()
-
-
-class MirrorBlackout:
-    """Mirrors as a switch that turns the light off."""
-
-    def __init__(self, dmd: Dmd) -> None:
-        self._dmd = dmd
-
-    def off(self) -> None:
-        """Halt: the mirrors deflect the light."""
-        self._dmd.halt()

@@ -18,7 +18,7 @@ from vamgpu.hosts.frames.packer import packer
 from vamgpu.hosts.frames.sources import FrameSource
 from vamgpu.hosts.frames.upload import BUFFERS, UploadQueue, guard, length
 from vamgpu.hosts.frames.versions import Boundaries, FrameVersion, FrameVersions
-from vamgpu.hosts.player.machines import MirrorBlackout, MirrorMachines, StageMachines, late_policy, shows
+from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, late_policy, recover, shows
 from vamgpu.hosts.player.motor import POLL
 from vamgpu.hosts.player.player import Renew
 from vamgpu.hosts.records.record import FrameRecord
@@ -57,9 +57,7 @@ class MirrorPlayer(ABC, Generic[M]):
         self.schedule, self.machines, self.clock = schedule, machines, machines.clock
         shows(schedule)
         self.lamp, self.renew = self._gate()
-        self.switches: Mapping[str, Switch] = {
-            f"mirrors {k}": MirrorBlackout(dmd) for k, dmd in enumerate(machines.mirrors)
-        }
+        self.switches: Mapping[str, Switch] = {f"mirrors {k}": dmd for k, dmd in enumerate(machines.mirrors)}
         sizes = (each.bits * prod(dmd.plane_shape) for each, dmd in zip(sources, machines.mirrors, strict=True))
         self.versions: FrameVersions | None = versions
         self._sources: tuple[FrameSource, ...] = tuple(sources) if versions is None else versions.sources
@@ -164,12 +162,10 @@ class MirrorPlayer(ABC, Generic[M]):
             queue.feed()
 
     def wait(self) -> None:
-        """Return when the next poll is due."""
         self.clock.sleep_until(self.clock.now() + POLL)
 
     @property
     def pending_versions(self) -> set[int]:
-        """Versions of missed frames that will be shown again."""
         return set().union(*(each.missed for each in self._missed))
 
     # ---- after the light -------------------------------------------------------------------------------------
@@ -178,6 +174,10 @@ class MirrorPlayer(ABC, Generic[M]):
         sure = min(self._kept, self._punctual)
         self._kept = max(self._kept, min(self._first + self._triggered() - self._preroll, len(self.schedule)))
         return range(max(sure - 1, self._first), self._kept)
+
+    def recover(self) -> None:
+        """Reconnect to controller and lens."""
+        recover(self.machines)
 
     def _close(self) -> None:
         queues, self._queues = self._queues, []
@@ -208,7 +208,6 @@ class MirrorPlayer(ABC, Generic[M]):
         return True
 
     def repeat(self, slots: range) -> None:
-        """Show frames of a vial once more, in an added turn."""
         for slot in slots:
             for engine, repeats in enumerate(self._missed):
                 number = int(self._orders[engine][slot])
@@ -226,6 +225,5 @@ class MirrorPlayer(ABC, Generic[M]):
                     repeats.miss(pose % self.versions.count, self.versions.at(pose))
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A projector's frame for display."""
         version = 0 if self.versions is None else self.versions.at(self._kept) * self.versions.frames
         return self._sources[engine].frame(number + version)

@@ -1,7 +1,4 @@
-"""Run a print: prime, light, poll, record, feed; in any event, the light goes off first.
-
-The cause may be temporary, such as an open door: the print is then held, and `Print.run` continues it.
-"""
+"""Run a print: the light goes off first in any event; if its cause may pass, the print is held and can continue."""
 
 from __future__ import annotations
 
@@ -216,7 +213,7 @@ class Print:
         self._show(seen)
         self._swap()
         self._why = self._why or self._enough() or ""
-        if not seen.running or self._at_stop:
+        if not seen.running or (self._sooner and self.next > self._end_slot):  # at a black slot: no light is cut
             return self._over()
         end = self.next if self._finishing else self._end_slot
         if self._watch.due(self.next, self.player.schedule, self._seen, end):
@@ -333,11 +330,6 @@ class Print:
     def _sooner(self) -> bool:
         """Whether the last slots of the plan are black."""
         return self._end_slot < len(self.player.schedule)
-
-    @property
-    def _at_stop(self) -> bool:
-        """Whether the first of the print's final black slots is shown, so that no light is cut."""
-        return self._sooner and self.next > self._end_slot
 
     def _swap(self) -> None:
         """Commit or drop the offered version, and set the budget for its light."""

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from math import ceil, floor
 from typing import Any
 
-from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.cleanup import all_of
 from vamgpu.hosts.frames.sources import FrameSource
-from vamgpu.hosts.player.machines import StageMachines, gate, recover
+from vamgpu.hosts.player.machines import StageMachines, gate
 from vamgpu.hosts.player.mirrors import PRIMING, MirrorPlayer
 from vamgpu.hosts.player.motor import POLL, SpeedMonitor
 from vamgpu.hosts.player.player import Renew, StatusPoll
@@ -177,12 +177,6 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         """Frames of this run segment that the stage may have triggered."""
         return self._triggers(self._stage.position())[1]
 
-    def recover(self) -> None:
-        """Reconnect to the lens, and to the controller that gates the light."""
-        recover(self.machines)
-
     def halt(self) -> None:
         """Stop triggers and the stage, turn the mirrors dark; each even if the one before fails."""
-        stop = (lambda: self._stage.trigger_every(0.0), self._stage.stop, self._close, self._stage.wait)
-        if failed := run_all(*stop):
-            raise failed[0]
+        all_of(lambda: self._stage.trigger_every(0.0), self._stage.stop, self._close, self._stage.wait)

@@ -1,7 +1,4 @@
-"""Plays a vial's schedule on a video projector: the stage's angle selects the frame of every slot, not the clock.
-
-The light is steady, and black frames switch it off. Missed slots are shown in an added turn.
-"""
+"""Plays a vial's schedule on a video projector: the stage's angle, not the clock, selects the frame of every slot."""
 
 from __future__ import annotations
 
@@ -15,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import Underrun
-from vamgpu.hosts.drivers.cleanup import run_all
+from vamgpu.hosts.drivers.cleanup import all_of
 from vamgpu.hosts.drivers.stages import Stage
-from vamgpu.hosts.frames.lateness import Action, Repeats, VialLatePolicy, WebLatePolicy
+from vamgpu.hosts.frames.lateness import Repeats, VialLatePolicy, WebLatePolicy
 from vamgpu.hosts.frames.versions import FrameVersion, FrameVersions
 from vamgpu.hosts.player.machines import ScreenBlackout, VideoFrames, VideoMachines, gate, recover
 from vamgpu.hosts.player.motor import SpeedMonitor
@@ -204,10 +201,7 @@ STATUS = 6  # video frames between two status queries to the controller; its eve
 
 
 class SpinningPlayer:
-    """Plays the schedule of `vamgpu.hosts.schedules.video`; pose 0 is at the zero of the stage.
-
-    turns: most turns added for missed slots.
-    """
+    """Plays the schedule of `vamgpu.hosts.schedules.video`; ``turns`` are added at most for missed slots."""
 
     schedule: Schedule
     display: HdmiTiming
@@ -310,7 +304,7 @@ class SpinningPlayer:
         wanted = self._wanted(pose)
         light = self._lit.take(wanted)
         for slot in light.missing:
-            self._stopped |= self._missed.policy.drop(slot) is Action.STOP
+            self._stopped |= self._missed.policy.drop(slot)
             self._missed.miss(slot % self._turn, self._version(slot))
         dark = bool(wanted) and not light.times
         on = self._on * (len(wanted) if dark else light.times)
@@ -367,7 +361,6 @@ class SpinningPlayer:
 
     @property
     def pending_versions(self) -> set[int]:
-        """Versions of slots that were not shown."""
         return self._missed.missed
 
     def wait(self) -> None:
@@ -391,8 +384,7 @@ class SpinningPlayer:
 
     def halt(self) -> None:
         """Show black, and stop the stage; each even if the other fails."""
-        if failed := run_all(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait):
-            raise failed[0]
+        all_of(self.machines.stage.stop, self._blackout.off, self.machines.stage.wait)
 
     def add_repeats(self) -> bool:
         """Add a turn with the missed slots. Raises `Underrun` if the added turns did not show them."""
@@ -411,13 +403,11 @@ class SpinningPlayer:
         return True
 
     def repeat(self, slots: range) -> None:
-        """Show frames of a vial once more, in an added turn."""
         for slot in (each for pose in slots for each in self._wanted(pose)):  # none is dark
             self._missed.policy.drop(slot % self._turn)
             self._missed.miss(slot % self._turn, self._version(slot))
 
     def frame(self, number: int, engine: int = 0) -> np.ndarray:
-        """A frame for display, of the only projector."""
         version = 0 if self.versions is None else self.versions.frames * self.versions.at(self._kept)
         frame = self._frames.frame(number + version)
         return self._black if frame is None else frame

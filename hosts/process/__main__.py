@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from vamgpu.errors import DeviceError
-from vamgpu.hosts.process.execution import may_go_on
 from vamgpu.hosts.process.messages import ordered
 from vamgpu.hosts.process.order import PrintOrder, printed
 from vamgpu.hosts.process.priority import raised
+from vamgpu.hosts.process.resume import may_go_on
 from vamgpu.hosts.process.service import Service, failed
 from vamgpu.hosts.records.state import PrintState
 

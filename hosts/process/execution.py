@@ -34,24 +34,17 @@ from vamgpu.hosts.player.stage_mirrors import StageClockedPlayer
 from vamgpu.hosts.player.video import SpinningPlayer
 from vamgpu.hosts.process.live_camera import LiveCamera
 from vamgpu.hosts.process.live_link import LiveLink, LiveOrder, task_of
-from vamgpu.hosts.process.resume import Interrupted, left_by_a_host, limits, may_go_on, run_folder
+from vamgpu.hosts.process.resume import Interrupted, left_by_a_host, limits, run_folder
 from vamgpu.hosts.process.versions import boundary, planned_versions, restored
 from vamgpu.hosts.records.plans import swaps
 from vamgpu.hosts.records.record import RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState
-from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.rigs.connection import close, opened
-from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.rigs.preflight import LINE, Judged, answered, fits, judged
-from vamgpu.hosts.rigs.rehearsal import Rehearsal, rehearsal
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.printing.scatter import STOP
 from vamgpu.storage.folder import Folder
 
-__all__ = [
-    "PrintPlan", "Rehearsal", "carry_out", "check", "close", "limits", "may_go_on", "opened", "plan", "player",
-    "read_rig", "rehearsal", "stopping",
-]  # fmt: skip
 log: logging.Logger = logging.getLogger(__name__)
 
 
@@ -87,8 +80,8 @@ def check(planned: PrintPlan, machines: Machines, seconds: float = 2.0, *, live:
             f"the plan is for {len(planned.mirrors)} mirrors, {len(machines.mirrors)} were opened; open the rig of "
             "the plan, or plan for this one"
         )
-    for dmd, timing in zip(machines.mirrors, planned.timings, strict=True):
-        fits((dmd.height, dmd.width), timing)
+    for dmd, mirrors in zip(machines.mirrors, planned.mirrors, strict=True):
+        fits((dmd.height, dmd.width), mirrors.rows, mirrors.columns)
     if len(planned.focus) > 1 and machines.lens is None:
         raise WrongDevice("the plan changes its focus, but no lens was opened; open the rig of the plan")
     if not isinstance(machines, StageMachines):
@@ -164,11 +157,16 @@ def carry_out(
     _may_begin(planned, machines, resume)
     left = left_by_a_host(planned, machines, folder) if resume else None
     versions = _versions(planned, live, left)
-    playing = _playing(planned, machines, found, left, versions)
+    playing = player(planned, machines, found, None if left is None else left.origin, versions)
+    if left is not None and isinstance(playing, TriggeredPlayer):
+        playing.restore(left.lost)  # frames that the earlier host missed
     if lacking := planned.guarantees.lacking:
         log.warning("not guaranteed: %s", ", ".join(f"{one.about} ({one.kind})" for one in lacking))
     with ExitStack() as held:
-        record = _record(held, planned, machines, folder, left, versions, process)
+        now, at = machines.clock.now(), None if versions is None else versions.at
+        record = held.enter_context(run_folder(planned, folder, left, now, at))
+        if process is not None:
+            record.event("process", now, **process)
         shown = board or Board()
         shown.show(rehearsed=planned.rehearsed, guarantees=tuple(one.record() for one in planned.guarantees))
         watch = _scatter_watch(planned, machines, record, shown)
@@ -185,29 +183,6 @@ def carry_out(
             if board is not None:
                 return print_with_operator(job, board, first, unattended, asked), job
             return attended(job, first, asked, unattended), job
-
-
-def _record(
-    held: ExitStack, planned: PrintPlan, machines: Machines, folder: str | Path, left: Interrupted | None,
-    versions: FrameVersions | None, process: Mapping[str, str] | None,
-) -> RunFolder:  # fmt: skip
-    """The run's folder, new or resumed, open until the print ends."""
-    now, version = machines.clock.now(), None if versions is None else versions.at
-    record = held.enter_context(run_folder(planned, folder, left, now, version))
-    if process is not None:
-        record.event("process", now, **process)
-    return record
-
-
-def _playing(
-    planned: PrintPlan, machines: Machines, found: Judged | None, left: Interrupted | None,
-    versions: FrameVersions | None,
-) -> Player:  # fmt: skip
-    """The player, which repeats the frames that an earlier host missed."""
-    playing = player(planned, machines, found, None if left is None else left.origin, versions)
-    if left is not None and isinstance(playing, TriggeredPlayer):
-        playing.restore(left.lost)
-    return playing
 
 
 def _versions(planned: PrintPlan, live: LiveOrder | None, left: Interrupted | None) -> FrameVersions | None:

@@ -22,14 +22,13 @@ LEAVE = 1.0  # longest time for the thread to end [s]
 
 
 class LiveCamera:
-    """Takes images from the first light on; a context. speed: [deg/s].  exposure: [s].  patience: of an image [ns]."""
+    """Takes images from the first light on; a context. speed: [deg/s].  exposure: [s]."""
 
     def __init__(
-        self, camera: CameraDriver, clock: Clock, lit: Callable[[], bool], speed: float, *, exposure: float = 0.01,
-        patience: int = PATIENCE,
-    ) -> None:  # fmt: skip
+        self, camera: CameraDriver, clock: Clock, lit: Callable[[], bool], speed: float, exposure: float = 0.01
+    ) -> None:
         self._camera, self._clock, self._lit, self._speed = camera, clock, lit, speed
-        self._exposure, self._patience = exposure, patience + round(exposure * SECOND)
+        self._exposure = round(exposure * SECOND)
         self._images: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self._notices: deque[tuple[str, dict[str, Any]]] = deque()
         self._before: np.ndarray | None = None
@@ -41,7 +40,7 @@ class LiveCamera:
 
     def __enter__(self) -> LiveCamera:
         try:
-            self._camera.expose(1e6 * self._exposure)
+            self._camera.expose(self._exposure / 1000)
         except Exception as error:
             self._lost(error)
         self._last = self._clock.now()
@@ -60,7 +59,7 @@ class LiveCamera:
         if self._thread is None and not self._gone:
             self._grab()
         age = self._clock.now() - self._last
-        if not self._gone and not self._silent and age > self._patience:
+        if not self._gone and not self._silent and age > PATIENCE + self._exposure:
             self._silent = True
             self._tell("live camera silent", f"the camera gave no image for {age / SECOND:.2g} s")
         return [self._images.popleft() for _ in range(len(self._images))]
@@ -89,7 +88,7 @@ class LiveCamera:
                 self._tell("live images repeated", "the camera repeats its last image; repeated ones are not used")
             return
         self._before, self._repeated = image, False
-        middle = self._last - round(self._exposure * SECOND / 2)
+        middle = self._last - self._exposure // 2
         angle = position + self._speed * (middle - looked) / SECOND
         if angle >= 0 and self._lit():  # else it is not of this print
             self._images.append({"image": image, "angle": angle, "at": middle})

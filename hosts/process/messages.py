@@ -15,15 +15,15 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from enum import Enum
-from functools import cache
 from math import isfinite
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from vamgpu.hosts.records.state import Snapshot
+from vamgpu.hosts.records.state import Estimated, ImageCheck, PrintState
+from vamgpu.printing.scatter import ScatterReading
 from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 
 ANSWER = 0.3  # longest wait for an answer before a stop becomes a signal, or a process counts as ended [s]
@@ -31,6 +31,8 @@ LONGEST = 1 << 28  # most bytes of a message or array
 NUMBERS = "biuf"  # kinds of arrays in messages
 PIPE = re.compile(r"\\\\\.\\pipe\\[^\\/]+")  # a named pipe of this computer
 LIVE = "live.json"  # in a run's folder: address of the process that prints it
+KINDS: dict[str, type] = {kind.__name__: kind for kind in (PrintState, ScatterReading, Estimated, ImageCheck)}
+"""Enumerations and dataclasses of a snapshot, by name."""
 
 
 def send(line: Connection, message: dict[str, Any]) -> None:
@@ -81,29 +83,10 @@ def _made(value: Any, arrays: Iterator[bytes]) -> Any:
         return float(value["float"])
     if "dict" in value:
         return {name: _made(each, arrays) for name, each in value["dict"].items()}
-    kind = _kinds()[value["kind"]]
+    kind: Any = KINDS[value["kind"]]
     if "value" in value:
         return kind(value["value"])
     return kind(**{name: _made(each, arrays) for name, each in value["fields"].items()})
-
-
-@cache
-def _kinds() -> dict[str, Any]:
-    """Enumerations and dataclasses of a snapshot, by name."""
-    found: dict[str, Any] = {}
-
-    def look(hint: Any) -> None:
-        for each in get_args(hint):
-            look(each)
-        if not isinstance(hint, type) or hint.__name__ in found:
-            return
-        if issubclass(hint, Enum) or dataclasses.is_dataclass(hint):
-            found[hint.__name__] = hint
-            for inner in get_type_hints(hint).values() if dataclasses.is_dataclass(hint) else ():
-                look(inner)
-
-    look(Snapshot)
-    return found
 
 
 def spawned(module: str, order: dict[str, Any], errors: Any = None) -> subprocess.Popen[bytes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -51,7 +51,7 @@ class PrintOrder:
 
     @classmethod
     def parse(cls, told: Any) -> Self:
-        """An order from `plain`. Raises `BadInput`."""
+        """An order from its values by name. Raises `BadInput`."""
         if not isinstance(told, dict) or set(told) != {field.name for field in fields(cls)}:
             raise BadInput(f"an order of a print is {told!r}; expected the values of a PrintOrder by name")
         values: dict[str, Any] = {**told, "jobs": tuple(told["jobs"]), "settings": tuple(told["settings"])}
@@ -60,10 +60,6 @@ class PrintOrder:
         if isinstance(values["live"], dict):
             values["live"] = LiveOrder(**values["live"])
         return cls(**values)
-
-    def plain(self) -> dict[str, Any]:
-        """The values by name, for JSON."""
-        return asdict(self)
 
     @property
     def config(self) -> RigConfig:

@@ -57,18 +57,8 @@ class Interrupted:
                 folder.shown(FrameRecord(slot, frame, pose, light, on, engine=engine, version=version(slot)))
 
 
-@dataclass(frozen=True, eq=False)
-class AbandonedRun:
-    """State of the folder of a dead host."""
-
-    run: RunRecord
-    segment: dict[str, Any]  # the event that began the last run segment
-    sign: float  # last sign of light [s]
-    dark: bool  # whether the host had turned the light off
-
-
-def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedRun:
-    """State of the folder of a dead host. Raises `BadInput` if its print cannot be resumed."""
+def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> tuple[dict[str, Any], float, bool]:
+    """A dead host's last run segment, last sign of light [s], and whether it went off. Raises `BadInput`."""
     path = run.path
     if run.state is not PrintState.PRINTING and not run.state.waits:
         raise BadInput(f"{str(path)!r} is {run.state.value}; only interrupted prints can be resumed")
@@ -83,7 +73,7 @@ def left_in(run: RunRecord, limits: SafetyLimits = SafetyLimits()) -> AbandonedR
     _check_pause(path, float(run.events[-1]["wall"]), limits)
     signs = [event for event in run.events if event["event"] in ("segment", "light", "poll")]
     dark = next(event.get("to") == "off" for event in reversed(signs) if event["event"] != "poll")
-    return AbandonedRun(run, segment, float(signs[-1]["wall"]), dark)
+    return segment, float(signs[-1]["wall"]), dark
 
 
 def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
@@ -100,8 +90,8 @@ def interrupted(
     path: str | Path, controller: Controller, schedule: Schedule, limits: SafetyLimits = SafetyLimits()
 ) -> Interrupted:
     """State of a print from its folder and its controller, which kept its power. Raises `BadInput`."""
-    left = left_in(read_run(path), limits)
-    run, segment, now = left.run, left.segment, controller.status()
+    run, now = read_run(path), controller.status()
+    segment, sign, off = left_in(run, limits)
     if now.zero != segment.get("zero"):
         raise BadInput(
             f"the controller has lost the print of {str(path)!r}: it lost its power, was reset when its port opened or "
@@ -124,9 +114,9 @@ def interrupted(
     lost = (dark["position"][dark["engine"] == engine].tolist() for engine in range(schedule.engines))
     origin = Origin(segment["origin"], segment["zero"])
     lit = recorded > segment["first"]  # frames shown after that count as dark, so that a pause is never too short
-    since = left.sign if lit else segment["wall"] - segment["dark"] / SECOND
+    since = sign if lit else segment["wall"] - segment["dark"] / SECOND
     _check_pause(path, since, limits)
-    return Interrupted(run, shown, recorded - int(lit and not left.dark), origin, tuple(map(tuple, lost)), since)
+    return Interrupted(run, shown, recorded - int(lit and not off), origin, tuple(map(tuple, lost)), since)
 
 
 def _since(wall: float) -> int:

@@ -12,6 +12,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, Listener, answer_challenge, deliver_challenge
 from pathlib import Path
@@ -30,7 +31,6 @@ class ServedBoard(Board):
     """The board of a print with previews drawn elsewhere. found: whether ``live`` is in the run's folder."""
 
     draws_previews = False
-    found: bool
 
     def __init__(self, folder: Path, live: str) -> None:
         super().__init__()
@@ -125,7 +125,7 @@ class Service:
                 case "answer":
                     self._answers.put(bool(asked["go_on"]))
                 case "order":
-                    return {"order": json.dumps(self.order.plain())}
+                    return {"order": json.dumps(asdict(self.order))}
         except Exception as error:
             return failed(error)
         return {}

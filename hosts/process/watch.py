@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import partial
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Client, Connection
@@ -197,7 +198,7 @@ def _error(told: dict[str, Any]) -> VamError:
 def started(order: PrintOrder, board: Board) -> Watch:
     """Print an order in a separate process, which outlives this one. Raises `DeviceError` if it does not start."""
     said = tempfile.TemporaryFile()  # noqa: SIM115 - not this terminal, which may be stopped or closed
-    child = spawned("vamgpu.hosts.process", order.plain(), said)
+    child = spawned("vamgpu.hosts.process", asdict(order), said)
     if (live := answered(child)) is None:
         child.wait()
         said.seek(0)

@@ -71,7 +71,7 @@ class RunFolder:
         self.path = path
         self._lock = threading.RLock()
         self._write: Callable[[int, bytes], int] = os.write
-        self.failed = False  # whether a record could not be written, and was not written since
+        self.failed: bool = False  # whether a record could not be written, and was not written since
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
         try:
             self._events = os.open(path / "events.jsonl", flags, 0o644)
@@ -171,7 +171,8 @@ class RunFolder:
             self._events = self._shown = -1
         try:
             run = read_run(self.path)
-            text = json.dumps(timing(run.shown) | _views(run), indent=2)
+            light = {} if (found := account(run)) is None else {"light": found.facts()}
+            text = json.dumps(timing(run.shown) | {"state": run.state.value} | light, indent=2)
             (self.path / RESERVE).unlink(missing_ok=True)
             (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
         except OSError as error:
@@ -291,12 +292,6 @@ def _event(line: bytes) -> dict[str, Any] | None:
 def _whole(body: memoryview, number: int, size: int) -> bool:
     record = body[number * size : (number + 1) * size]
     return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")
-
-
-def _views(run: RunRecord) -> dict[str, Any]:
-    """The end of a run, and the light of its frames if the folder has the planned light."""
-    found = account(run)
-    return {"state": run.state.value} | ({} if found is None else {"light": found.facts()})
 
 
 def digest(job: Path) -> str:

@@ -33,7 +33,7 @@ class PrintState(StrEnum):
     @property
     def ended(self) -> bool:
         """Whether the print has ended."""
-        return self in (PrintState.COMPLETE, PrintState.INCOMPLETE, PrintState.CANCELLED, PrintState.ERROR)
+        return not NEXT[self]
 
     @property
     def waits(self) -> bool:
@@ -48,10 +48,7 @@ NEXT: dict[PrintState, frozenset[PrintState]] = {
     PrintState.PRINTING: _ENDS | {PrintState.PAUSED, PrintState.HELD, *_ALL_SHOWN},
     PrintState.PAUSED: _ENDS | {PrintState.PRINTING, PrintState.HELD},
     PrintState.HELD: _ENDS | {PrintState.PRINTING, PrintState.HELD, *_ALL_SHOWN},
-    PrintState.COMPLETE: frozenset(),
-    PrintState.INCOMPLETE: frozenset(),
-    PrintState.CANCELLED: frozenset(),
-    PrintState.ERROR: frozenset(),
+    **dict.fromkeys(_ENDS | _ALL_SHOWN, frozenset()),
 }
 """States that may follow each state. An error may follow any state before the end; nothing follows an end."""
 
@@ -70,19 +67,9 @@ class PrintStates:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._state = PrintState.STANDBY
-        self._message = ""
+        self.state: PrintState = PrintState.STANDBY
+        self.message: str = ""  # the reason for the state
         self._listeners: list[Callable[[StateChange], None]] = []
-
-    @property
-    def state(self) -> PrintState:
-        """The present state."""
-        return self._state
-
-    @property
-    def message(self) -> str:
-        """The reason for the state."""
-        return self._message
 
     def listen(self, listener: Callable[[StateChange], None]) -> None:
         """Call a listener for every change from now on."""
@@ -92,13 +79,13 @@ class PrintStates:
     def to(self, state: PrintState, message: str = "") -> bool:
         """Change to ``state``; False if it is the present one. Raises `WrongState` if the change is not allowed."""
         with self._lock:
-            before = self._state
-            if state is before and (message == self._message or state is not PrintState.HELD):
+            before = self.state
+            if state is before and (message == self.message or state is not PrintState.HELD):
                 return False
             if state not in NEXT[before]:
                 ways = ", ".join(sorted(each.value for each in NEXT[before])) or "nothing; start another print"
                 raise WrongState(f"the print is {before.value} and cannot become {state.value}; from here: {ways}")
-            self._state, self._message = state, message
+            self.state, self.message = state, message
             for listener in tuple(self._listeners):
                 listener(StateChange(before, state, message))
             return True
@@ -106,7 +93,7 @@ class PrintStates:
     def end(self, state: PrintState, message: str = "") -> bool:
         """Change to an end state; an earlier end, and its reason, stay."""
         with self._lock:
-            return not self._state.ended and self.to(state, message)
+            return not self.state.ended and self.to(state, message)
 
 
 @dataclass(frozen=True)
@@ -181,20 +168,15 @@ class Board:
 
     def __init__(self, **fields: object) -> None:
         self._lock = threading.RLock()  # a signal may turn the light off, and show it, during another change
-        self._now = Snapshot(**fields)  # type: ignore[arg-type]
+        self.now: Snapshot = Snapshot(**fields)  # type: ignore[arg-type]
         self._stops: list[Callable[[str], None]] = []
         self._stopped: str | None = None
         self._buttons: dict[str, Callable[[], None]] = {}
 
-    @property
-    def now(self) -> Snapshot:
-        """The newest snapshot."""
-        return self._now
-
     def show(self, **fields: object) -> None:
         """Change fields of the snapshot."""
         with self._lock:
-            self._now = Snapshot(**(vars(self._now) | fields))  # type: ignore[arg-type]
+            self.now = Snapshot(**(vars(self.now) | fields))  # type: ignore[arg-type]
 
     def on_stop(self, stop: Callable[[str], None]) -> None:
         """Add a function for an emergency stop, called in this order: the light first. An earlier stop is not lost."""

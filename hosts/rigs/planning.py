@@ -23,7 +23,7 @@ from vamgpu.hosts.rigs.guarantees import Guarantees, accepted, driver_of, guaran
 from vamgpu.hosts.rigs.jobs import Kind, PrintJob, print_job
 from vamgpu.hosts.rigs.slots import frame_times, mirror_arrays, triggered_schedule, whole_poses
 from vamgpu.hosts.rigs.turns import Turning, proved
-from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable
@@ -87,11 +87,6 @@ class PrintPlan:
     def bits(self) -> int:
         """Bits of the frames."""
         return self.jobs[0].bits
-
-    @property
-    def timings(self) -> tuple[MirrorTiming, ...]:
-        """The mirrors for the preflight."""
-        return tuple(MirrorTiming(pixels=(each.columns, each.rows), row_bytes=each.row_bytes) for each in self.mirrors)
 
     def sources(self) -> tuple[FrameSource, ...]:
         """The frames of each projector."""
@@ -192,7 +187,7 @@ def plan(
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
         of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
-        least = round(max(times[first.bits] for times in frame_times(rig, len(mirrors))) * SECOND)
+        least = round(max(times[first.bits] for times, _ in frame_times(rig, len(mirrors))) * SECOND)
     dose: GivenDose | None = None
     taken: list[Proven] = []
     if first.frames is None:

@@ -18,7 +18,7 @@ from vamgpu.hosts.drivers.memory import PIECE
 from vamgpu.hosts.frames.upload import BUFFERS, guard, length
 from vamgpu.hosts.player.controller_mirrors import triggers
 from vamgpu.hosts.schedules.clock import Clock
-from vamgpu.hosts.schedules.limits import HdmiTiming, MirrorTiming
+from vamgpu.hosts.schedules.limits import MirrorTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, numeric, whole
 
@@ -176,9 +176,8 @@ def _wire(dmd: Dmd, bits: int, clock: Clock, seconds: float) -> float:
         sequence.free()
 
 
-def fits(frames: tuple[int, int], mirrors: MirrorTiming | HdmiTiming) -> None:
+def fits(frames: tuple[int, int], rows: int, columns: int) -> None:
     """Raise `WrongDevice` for frames (rows, columns) that were made for other mirrors."""
-    columns, rows = mirrors.pixels
     if tuple(frames) != (rows, columns):
         raise WrongDevice(
             f"the job's frames have {frames[0]} × {frames[1]} pixels, the mirrors {rows} × {columns}: it was made "

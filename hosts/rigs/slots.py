@@ -9,7 +9,7 @@ from vamgpu.hosts.frames.sources import MirrorArray
 from vamgpu.hosts.rigs.config import RigConfig
 from vamgpu.hosts.rigs.jobs import PrintJob
 from vamgpu.hosts.schedules.limits import LensTiming, MirrorTiming
-from vamgpu.hosts.schedules.mirrors import closest, rising, sla, turned, web
+from vamgpu.hosts.schedules.mirrors import closest, rising, turned, web
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import DAY, SECOND
 
@@ -36,16 +36,10 @@ def _row_bytes(columns: int) -> int:
     return 256 if columns == 1920 else -(-columns // 8)
 
 
-def frame_times(rig: RigConfig, engines: int) -> list[dict[int, float]]:
-    """Shortest time of a frame [s] with ``bits``, for each array."""
-    sections = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
-    return [{8: section.frame_time, 1: 1e-4} for section in sections[:engines]]
-
-
-def duties(rig: RigConfig, engines: int) -> list[float]:
-    """Greatest lit share of a time slot, for each array."""
+def frame_times(rig: RigConfig, engines: int) -> list[tuple[dict[int, float], float]]:
+    """Shortest time of a frame [s] by bits, and greatest lit share of a time slot, for each array."""
     sections: Any = rig.setup.display * engines if rig.setup.emulated else rig.setup.display
-    return [section.duty for section in sections[:engines]]
+    return [({8: section.frame_time, 1: 1e-4}, section.duty) for section in sections[:engines]]
 
 
 def triggered_schedule(
@@ -61,7 +55,7 @@ def triggered_schedule(
             frame=times, pixels=(each.columns, each.rows), row_bytes=each.row_bytes,
             dark=round(max(GUARD, 1.0 - duty) * pose / planes, 6),
         )
-        for each, times, duty in zip(mirrors, frame_times(rig, len(mirrors)), duties(rig, len(mirrors)), strict=True)
+        for each, (times, duty) in zip(mirrors, frame_times(rig, len(mirrors)), strict=True)
     )  # fmt: skip
     common: dict[str, Any] = {"speed": speed, "engines": engines, "bits": first.bits, "power": setup.light.power}
     if first.advance is None:
@@ -69,7 +63,7 @@ def triggered_schedule(
     if turns != 1:
         raise BadInput(f"turns is {turns}; expected 1, because only vials have several turns")
     if first.kind == "slices":
-        return sla(first.poses, pitch=first.advance, **common)
+        return web(first.poses, advance=first.advance, **common)
     lens = setup.lens
     if lens is not None and lens.controlled_by == "host":
         focus = ()  # the host sets the focus before the print

@@ -55,13 +55,8 @@ class Budget:
     limit: float
 
     def __init__(self, limit: float) -> None:
-        self.limit, self._spent = positive("the budget of light", limit), 0.0
-        self._most = self.limit
-
-    @property
-    def spent(self) -> float:
-        """Light used so far."""
-        return self._spent
+        self.limit = self._most = positive("the budget of light", limit)
+        self.spent: float = 0.0  # light used so far
 
     def arm(self, limit: float) -> None:
         """Set another limit for a replanned print, at most the first limit. Raises `BadInput`."""
@@ -69,15 +64,15 @@ class Budget:
 
     def allows(self, power: float, on_time: int) -> bool:
         """Whether a frame of ``on_time`` [ns] at ``power`` still fits; a millionth more counts as rounding."""
-        return self._spent + _light(power, on_time) <= self.limit * (1.0 + 1e-6)
+        return self.spent + _light(power, on_time) <= self.limit * (1.0 + 1e-6)
 
     def spend(self, power: float, on_time: int) -> None:
         """Count a frame; OverDose if it does not fit, and it still counts. Used light is never returned."""
         fits = self.allows(power, on_time)
-        self._spent += _light(power, on_time)
+        self.spent += _light(power, on_time)
         if not fits:
             raise OverDose(
-                f"the print has used {self._spent:.6g} of {self.limit:.6g} of light; expected no more than the plan: "
+                f"the print has used {self.spent:.6g} of {self.limit:.6g} of light; expected no more than the plan: "
                 "check the powers and on-times of the schedule"
             )
 
@@ -88,23 +83,19 @@ def _light(power: float, on_time: int) -> float:
 
 
 DEFAULT_LENGTH = 250_000_000  # time for which a controller keeps the light on without renewal [ns]
-
 SHORTEST = 10_000_000  # least length of a lease [ns]
 
 
 class Lease:
     """A lease [ns] that is renewed when work was done, never by elapsed time alone."""
 
-    # A host whose GPU, disk or upload hangs shows no work for longer than ``stall`` [ns]: its light goes off, even if
-    # other threads still run.
+    # A host whose GPU, disk or upload hangs shows no work for longer than the lease: its light goes off, even if other
+    # threads still run.
 
-    def __init__(
-        self, clock: Clock, renew: Callable[[int], None], length: int = DEFAULT_LENGTH, stall: int | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, clock: Clock, renew: Callable[[int], None], length: int = DEFAULT_LENGTH) -> None:
         self.length: int = whole("the lease [ns]", length)
         if self.length < SHORTEST:
             raise BadInput(f"a lease of {length} ns; expected 10 ms or more, which a line and a scheduler can keep")
-        self.stall: int = self.length if stall is None else whole("stall [ns]", stall)
         self._clock, self._renew = clock, renew
         self._lock = threading.Lock()
         self._until: int | None = None
@@ -126,7 +117,7 @@ class Lease:
         """Renew if a quarter of the lease has passed and there was work; whether it was renewed."""
         with self._lock:
             now = self._clock.now()
-            if self._revoked or self._sign is None or now - self._sign > self.stall:
+            if self._revoked or self._sign is None or now - self._sign > self.length:
                 return False
             if not force and self._until is not None and self._until - now > 3 * self.length // 4:
                 return False
@@ -135,11 +126,10 @@ class Lease:
             self._until = now + self.length
             return True
 
-    def fresh(self, now: int | None = None) -> bool:
+    def fresh(self) -> bool:
         """Whether the controller still keeps the light on, to the host's knowledge."""
         until = self._until
-        at = self._clock.now() if now is None else now
-        return not self._revoked and until is not None and at < until
+        return not self._revoked and until is not None and self._clock.now() < until
 
     def age(self) -> int | None:
         """Age of the last renewal [ns]; None if the lease is not held."""

@@ -39,8 +39,8 @@ class Lamp(Switch, Protocol):
 class LightGuard:
     """Controls the light of one rig, entered last and left first; a fault latches until it is left."""
 
-    # ``others`` are named switches, always tried after the lamp. ``signals``: SIGINT, SIGTERM and SIGHUP turn the light
-    # off before their usual effect, in the main thread; an ignored signal, as under nohup, stays ignored.
+    # ``others`` are named switches, always tried after the lamp. SIGINT, SIGTERM and SIGHUP turn the light off before
+    # their usual effect, in the main thread; an ignored signal, as under nohup, stays ignored.
 
     lease: Lease
     budget: Budget | None
@@ -48,13 +48,12 @@ class LightGuard:
 
     def __init__(
         self, lamp: Lamp, lease: Lease, *, tolerance: float, budget: Budget | None = None,
-        others: Mapping[str, Switch] | None = None, signals: bool = True,
+        others: Mapping[str, Switch] | None = None,
         notify: Callable[[str, str], None] | None = None,
     ) -> None:  # fmt: skip
         self.lease, self.budget, self.tolerance = lease, budget, positive("tolerance of motion", tolerance)
         self._lamp, self._others = lamp, dict(others or {})
         self._notify = notify or (lambda what, why: None)
-        self._signals = signals
         self._lock = threading.RLock()
         self._seen = Observation()
         self._lit = False
@@ -192,7 +191,7 @@ class LightGuard:
     def _guard_process(self) -> None:
         """Signals and the interpreter's end also turn the light off."""
         atexit.register(self._at_exit)
-        if not self._signals or threading.current_thread() is not threading.main_thread():
+        if threading.current_thread() is not threading.main_thread():
             return
         mine = weakref.ref(self)
         for number in SIGNALS:

@@ -65,7 +65,7 @@ def web(
     focus: Sequence[float] = (), bits: int = 8, turning: bool = True, on: Number | None = None,
     power: float | Sequence[float] = 1.0,
 ) -> Schedule:  # fmt: skip
-    """Slots of a web: at every pose one frame for each focus plane, frame pose · planes + plane.
+    """Slots of a web, or a rising platform: at every pose one frame for each focus plane, frame pose · planes + plane.
 
     advance: distance from pose to pose [mm].  speed: [mm/s].  engines: mirrors, or several in step.  focus: power of
     each plane [dpt].  turning: the order of planes reverses at every pose.  on: light of a frame [s].
@@ -83,14 +83,6 @@ def web(
     period = pose.period(way, exact("speed [mm/s]", speed), "mm")
     wait = lens.wire + lens.settling if lens is not None and focus else 0
     return _table(Cadence(period, wait), way, count, order, pose, focus, shown, lens)
-
-
-def sla(
-    layers: int, *, pitch: Number, speed: Number, engines: Engines, bits: int = 8, on: Number | None = None,
-    power: float | Sequence[float] = 1.0,
-) -> Schedule:  # fmt: skip
-    """Slots of a platform that rises continuously, one slice every ``pitch`` [mm] at ``speed`` [mm/s]; see `web`."""
-    return web(layers, advance=pitch, speed=speed, engines=engines, bits=bits, on=on, power=power)
 
 
 def turned(

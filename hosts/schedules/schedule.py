@@ -5,11 +5,9 @@ Times are whole nanoseconds since the start, computed only from the slot's numbe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -21,24 +19,6 @@ from vamgpu.hosts.schedules.timing import SECOND, Cadence
 NONE = -1  # no time or frame
 
 COLUMNS = ("command", "trigger", "light", "dark", "on", "frame", "pose", "plane", "position", "focus")
-
-
-@dataclass(frozen=True)
-class Slot:
-    """One row of the table; see `Schedule`."""
-
-    number: int
-    command: int
-    trigger: int
-    light: int
-    dark: int
-    on: int
-    frame: int
-    pose: int
-    plane: int
-    position: float
-    focus: float
-    power: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +54,10 @@ class Schedule:
     def __len__(self) -> int:
         return len(self.light)
 
-    def __getitem__(self, number: int) -> Slot:
-        number = range(len(self))[number]
-        row: dict[str, Any] = {name: getattr(self, name)[number].item() for name in COLUMNS}
-        return Slot(number, **row, power=tuple(self.power[number].tolist()))
-
-    def __iter__(self) -> Iterator[Slot]:
-        return (self[number] for number in range(len(self)))
-
-    def window(self, first: int, last: int) -> Schedule:
-        """Only slots first to last − 1, at their times."""
-        return replace(self, **{name: getattr(self, name)[first:last].copy() for name in (*COLUMNS, "power")})
-
     def turned_again(self, frames: set[int]) -> Schedule:
         """The schedule with one more turn of a vial at the end, lit only for some frames; the rest is black."""
-        turn, count = self.window(0, self.frames), int(self.pose[-1]) + 1 - int(self.pose[0])
+        first = {name: getattr(self, name)[: self.frames].copy() for name in (*COLUMNS, "power")}
+        turn, count = replace(self, **first), int(self.pose[-1]) + 1 - int(self.pose[0])
         if self.unit != "deg" or count % self.frames:
             raise BadInput("only whole turns of a vial can be repeated; a web has no turns")
         beats = turn.pose - turn.pose[0]
@@ -154,8 +123,7 @@ def plane_times(schedule: Schedule, bits: int, display: HdmiTiming | None = None
     """Planes of a vial's frame, lit one after another, as shares of its step about the middle of its light."""
     if schedule.unit != "deg" or int(schedule.plane.max()) > 0:
         raise BadInput("the schedule is for a web or several focus planes; expected that of a vial with one focus")
-    slot = schedule[0]
-    lit, step = Fraction(slot.dark - slot.light), schedule.cadence.period
+    lit, step = Fraction(int(schedule.dark[0] - schedule.light[0])), schedule.cadence.period
     times = 1 if display is None else max(round(step * display.slot_rate / SECOND), 1)
     worth = [Fraction(2**bit, 2**bits - 1) for bit in reversed(range(bits))]
     found = []

@@ -22,7 +22,7 @@ from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.hosts.rigs.preflight import judged, measure, preflight
 from vamgpu.hosts.safety.interlock import Budget, Lease, OverDose
 from vamgpu.hosts.schedules.limits import HdmiTiming, LensTiming, MirrorTiming, powers
-from vamgpu.hosts.schedules.mirrors import sla, turned, web
+from vamgpu.hosts.schedules.mirrors import turned, web
 from vamgpu.hosts.schedules.timing import SECOND, Cadence, exact, nanoseconds, whole
 from vamgpu.hosts.schedules.video import vial
 from vamgpu.printing.folder import save_frames
@@ -34,7 +34,6 @@ HUGE = 10**400
 MIRRORS = MirrorTiming()
 WEB: dict[str, Any] = {"poses": 5, "advance": 1, "speed": 1, "engines": MIRRORS, "lens": LensTiming(), "focus": (1, 2)}
 TURNED: dict[str, Any] = {"images": 36, "speed": 40, "engines": MIRRORS}
-SLA: dict[str, Any] = {"layers": 5, "pitch": 0.05, "speed": 0.05, "engines": MIRRORS}
 VIAL: dict[str, Any] = {"images": 360, "speed": 40, "display": HdmiTiming()}
 NUMBERS = (None, "1", float("nan"), float("inf"), HUGE, -1, 1j, [1], b"1")
 COUNTED = (*NUMBERS, 0, 0.5, True)
@@ -43,11 +42,10 @@ COUNTED = (*NUMBERS, 0, 0.5, True)
 def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
     """What is called, with what that is right, and which argument is wrong how."""
     wrong: list[tuple[Callable[..., Any], dict[str, Any], str, tuple[Any, ...]]] = []
-    for make, right, count in ((web, WEB, "poses"), (turned, TURNED, "images"), (sla, SLA, "layers"),
-                               (vial, VIAL, "images")):  # fmt: skip
+    for make, right, count in ((web, WEB, "poses"), (turned, TURNED, "images"), (vial, VIAL, "images")):
         wrong += [(make, right, count, COUNTED), (make, right, "speed", (*NUMBERS, 0, 1e-310, 1e308))]
         wrong += [(make, right, "power", (None, "1", 1.1, -0.1, float("nan"), (), (0.5, None), HUGE, True))]
-    for make, right in ((web, WEB), (turned, TURNED), (sla, SLA)):
+    for make, right in ((web, WEB), (turned, TURNED)):
         wrong += [(make, right, "engines", (None, 1, (), (None,), "mirrors", HdmiTiming()))]
         wrong += [(make, right, "bits", (None, "8", [8], 8.5)), (make, right, "on", ("1", float("inf"), -1, 0, 1e9))]
     wrong += [
@@ -66,7 +64,6 @@ def cases() -> list[tuple[Callable[..., Any], dict[str, Any], str, Any]]:
         (HdmiTiming, {}, "latency", (*NUMBERS, 0.5)), (HdmiTiming, {}, "pixels", (None, (1,), (0, 1), "ab")),
         (Cadence, {}, "period", (None, "1", 0, 0.5, float("inf"))),
         (Lease, {"clock": VirtualClock(), "renew": print}, "length", (*COUNTED, SECOND // 1000)),
-        (Lease, {"clock": VirtualClock(), "renew": print}, "stall", ("1", *NUMBERS[2:])),
         (Budget, {}, "limit", (None, "1", float("inf"), float("nan"), 0, -1)),
     ]  # fmt: skip
     return [(make, right, name, value) for make, right, name, values in wrong for value in values]

@@ -236,7 +236,7 @@ def test_opened_machines_measure_in_real_time(monkeypatch: pytest.MonkeyPatch) -
         finally:
             stand.close()
     assert np.array(found.tables["gray"]["intensity"]) == pytest.approx(np.arange(0, 256, 51) / 255.0, abs=0.01)
-    assert meter.wavelength == 405.0 and meter.count == 3 and glass.mode == 5
+    assert meter.wavelength == 405.0 and meter.count == 3 and glass.holds
     assert not box.light and not box.armed and not alp.allocated
 
 

@@ -20,13 +20,11 @@ def test_lens_golden_bytes() -> None:
     lens = EmulatedLens(celsius=27.125)
     assert _ask(lens, b"Start", 0) == b"Ready\r\n"
     assert _ask(lens, "48 00 36", MILLI)[:2] == b"HA"
-    assert _ask(lens, "54 41 fe f0", 200 * MILLI) == bytes.fromhex("54 41 00 01 b2 a4 15 0d 0a")
-    assert _ask(lens, "41 77 05 7a 26 95", 300 * MILLI) == b""
-    assert _ask(lens, "41 72 00 00 b4 27", 400 * MILLI) == bytes.fromhex("41 05 7a d2 a7 0d 0a")
-    assert _ask(lens, "41 72 00 00 b4 28", 500 * MILLI) == bytes.fromhex("45 01 f3 50 0d 0a")
-    assert _ask(lens, "4d 4d 41 65 77", 600 * MILLI)[:4] == b"MMA\x01"
+    assert _ask(lens, "54 43 41 b0 d0", 200 * MILLI)[:5] == bytes.fromhex("54 43 41 01 b2")
+    assert _ask(lens, "54 43 41 b0 d1", 300 * MILLI) == bytes.fromhex("45 01 f3 50 0d 0a")
+    assert _ask(lens, "50 77 44 41 04 b0 00 00 31 a7", 400 * MILLI) == b"" and lens.power_code == 1200
     assert _ask(lens, b"Start", 700 * MILLI) == b"Ready\r\n"
-    assert _ask(lens, "41 72 00 00 b4 27", 800 * MILLI)[1:3] == b"\0\0", "the handshake resets the current"
+    assert lens.power_code == 0, "the handshake resets the power"
 
 
 def test_lens_errors() -> None:
@@ -34,16 +32,16 @@ def test_lens_errors() -> None:
     assert _ask(lens, b"?!", 0)[:2] == b"E\x03"
     assert _ask(lens, b"RESET", 100 * MILLI)[:2] == b"E\x03"
     old = EmulatedLens(legacy=True)
-    assert _ask(old, "41 72 00 00 b4 28", 0) == b"N\r\n"
+    assert _ask(old, "54 43 41 b0 d1", 0) == b"N\r\n"
     blind = EmulatedLens(sensor=False)
     assert _ask(blind, "4d 77 43 41 56 76", 0)[:2] == b"E\x04"
     assert _ask(blind, "54 43 41 b0 d0", 100 * MILLI)[3:5] == b"\x0f\xff"
     half = EmulatedLens()
-    half.receive(b"Aw\x05", 0)
+    half.receive(b"PwDA\x05", 0)
     assert half.due() == 20 * MILLI
     half.advance(20 * MILLI)
     assert half.take(50 * MILLI)[:2] == b"E\x01"
-    assert _ask(half, "41 77 05 7a 26 95", 60 * MILLI) == b"" and half.current_code == 1402
+    assert _ask(half, "50 77 44 41 04 b0 00 00 31 a7", 60 * MILLI) == b"" and half.power_code == 1200
 
 
 def _focusing(**options: object) -> EmulatedLens:
@@ -75,16 +73,6 @@ def test_the_lens_settles_as_a_damped_oscillator() -> None:
     assert lens.power(start + SECOND) == pytest.approx(1.0, abs=1e-9)
     lens.receive(bytes.fromhex("50 77 44 41 06 40 00 00 30 2c"), start + SECOND)
     assert lens.power(start + 3 * MILLI) == power[300], "the past does not change"
-
-
-def test_current_mode_drifts_with_temperature_and_focal_power_mode_does_not() -> None:
-    lens = EmulatedLens(LensModel(offset=0.0))
-    lens.warm(35.0, 0)
-    assert lens.power(SECOND) == pytest.approx(0.67)
-    lens = _focusing()
-    lens.receive(bytes.fromhex("50 77 44 41 04 b0 00 00 31 a7"), SECOND)
-    lens.warm(35.0, 2 * SECOND)
-    assert lens.power(3 * SECOND) == pytest.approx(1.0)
 
 
 def test_a_cable_takes_the_time_of_its_bytes() -> None:

@@ -33,7 +33,7 @@ def test_the_camera_is_repeatable_and_the_resin_shows_its_dose() -> None:
     def run(seed: int) -> list[np.ndarray]:
         clock = VirtualClock()
         scene = ResinScene((20, 30), ResinModel(critical=50.0, width=5.0))
-        camera = EmulatedCamera(clock, scene, Sensor(bits=12), blur=1.0, seed=seed)
+        camera = EmulatedCamera(clock, scene, Sensor(bits=12), seed=seed)
         images = []
         for _ in range(11):
             images.append(camera.grab())

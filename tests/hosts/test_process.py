@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from multiprocessing import Pipe
 from multiprocessing.connection import Client
 from pathlib import Path
@@ -115,7 +116,7 @@ def test_the_process_imports_nothing_that_draws_or_serves(job: Path) -> None:
         "print(end['state'], *{name.partition('.')[0] for name in sys.modules})\n"
     )
     env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    asked = [sys.executable, "-c", code, json.dumps(order(job).plain())]
+    asked = [sys.executable, "-c", code, json.dumps(asdict(order(job)))]
     state, *modules = subprocess.run(asked, env=env, capture_output=True, check=True, text=True).stdout.split()
     assert state == "complete" and not FORBIDDEN & set(modules)
 
@@ -224,7 +225,7 @@ def test_a_print_outlives_its_parent_and_is_found_again(job: Path) -> None:
     )
     env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     asked = order(job, turns=3)
-    parent = subprocess.run([sys.executable, "-c", code, json.dumps(asked.plain())], env=env, check=False)
+    parent = subprocess.run([sys.executable, "-c", code, json.dumps(asdict(asked))], env=env, check=False)
     assert parent.returncode == -signal.SIGKILL
     with attached(asked.folder, board := Board()) as watch:
         assert watch.order == asked and ended(watch)["state"] == "complete"

@@ -47,7 +47,7 @@ class Held:
         self.clock, self.bulb, self.black = VirtualClock(), Bulb(), Bulb()
         self.renewed: list[int] = []
         self.lease = Lease(self.clock, self.renewed.append, 250 * MS)
-        options = {"tolerance": 0.5, "others": {"projector": self.black}, "signals": False} | fields
+        options = {"tolerance": 0.5, "others": {"projector": self.black}} | fields
         self.guard = LightGuard(self.bulb, self.lease, **options)  # type: ignore[arg-type]
 
     def light(self) -> LightGuard:

@@ -135,7 +135,7 @@ def test_what_a_tic_does_not_do_is_told() -> None:
     stage.run(22.0)
     with pytest.raises(BadInput, match="counts to"):
         stage.move(1e9, 20.0)
-    stage._line.port.unplug()
+    stage._line.port.unplug()  # type: ignore[attr-defined]
     with pytest.raises(DeviceLost, match="check its plug"):
         stage.position()
     stage.close()

@@ -52,7 +52,8 @@ def play(controller: Controller, clock: Clock) -> None:
     """Play forty slots with lens, trigger and light, then steady light that the lease ends. Raises `BadInput`."""
     rows = (ControllerRow(i, PERIOD_US * (i + 1), 100 * (i % 2), DELAY_US, ON_US) for i in range(ROWS))
     controller.mode("time")
-    controller.load(rows)
+    for row in rows:
+        controller.row(row)
     controller.end(ROWS)
     controller.lease(1000)
     controller.arm()
