@@ -15,7 +15,9 @@ from common import machine, write_record
 
 import vamgpu
 from vamgpu.kernels.camera import draw_noise
-from vamgpu.live import CuringResin, LiveLoop, LiveSetup, LiveState, SensorNoise, Turbidity
+from vamgpu.live import LiveLoop, LiveSetup, SensorNoise, Turbidity
+from vamgpu.live.loop import LiveState
+from vamgpu.live.printer import CuringResin
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import dot
 from vamgpu.optics.vial import Vial

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from vamgpu.backend import open_device
+from vamgpu.backend.device import Device
 from vamgpu.live import SensorNoise, Turbidity
 from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
 from vamgpu.live.record import LiveSetup
 from vamgpu.methods.run import optimize
 from vamgpu.metrics import score
 from vamgpu.optics.vial import Vial
+from vamgpu.printing.frames import Frames
+from vamgpu.printing.gray import GrayCurve
+from vamgpu.printing.pack import pack
 
 PLANNED = 10
 
@@ -41,3 +47,12 @@ def overlap(printed: np.ndarray) -> float:
     made, part, _ = setup()
     device = made.projection(made.vial).device
     return float(score(device.upload(printed.astype(np.float32)), device.upload(part), threshold=made.resin.gel).iou)
+
+
+def some_frames(device: Device | str, bits: int = 8) -> Frames:
+    """Packed frames of random patterns, with a curve, a flat field and a shift."""
+    there = open_device(device)
+    plan: Any = SimpleNamespace(sinogram=there.upload(np.random.default_rng(0).random((12, 13, 21))), operator=None)
+    flat = np.linspace(0.7, 1.0, 21 * 13).reshape(21, 13)
+    curve = GrayCurve.gamma(2.2, black=0.01)
+    return pack(plan, bits=bits, gray=curve, flat_field=flat, flip_r=True, shift=(0.5, -1.25))

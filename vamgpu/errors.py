@@ -64,11 +64,7 @@ class UnstableStep(BadInput):
 
 
 class ToleranceError(BadInput):
-    """A tolerance contradicts another tolerance or the print, or no patterns can meet it.
-
-    Attributes:
-        binds: The tolerance: "axis", "spread", "absorption", "dose", "index" or "wobble".
-    """
+    """A tolerance contradicts another one or the print, or no patterns meet it; ``binds`` names it, such as "axis"."""
 
     binds: str
 
@@ -168,12 +164,7 @@ class MeshWarning(UserWarning):
 
 
 class Diverged(VamError, ArithmeticError):
-    """A method's loss became infinite or not a number.
-
-    Attributes:
-        plan: A `Plan` of the best patterns before that, or None.
-        iteration: The iteration after which the loss only rose, counted from 1.
-    """
+    """A loss became infinite or no number; ``plan`` has the best patterns before, ``iteration`` is where it rose."""
 
     def __init__(self, message: str, plan: object | None = None, iteration: int = 1) -> None:
         super().__init__(message)

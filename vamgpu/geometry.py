@@ -173,7 +173,7 @@ class Beam:
 def one_ray_a_pixel(operator: str, beam: Beam) -> None:
     """Raise `BadInput` if ``beam`` has a fill factor or a spread, which ``operator`` would ignore."""
     if beam.fill != 1.0 or beam.spread:
-        raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray a pixel and "
+        raise BadInput(f"got {beam!r}, expected no fill below 1 and no spread: {operator} traces one ray per pixel and "
                        "knows no point spread; leave fill and spread out")  # fmt: skip
 
 
@@ -185,8 +185,8 @@ class Turntable:
     ``Turntable([0.0, 0.017, …])`` has measured angles. The attributes ``theta`` [rad] and ``dwell`` are None if angles
     are even over a full turn from 0, and lit equally long.
 
-    The container turns steadily while a frame is lit, from half an arc before its angle to half an arc after it;
-    ``lit_share`` is the arc over the step to the next angle. It is 0 if the container does not turn while a frame is
+    The container turns steadily while a frame is lit, through an arc centered on its angle; ``lit_share`` is that arc
+    divided by the step to the next angle. It is 0 if the container does not turn while a frame is
     lit.
 
     Args:
@@ -237,7 +237,7 @@ class Turntable:
         dwell: Sequence[float] | np.ndarray | None = None,
         lit_share: float = 1.0,
     ) -> Turntable:
-        """Even angles over a part of a turn: θ = start + span·k / angles; a half turn then has no direction twice.
+        """Even angles over a part of a turn: θ = start + span·k / angles; over a half turn, no direction occurs twice.
 
         Args:
             angles: Number of angles.

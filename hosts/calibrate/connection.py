@@ -79,7 +79,7 @@ def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[TurnMachines, 
     if rig.emulated:
         return TurnMachines(rig, *marked_vial(ratio)), ratio
     if driver_of(rig.motion) == "controller":
-        raise BadInput("the controller's own motor has index and encoder; expected another driver in [motion]")
+        raise BadInput("the controller's motor uses index or encoder instead; expected another driver in [motion]")
     stage = rig.motion.open("deg")
     with closed_on_error(stage):
         return TurnMachines(rig, RealClock(), stage, camera.open()), None

@@ -27,7 +27,7 @@ def live(
 ) -> CalibrationResult:  # fmt: skip
     """Measure the levels of the camera and where it sees the mirrors; place: numbers of `PLACE` that it keeps."""
     if repeats < 2:
-        raise BadInput(f"{repeats} images of each exposure; expected 2 or more, whose difference is the noise")
+        raise BadInput(f"{repeats} images of each exposure; expected 2 or more, whose difference gives the noise")
     camera, section = need(machines.camera, "camera"), need(machines.rig.camera, "camera")
     with CalibrationLight(machines, projector) as light:
         if machines.stage is not None:

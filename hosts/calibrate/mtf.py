@@ -32,7 +32,7 @@ def mtf(
     pixel = need(machines.rig.camera, "camera").pixel
     if pixel is None:
         raise JobError(
-            'the rig\'s table [camera] has no pixel; expected pixel = "3.45 um", in the plane that the camera sees'
+            'the camera in [[feedback]] has no pixel; expected pixel = "3.45 um", in the plane that the camera sees'
         )
     if repeats < 1 or (powers is not None and len(powers) != len(positions)):
         raise BadInput(f"{repeats} images and {powers!r} for {len(positions)} positions; expected one power for each")

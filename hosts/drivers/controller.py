@@ -244,13 +244,13 @@ class Controller(Closing):
             limit = 0 if found is None else int(fraction("tolerance", found.tolerance) * per_unit)
             if abs(ratio - per_step) > CLOSE * abs(per_step) or limit > protocol.LONGEST_RATIO:
                 raise BadInput(
-                    f"{found} is {float(per_step):.6g} per microstep, {limit} microsteps allowed; expected "
+                    f"{found} has {float(per_step):.6g} per microstep and a tolerance of {limit} microsteps; expected "
                     f"ratios of whole numbers up to {protocol.LONGEST_RATIO}: check counts, distance and microsteps"
                 )
             if found is not None and (limit < 1 or (found is encoder and limit * abs(ratio) < 2)):
                 raise BadInput(
-                    f"the {verb}'s tolerance of {found.tolerance:g} is {limit} microsteps, less than it resolves; "
-                    "expected two counts of an encoder and one microstep, or more"
+                    f"the {verb}'s tolerance of {found.tolerance:g} is {limit} microsteps, below its resolution; "
+                    "expected at least one microstep, and two counts of an encoder"
                 )
             self.ask(verb, ratio.numerator, ratio.denominator, limit)
         self._measuring = (encoder, index)

@@ -39,7 +39,7 @@ def compose(frames: list[np.ndarray], layout: SlotLayout) -> np.ndarray:
     video_frame = np.zeros((*shape, 3), np.uint8)
     for channel, frame in zip(layout.channels, frames, strict=True):
         if frame.dtype != np.uint8 or frame.shape != shape:
-            raise BadInput(f"frames of a video frame are uint8 of one shape, not {frame.dtype}{list(frame.shape)}")
+            raise BadInput(f"got a frame of {frame.dtype}{list(frame.shape)}; expected uint8 frames of one shape")
         if layout.bits == 8:
             video_frame[..., channel] = frame
         else:

@@ -81,7 +81,7 @@ class Tmc2209Stage(PolledStage):
         if len(raw) < 8:
             raise DeviceLost(f"{self._wire.name} does not answer; check its power, its plug and its address")
         if raw[:3] != bytes([SYNC, HOST, register]) or crc8(raw[:7]) != raw[7]:
-            raise ProtocolError(f"{raw.hex(' ')} is no answer of a TMC2209 to {asked.hex(' ')}; check the line")
+            raise ProtocolError(f"{raw.hex(' ')} is not an answer of a TMC2209 to {asked.hex(' ')}; check the line")
         return int.from_bytes(raw[3:7], "big")
 
     def _write(self, register: int, value: int) -> None:

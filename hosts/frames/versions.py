@@ -104,7 +104,7 @@ class FrameVersions:
                 self.last + 1 if number is None else number, tuple(sources), turn, stop, light, until
             )
             if version.number <= self.last:
-                raise BadInput(f"version {version.number} comes after version {self.last}; expected a greater number")
+                raise BadInput(f"got version {version.number} after version {self.last}; expected a greater number")
             for source in self.sources:
                 source.prepare(version)
             self.last = version.number
@@ -118,8 +118,8 @@ class FrameVersions:
         ends = [end for end in (stop, until) if end is not None]
         if not 0 < whole(self.unit, turn, 0) < self.turns or not all(turn < end <= self.turns for end in ends):
             raise BadInput(
-                f"{self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a coming "
-                f"{self.unit}, and an end after it"
+                f"got {self.unit}s {turn} to {stop if until is None else until} of {self.turns}; expected a first "
+                f"{self.unit} from 1 on, and an end after it"
             )
         light = positive("light of a version", light, zero=True)
         if self.unit == "segment":

@@ -124,7 +124,7 @@ def live(
     if made.planned.rehearsed:
         return _emulated(made, place, board, watched)
     if not watched:
-        raise BadInput("watched=False is for emulated machines; print with vam print, or without it")
+        raise BadInput("watched=False is for emulated machines; leave it out, or use vam print")
     return _real(made, path, place, board)
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.live.worker import PlannerClient
-from vamgpu.live import Decision, LiveRecord, LiveSetup, LiveState
+from vamgpu.live import Decision, LiveRecord, LiveSetup
+from vamgpu.live.loop import LiveState
 from vamgpu.live.maps import BRIGHT, cuts
 from vamgpu.live.prior import NAMES
 from vamgpu.live.sensor import BeamImages, SensorView

@@ -109,7 +109,7 @@ class Panel:
         while not server.started:
             if not thread.is_alive():
                 why = "" if self._failed is None else f": {self._failed!r}"
-                raise DeviceError(f"the panel's web server ended before it was up{why}; see the log, or do without it")
+                raise DeviceError(f"the panel's web server stopped early{why}; see the log, or do without it")
             if time.monotonic() > end:
                 raise DeviceError(f"the panel's web server is not up after {STARTING:g} s; try again, or do without it")
             thread.join(0.01)

@@ -16,7 +16,7 @@ from vamgpu.hosts.records.state import Board
 from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.scatter import ScatterReading, ScatterStop
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 
 log: logging.Logger = logging.getLogger(__name__)
 PERIOD = SECOND // 10  # least time between two readings [ns]
@@ -58,11 +58,9 @@ class ScatterWatch:
         self._seen, self._leave = threading.Event(), threading.Event()
         # on a simulated clock, images are taken when due
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True) if clock.real else None
-        try:
+        with explaining("write", folder.path / "scatter.csv"):
             self._file = (folder.path / "scatter.csv").open("w", buffering=1, encoding="utf-8")
             self._file.write("seconds,density\n")
-        except OSError as error:
-            raise explained("write", folder.path / "scatter.csv", error) from error
 
     # ---- around the print ------------------------------------------------------------------------------------
     def begin(self) -> None:
@@ -104,7 +102,7 @@ class ScatterWatch:
         if (over := self._over(image)) > SATURATED:
             raise BadInput(
                 f"{100 * over:.1f} % of the camera's pixels are saturated before the light; expected "
-                f"{100 * SATURATED:g} % at most: lower camera.exposure, or dim the light for the camera"
+                f"{100 * SATURATED:g} % at most: lower exposure in [[feedback]], or dim the camera's light"
             )
         self._folder.event("background", self._background[0], levels=float(image.sum(dtype=np.float64)))
 
@@ -134,7 +132,7 @@ class ScatterWatch:
             "light; allow more turns, or a lower density"
         )
         if self._saturated is not None:
-            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower camera.exposure"
+            said += f". The camera was overexposed from {self._saturated:.1f} s on: lower exposure in [[feedback]]"
         log.warning("%s", said)
         return said
 

@@ -181,7 +181,7 @@ def within_travel(schedule: Schedule, machines: Machines) -> None:
     begin, end = here - machines.run_up * float(schedule.speed), here + float(schedule.advance) * len(schedule)
     if begin < low or end > high:
         raise BadInput(
-            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage tells that it goes from "
+            f"the web moves from {begin:.4g} to {end:.4g} mm, with its run-up; the stage reports that it goes from "
             f"{low:.4g} to {high:.4g} mm: move it to its start, or check microsteps in [motion]"
         )
 

@@ -58,8 +58,8 @@ def steppable(schedule: Schedule, microsteps: float) -> None:
         most, unit = FASTEST / microsteps, f"{schedule.unit}/s"
         raise TimingInfeasible(
             f"{float(schedule.speed):.4g} {unit} are {rate:.4g} microsteps/s, and the controller steps at most "
-            f"{FASTEST:.4g}: move at most at {most:.4g} {unit}, or set a coarser division at the motor's driver and as "
-            "microsteps in [controller]",
+            f"{FASTEST:.4g}: move at most at {most:.4g} {unit}, or set fewer microsteps at the motor's driver and in "
+            "[motion]",
             "motor", most, unit,
         )  # fmt: skip
 

@@ -173,7 +173,7 @@ class StageTracker:
             if self._clock.now() - began > SPIN_UP:
                 raise InterlockOpen(
                     f"the stage does not move at {self.speed:.4g} {self._units}/s after {SPIN_UP // SECOND} s: "
-                    f"check motor, load and the {self._units} that its gear makes of a step"
+                    "check motor, load and microsteps in [motion]"
                 )
 
     def _ahead(self, refresh: Callable[[], int]) -> float:

@@ -21,7 +21,7 @@ from vamgpu.hosts.rigs.guarantees import driver_of
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 from vamgpu.storage.reading import MOST_TOML, read_text
 
 
@@ -80,7 +80,7 @@ def _check_pause(path: str | Path, since: float, limits: SafetyLimits) -> None:
     """Raise `BadInput` if the pause since a clock time [s] was too long, or is not known."""
     if (pause := _since(since)) < 0:
         raise BadInput(
-            f"the last sign of {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
+            f"the last record in {str(path)!r} is {-pause / SECOND:.1f} s ahead of this host's clock; the pause is "
             "therefore not known; start again with fresh resin"
         )
     may_resume(pause, limits)
@@ -165,12 +165,12 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     if driver_of(planned.rig.setup.clock) == "stage":
         raise BadInput(
             "the stage triggered the mirrors to the end of their frames, and it is not known which of them were lit: "
-            "it cannot be resumed; start again with fresh resin"
+            "the print cannot be resumed; start again with fresh resin"
         )
     if planned.display is not None:
         raise BadInput(
-            "a video projector repeated its last frame while the vial turned, until the lease ended: it cannot be "
-            "resumed; start again with fresh resin"
+            "a video projector repeated its last frame while the vial turned, until the lease ended: the print "
+            "cannot be resumed; start again with fresh resin"
         )
     before = read_run(folder)
     asked, wanted = before.asked, asked_for(planned)
@@ -192,10 +192,8 @@ def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -
 def _same_rig(planned: PrintPlan, run: RunRecord) -> None:
     """Raise `BadInput` for a rig whose light or motion differs from that of the print, both calibrated alike."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
-    try:
+    with explaining("read", file):
         first = planned.calibration.motion(parse_rig(read_text(file, MOST_TOML), given, source=str(file)))
-    except OSError as error:
-        raise explained("read", file, error) from error
     began, now = (_light(read.setup) for read in (first, planned.rig))
     if different := [name for name in now if now[name] != began[name]]:
         settings = "".join(f" --set {setting!r}" for setting in given)

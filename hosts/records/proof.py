@@ -93,7 +93,7 @@ def prove_run(
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise StorageError(f"the record of {str(path)!r} is malformed: {error!r}; its folder was changed") from error
     if light is None or run.asked.get("kind") != "vial":
-        raise BadInput(f"{str(path)!r} does not contain the light of a vial's views; only runs of vials can be proved")
+        raise BadInput(f"{str(path)!r} has no record of a vial's frames; only runs of vials can be proved")
     if not light.sure.any():
         raise BadInput(f"{str(path)!r} has shown nothing; there is no light to prove")
     found = []

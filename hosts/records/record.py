@@ -26,7 +26,7 @@ import numpy as np
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.state import PrintState, StateChange
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explained, explaining
 from vamgpu.storage.reading import MOST_RECORD, open_file, parse_json, read_bytes, read_text
 
 FULL = (errno.ENOSPC, errno.EDQUOT)  # errors of a full disk, or of a full quota
@@ -73,11 +73,9 @@ class RunFolder:
         self._write: Callable[[int, bytes], int] = os.write
         self.failed: bool = False  # whether a record could not be written, and was not written since
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
-        try:
+        with explaining("write in", path):
             self._events = os.open(path / "events.jsonl", flags, 0o644)
             self._shown = os.open(path / "shown.bin", flags, 0o644)
-        except OSError as error:
-            raise explained("write in", path, error) from error
         if resume:
             self._cut()
         else:
@@ -119,10 +117,8 @@ class RunFolder:
         events = EVENTS[0] + round(EVENTS[1] * float(asked.get("seconds", 0.0)))
         sizes = ((self._shown, slots * int(views.get("engines", 1)) * FRAME_RECORD.itemsize), (self._events, events))
         for file, size in sizes:
-            try:
+            with explaining(f"take {size} bytes for the record of the run in", self.path):
                 take(file, size)
-            except OSError as error:
-                raise explained(f"take {size} bytes for the record of the run in", self.path, error) from error
 
     @classmethod
     def again(cls, path: str | Path) -> Self:
@@ -146,7 +142,7 @@ class RunFolder:
         told: dict[str, Any] = {"state": change.after.value, "message": change.message[:LONGEST]}
         told |= {"wall": round(time.time(), 3)} | ({"unwritten": True} if self.failed else {})
         text, place, draft = json.dumps(told) + "\n", self.path / "state.json", self.path / ".state.json"
-        try:
+        with explaining("write", place):
             try:
                 draft.write_text(text, encoding="utf-8")
                 os.replace(draft, place)
@@ -157,8 +153,6 @@ class RunFolder:
                     draft.unlink(missing_ok=True)
                 with place.open("r+b", buffering=0) as file:  # its block is taken already
                     file.write(text.encode().ljust(place.stat().st_size))
-        except OSError as error:
-            raise explained("write", place, error) from error
 
     def close(self) -> None:
         """Write the timing and close the files; may be called more than once."""
@@ -169,14 +163,12 @@ class RunFolder:
                 os.ftruncate(file, os.fstat(file).st_size)  # gives back the space that was not used
                 os.close(file)
             self._events = self._shown = -1
-        try:
+        with explaining("write", self.path / "timing.json"):
             run = read_run(self.path)
             light = {} if (found := account(run)) is None else {"light": found.facts()}
             text = json.dumps(timing(run.shown) | {"state": run.state.value} | light, indent=2)
             (self.path / RESERVE).unlink(missing_ok=True)
             (self.path / "timing.json").write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise explained("write", self.path / "timing.json", error) from error
 
     def __enter__(self) -> Self:
         return self

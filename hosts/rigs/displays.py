@@ -72,8 +72,8 @@ class VideoDisplay(CablePart):
 class LightCrafterDisplay(VideoDisplay):
     """A LightCrafter 4500 (DLPC350) in video pattern mode: frames by cable, settings and its own LEDs by USB.
 
-    control: usb, or usb: and its serial number.  leds: LEDs that light the frames.  current: current of the LEDs,
-    relative to the greatest; if left out, the projector keeps its own.  slots: not used; bits sets the number.
+    control: usb, or usb: and its serial number.  leds: LEDs that light the frames.  current: LED current,
+    a share of the greatest; if left out, the projector keeps its own.  slots: not used; bits sets the number of frames.
     """
 
     lamps: ClassVar[bool] = True

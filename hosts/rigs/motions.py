@@ -45,7 +45,7 @@ class ControllerMotion(MotionPart):
 
 
 class ZaberMotion(StagePart):
-    """A stage by Zaber, whose trigger output can fire at every pose.
+    """A stage by Zaber, whose trigger output can fire at every angle.
 
     port: serial port, or socket://host:port.  device: device number on the line.  axis: axis number of the device.
     output: digital output that triggers the mirrors.  gate: digital output that is high while the other triggers, for
@@ -75,7 +75,7 @@ class ZaberMotion(StagePart):
 class StandaMotion(StagePart):
     """A stage by Standa (8SMC5).
 
-    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, of 256 each.
+    port: address, such as xi-com:///dev/ttyACM0.  microsteps: full steps per millimeter or degree, each of 256 parts.
     """
 
     port: str
@@ -154,7 +154,7 @@ class TicMotion(MotionPart):
 class Tmc2209Motion(MotionPart):
     """A stepper on a TMC2209 at its UART.
 
-    port: serial port.  address: address of the chip.  microsteps: 1/256 of full steps per millimeter or degree.
+    port: serial port.  address: chip address.  microsteps: 256 per full step, per mm or degree.  baud: baud rate.
     """
 
     port: str
@@ -167,7 +167,7 @@ class Tmc2209Motion(MotionPart):
 
 
 class GrblMotion(MotionPart):
-    """A stepper on a board with GRBL 1.1, whose mm are millimeters or degrees.  port: serial port.  axis: its axis."""
+    """A stepper on a GRBL 1.1 board, whose mm may be degrees.  port: serial port.  axis: its axis.  baud: baud rate."""
 
     port: str
     axis: Literal["X", "Y", "Z"] = "X"
@@ -185,7 +185,7 @@ class TextMotion(MotionPart):
 
     port: serial port.  ask: line that queries the position.  answer: pattern of the answer, with a group ``position``
     or ``steps``.  run: line that starts a motion at a speed.  stop: line that ends it.  move: line that moves to a
-    position; by default the axis runs to it.  accepted: pattern of the answer to these lines; by default there is none.
+    position; by default the axis runs to it.  accepted: pattern of their answer; none by default.  baud: baud rate.
     """
 
     port: str
@@ -230,7 +230,7 @@ class ControllerClock(Part):
 
 
 class StageClock(Part):
-    """The trigger output of the stage triggers the mirrors at every pose."""
+    """The trigger output of the stage triggers the mirrors at every angle."""
 
 
 class RefreshClock(Part):

@@ -37,7 +37,7 @@ class LaserLight(LightPart):
 
 
 class DiodeLaserLight(LightPart):
-    """A diode laser that takes commands.  port: serial port.  kind: cobolt or obis.  watts: its power at full drive."""
+    """A diode laser that takes commands.  port: serial port.  kind: its kind.  watts: full power.  baud: baud rate."""
 
     gate: ClassVar[Literal["controller", "line", "display"]] = "line"
     port: str

@@ -253,7 +253,7 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
             if one != two:
                 raise BadInput(
                     f"jobs that are printed together must have the same {what}; {first.path!r} has {one}, "
-                    f"{other.path!r} has {two}: solve them alike"
+                    f"{other.path!r} has {two}: solve them with the same"
                 )
 
 

@@ -133,9 +133,9 @@ def answered(schedule: Schedule, controller: Controller, clock: Clock, seconds: 
     if rows > controller.capacity and measured < MARGIN * schedule.rate:
         most = float(schedule.speed) * measured / (MARGIN * schedule.rate)
         raise TimingInfeasible(
-            f"the controller answers {measured:.4g} times per second; expected {MARGIN:g} × {schedule.rate:.4g} rows/s "
-            f"and holds {controller.capacity} of {rows} rows: move at most at {most:.4g} {unit}, or raise "
-            "baud in [controller] and in its firmware",
+            f"the controller answers {measured:.4g} times per second and holds {controller.capacity} of {rows} rows; "
+            f"expected {MARGIN:g} × {schedule.rate:.4g} answers per second: move at most at {most:.4g} {unit}, or "
+            "raise baud in [controller] and in its firmware",
             "serial line", most, unit,
         )  # fmt: skip
     return measured

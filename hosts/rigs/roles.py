@@ -113,8 +113,8 @@ class CablePart(DisplayPart):
 
     refresh: refresh rate of the cable.  bits: bits per pixel of a frame, 7 or 8.  screen: number of the output.  order:
     color channels of a video frame in the order in which they are shown.  slots: 1 if the projector shows all colors at
-    once; with one color in order, that color alone carries the frame.  latency: delay from cable to mirrors in video
-    frames.  tolerance: error of the clock that sets the refresh [ppm].
+    once; with one color in order, that color alone carries the frame.  latency: delay from cable to mirrors [video
+    frames].  tolerance: error of the clock that sets the refresh [ppm].
     """
 
     triggered: ClassVar[bool] = False
@@ -133,11 +133,11 @@ class CablePart(DisplayPart):
         if self.slots == 1:
             if self.order is not None and len(self.order) != 1:
                 raise ValueError(
-                    "slots = 1 shows one frame at once; expected the one color that has light, or no order"
+                    "slots = 1 shows all colors at once; expected order with the one color that has light, or no order"
                 )
         elif self.order is not None and sorted(self.order) != sorted(self.colors[self.bits]):
             names = ", ".join(self.colors[self.bits])
-            raise ValueError(f"{self.bits} bits go to {names}, each once; expected them in order, in any sequence")
+            raise ValueError(f"frames of {self.bits} bits use {names}; expected order to list each of them once")
 
 
 class LightPart(Part):
@@ -160,8 +160,8 @@ class LensPart(Part):
     """The tunable lens.
 
     settle: settling time from plane to plane.  latency: response delay of its driver.  lowest: lowest power allowed
-    [dpt].  highest: highest power allowed [dpt].  controlled_by: what controls it: the controller in time with its
-    rows, or the host, which sets one focus before a print.  baud: speed of the controller's line to it.  axis: power
+    [dpt].  highest: highest power allowed [dpt].  controlled_by: what controls it: the controller, at every row, or
+    the host, which sets one focus before a print.  baud: speed of the controller's line to it.  axis: power
     that focuses on the roller's axis [dpt], from a calibration.  slope: focus shift per power [mm/dpt], negative, from
     a calibration; by default that of the relays, ``focal``, in the web's bath.  focal: focal lengths of the relays.
     """

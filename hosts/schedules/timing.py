@@ -106,7 +106,7 @@ class Cadence:
         """Times of beats first, first + stride, … [ns], int64 (count,). Raises `BadInput` beyond `FARTHEST`."""
         if max(abs(self.at(first)), abs(self.at(first + stride * count))) > FARTHEST:
             years = FARTHEST / SECOND / (365 * 86400)
-            raise BadInput(f"{count} beats from beat {first} leave the {years:.0f} years of a table; expected fewer")
+            raise BadInput(f"{count} beats from beat {first} exceed the {years:.0f} years of a table; expected fewer")
         top, bottom = self.period.numerator, self.period.denominator
         whole, rest = divmod(top, bottom)
         beats = first + stride * np.arange(count, dtype=np.int64)

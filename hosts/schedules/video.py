@@ -73,7 +73,7 @@ def _slots_in(way: Fraction, unit: str, speed: Number, display: HdmiTiming) -> i
         (f"{360 / way} images per turn", "turn") if unit == "deg" else (f"images every {float(way):.6g} mm", "move")
     )
     raise TimingInfeasible(
-        f"{each} at {float(wanted):.6g} {unit}/s take {float(ratio):.6g} slots each of "
+        f"{each} at {float(wanted):.6g} {unit}/s last {float(ratio):.6g} slots each, at "
         f"{float(display.slot_rate):.6g} slots per second; expected a whole number, or images jitter: {move} at "
         f"{most:.6g} {unit}/s, or use another number of images", limit, most, f"{unit}/s",
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.calibration.axis import RollerAxis, find_axis
-from vamgpu.calibration.focus import FocusLine, fit_focus, tenengrad
+from vamgpu.calibration.focus import FocusLine, fit_peak, focus_line, tenengrad
 from vamgpu.methods.papers import ROLL_TO_ROLL
 from vamgpu.optics.lens import TunableLens
 from vamgpu.reports import style
@@ -41,7 +41,7 @@ def calibration(
     powers = np.linspace(7.0, 8.0, 31 if quick else 41)
     middle = float(powers.mean())
     stacks = [_pictures(y - lens.slope * (powers - middle), depth, photons, rng) for y in positions]
-    line = fit_focus(positions, powers, stacks)
+    line = focus_line(positions, [fit_peak(powers, tenengrad(stack)) for stack in stacks])
     truth = 955.0 + 10.0 * rng.random(20 if quick else int(scans))
     traces = [_scan(axis, noise, blur, rng) for axis in truth]
     found = [find_axis(trace) for trace in traces]

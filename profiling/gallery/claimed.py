@@ -8,6 +8,7 @@ import numpy as np
 
 from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
+from profiling.gallery.scale_bar import scale_bar
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
 from vamgpu.operators.projection import Projection
@@ -40,7 +41,7 @@ def claimed(
     for letter, dose, name in (("a", "c", "joseph"), ("b", "d", "exact")):
         _frame(axes[letter], proofs[name], f"One frame, {name}")
         _slice(axes[dose], proofs[name], f"Proved dose, {name}")
-    style.scale_bar(axes["c"], 2.0 / target.grid.pitch, "2 mm", below=True)
+    scale_bar(axes["c"], 2.0 / target.grid.pitch, "2 mm", below=True)
     _bars(axes["e"], proofs)
     _curves(axes["f"], proofs)
     rows = tuple((FOOTPRINTS[name], _numbers(proof)) for name, proof in proofs.items())

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.curethrough_formulas import highest_dose
 from profiling.gallery.curethrough import HOUR, PAPER
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction, Corrector
 from vamgpu.curethrough.dose import Judge, column_dose
 from vamgpu.curethrough.feasibility import feasibility
-from vamgpu.curethrough.printer import Printer, highest_dose, levels_of
+from vamgpu.curethrough.printer import Printer, levels_of
 from vamgpu.reports import style
 from vamgpu.units import mJ_cm3, mW_cm2, um
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.curethrough_formulas import closed_sum, doses, highest_dose, highest_place
 from profiling.gallery.picture import Fact, Picture
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.dose import closed_sum, doses
-from vamgpu.curethrough.printer import Printer, build_up, die_down, highest_dose, highest_place, levels_of
+from vamgpu.curethrough.printer import Printer, build_up, die_down, levels_of
 from vamgpu.reports import style
 from vamgpu.units import mJ_cm3, mW_cm2, um
 

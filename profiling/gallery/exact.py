@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from profiling.exact_reconstruction import ExactPlan, reconstruct
 from profiling.gallery.picture import Fact, Picture, Table
 from vamgpu.backend.device import Device
 from vamgpu.chemistry.species import PAPER
-from vamgpu.methods.dual.reconstruction import ExactPlan, reconstruct
 from vamgpu.reports import style
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ import numpy as np
 
 from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
+from profiling.gallery.scale_bar import scale_bar
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
 from vamgpu.metrics import mean_brightness, score
@@ -93,7 +94,7 @@ def _faces(axes: dict[str, Axes], light: np.ndarray, packed: dict[str, Frames], 
                 vmin=0, vmax=1)  # fmt: skip
     for letter, name in (("b", "8 bits"), ("c", "1 bit, error diffusion")):
         style.shown(axes[letter], packed[name].gray_levels()[at, ::-1].T, f"Frame of {name}", **gray)
-    style.scale_bar(axes["a"], 2.0 / A.beam.pitch, "2 mm")
+    scale_bar(axes["a"], 2.0 / A.beam.pitch, "2 mm")
     middle = light.shape[2] // 4
     row = light.shape[2] - 1 - middle
     column = int(np.argmax(light[:, :, middle].mean(axis=0)))

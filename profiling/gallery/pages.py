@@ -25,8 +25,9 @@ from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.records.state import Board, Estimated, ImageCheck, PrintState
 from vamgpu.hosts.rigs.config import read_rig
 from vamgpu.hosts.rigs.guarantees import guarantees
-from vamgpu.live import CuringResin, LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
+from vamgpu.live import LiveRecord, LiveSetup, SensorNoise, Truth, Turbidity, VirtualPrinter
 from vamgpu.live.maps import cuts
+from vamgpu.live.printer import CuringResin
 from vamgpu.live.report import page as live_page
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.scatter import ScatterReading

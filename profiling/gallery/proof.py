@@ -8,6 +8,7 @@ import numpy as np
 
 from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture
+from profiling.gallery.scale_bar import scale_bar
 from vamgpu.backend.device import Device
 from vamgpu.methods import optimize
 from vamgpu.metrics.parts import IN, OUT
@@ -83,7 +84,7 @@ def _slices(axes: dict[str, Axes], proven: Proof) -> None:
         style.shown(axes["efg"[k]], scene.level(verdict, share), f"Print, z = {_signed(at)} mm", **look)
     style.shown(axes["d"], scene.upright(dose), "Dose, y = 0", vmin=0, vmax=1)
     style.shown(axes["h"], scene.upright(verdict), "Print, y = 0", **look)
-    style.scale_bar(axes["a"], 2.0 / grid.pitch, "2 mm", below=True)
+    scale_bar(axes["a"], 2.0 / grid.pitch, "2 mm", below=True)
     style.bar(drawn, [axes["d"], axes["h"]], "dose over its greatest", shrink=0.6)
     names = {HIT: "part, printed", MISSING: "missing", EXCESS: "excess"}
     patches = [Patch(color=colors[v], label=f"{n}: {int((verdict == v).sum()):,} voxels") for v, n in names.items()]

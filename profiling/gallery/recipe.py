@@ -8,6 +8,7 @@ import numpy as np
 
 from profiling.gallery import scene
 from profiling.gallery.picture import Fact, Picture, Table
+from profiling.gallery.scale_bar import scale_bar
 from vamgpu.backend.device import Device
 from vamgpu.methods import Recipe
 from vamgpu.methods.papers import AUTOMATIC_EXPOSURE, RAMP
@@ -89,6 +90,6 @@ def _drawn(target: Target, first: tuple[np.ndarray, ...], kept: dict[int, tuple[
     style.shown(axes["h"], scene.level(second, HEIGHT), "8  Second dose", **volumes)
     for letter in "cde":
         axes[letter].set(xlabel="r →", ylabel="pose θ →", box_aspect=1)
-    style.scale_bar(axes["a"], 2.0 / pitch, "2 mm")
+    scale_bar(axes["a"], 2.0 / pitch, "2 mm")
     style.bar(drawn, [axes["d"], axes["h"]], "dose and model, 1 is the required dose in the part", shrink=0.7)
     return figure

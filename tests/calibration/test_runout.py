@@ -88,5 +88,5 @@ def test_what_tells_no_runout_is_refused() -> None:
         fit_runout(ANGLES[::5], columns[::5], slopes[::5])
     with pytest.raises(BadInput, match="not finite"):
         fit_runout(ANGLES, columns * np.nan, slopes)
-    with pytest.raises(ShapeMismatch, match="alike"):
+    with pytest.raises(ShapeMismatch, match="expected one shape"):
         fit_runout(ANGLES, columns[1:], slopes)

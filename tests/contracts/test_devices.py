@@ -152,7 +152,7 @@ def test_a_device_is_known_by_what_people_call_it() -> None:
         assert vamgpu.open_device("gpu").name == gpus[0]
         return
     for called in ("gpu", "cuda:0"):
-        with pytest.raises(DeviceError, match=f"no device '{called}'; here there are: {names[0]}"):
+        with pytest.raises(DeviceError, match=f"no device '{called}'; available: {names[0]}"):
             vamgpu.open_device(called)
 
 

@@ -145,5 +145,5 @@ def test_rays_refuse_pixels_with_a_shape(told: dict[str, float]) -> None:
         "WebProjection": lambda: vam.WebProjection.from_light(web, light, beam=beam, device="numpy"),
     }
     for name, build in builds.items():
-        with pytest.raises(BadInput, match=rf"Beam\(.*{name} traces one ray a pixel and knows no point spread; leave"):
+        with pytest.raises(BadInput, match=rf"Beam\(.*{name} traces one ray per pixel and knows no point spread"):
             build()

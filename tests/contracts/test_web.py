@@ -200,7 +200,7 @@ def test_a_small_drift_is_kept_and_rounding_is_not() -> None:
 
 def test_bad_webs_are_named() -> None:
     grid, light = WebGrid((30, 3, 2), 0.08), random_light(4, 3, 6)
-    with pytest.raises(SkippedColumns, match="7 columns an angle and the window of light is 6"):
+    with pytest.raises(SkippedColumns, match="7 columns per angle and the window of light is 6"):
         WebProjection.from_light(grid, light, 7.0, device="numpy")
     few = Propagation((4, 3, 6), *(np.array([v], np.int32) for v in (1, 1, 2)), np.ones(1))  # type: ignore[arg-type]
     with pytest.raises(SkippedColumns, match="15 of 30 columns are never lit, the first is column 0"):

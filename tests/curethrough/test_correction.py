@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from profiling.curethrough_formulas import highest_dose
 from vamgpu.backend.device import Device
 from vamgpu.curethrough.correction import Correction, Corrector, correct
 from vamgpu.curethrough.dose import column_dose, column_doses
@@ -16,7 +17,7 @@ from vamgpu.curethrough.feasibility import fastest, feasibility, least_void
 from vamgpu.curethrough.features import column_features
 from vamgpu.curethrough.layers import LayerPrinter
 from vamgpu.curethrough.leastsquares import heights, least_squares
-from vamgpu.curethrough.printer import Printer, build_up, die_down, highest_dose, levels_of
+from vamgpu.curethrough.printer import Printer, build_up, die_down, levels_of
 from vamgpu.curethrough.profile import Flat, Parallel
 from vamgpu.errors import BadInput
 from vamgpu.units import mJ_cm3, mW_cm2

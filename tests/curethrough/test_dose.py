@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from profiling.curethrough_formulas import closed_sum, doses, highest_dose, highest_place
 from vamgpu.backend.device import Device
-from vamgpu.curethrough.dose import Judge, RunningDose, blocks, closed_sum, column_dose, column_doses, doses
+from vamgpu.curethrough.dose import Judge, RunningDose, blocks, column_dose, column_doses
 from vamgpu.curethrough.layers import LayerPrinter
-from vamgpu.curethrough.printer import Printer, build_up, die_down, highest_dose, highest_place, levels_of
+from vamgpu.curethrough.printer import Printer, build_up, die_down, levels_of
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.kernels.curethrough import add
 from vamgpu.units import mJ_cm3, mW_cm2, um

@@ -70,7 +70,7 @@ def test_long_runs_are_packed_in_few_bytes(tmp_path: Path) -> None:
         (goo(MIXED[:-1]), "layer 0 has 0 pixels; expected 300"),
         (goo(MIXED).replace(MIXED, MIXED[:-1] + b"\x08"), "check sum of layer 0 is wrong"),
         (goo(), "has 0 layers"),
-        (b"CTB" + bytes(300_000), "is no .goo file of version 3"),
+        (b"CTB" + bytes(300_000), "is not a .goo file of version 3"),
     ],
 )
 def test_damaged_goo_files_are_refused_with_the_cause(data: bytes, said: str, tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_damaged_goo_files_are_refused_with_the_cause(data: bytes, said: str, tm
 
 def test_goo_needs_the_settings_of_a_goo(tmp_path: Path) -> None:
     with (
-        pytest.raises(StorageError, match=r"would lack what a \.goo file says"),
+        pytest.raises(StorageError, match=r"would lack the printer settings of a \.goo file"),
         writing(tmp_path / "a.goo", ("1.png",)),
     ):
         pass

@@ -83,6 +83,9 @@ def test_heights_that_do_not_follow_the_law_are_warned_of() -> None:
         "# by hand\nexposure time (ms)\tsd (um)\theight (um)\n1000\t9\t{3}\n3000\t9\t{4}\n\n9000\t9\t{5}\n",
         "Dose [mJ/cm²] | Depth [mm] | note\n30 | {0} | a\n90 | {1} | 7\n270 | {2} |\n",
         "exposure_mJ_cm2   height_mm\n30   {0}\n90   {1}\n270   {2}\n",
+        "exposure_mj_cm2,depth_um,Zmin [mm]\n30,{3},0\n90,{4},0\n270,{5},0\n",
+        "Time [min]\tIrradiance [mW cm^-2]\theight min\theight_mm\n.0166666666666666667\t30\t7\t{0}\n.05\t30\t8\t{1}\n"
+        ".15\t30\t9\t{2}\n",
         "Irradiance (W/m²),t/min,z/mm\n300,0.016666666666666667,{0}\n300,0.05,{1}\n300,0.15,{2}\n",
     ],
 )
@@ -103,6 +106,11 @@ def test_tables_of_spreadsheets_are_read(text: str, encoding: str, tmp_path: Pat
         ("time_s,height\n1,1\n", "columns time_s, height; expected height_mm"),
         ("height_mm,volts\n1,1\n", "expected exposure_mJ_cm2 or time_s"),
         ("time_s,height_mm\n1,1,1\n", "line 2 has 3 values; expected 2"),
+        ("time_s,height_Mm\n1,1\n", "the column 'height_Mm'; expected a unit of mm, um, cm: write it in these letters"),
+        ("time_s,height_mm,I [MW/cm2]\n1,1,1\n", r"column 'I \[MW/cm2\]'; expected a unit of mW/mm2, mW/cm2"),
+        ("exposure_MJ_cm2,height_mm\n1,1\n", "column 'exposure_MJ_cm2'; expected a unit of mJ/mm2"),
+        ("min,height_mm\n1,1\n", "columns min, height_mm; expected exposure_mJ_cm2 or time_s"),
+        ("dose_min,height_mm\n1,1\n", "columns dose_min, height_mm; expected exposure_mJ_cm2 or time_s"),
         ("time_s;height_mm\n1;none\n", "line 2: could not convert .* in 'height_mm'"),
     ],
 )

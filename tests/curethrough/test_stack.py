@@ -121,7 +121,7 @@ def test_mixed_sizes_and_depths_are_refused(tmp_path: Path) -> None:
         deep = tmp_path / f"deep{ending}"
         deep.mkdir()
         Image.fromarray(np.full((9, 14), 4000, np.uint16)).save(deep / f"a1{ending}")
-        with pytest.raises(SliceError, match="16 bits a pixel; expected 8"):
+        with pytest.raises(SliceError, match="16 bits per pixel; expected 8"):
             open_stack(deep)
     mixed = folder(tmp_path / "t", levels(3), ".tif")
     (mixed / "part_2.tif").write_bytes(encode(levels(1, 9, 15)[0], ".tif"))

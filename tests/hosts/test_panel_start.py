@@ -43,7 +43,7 @@ def test_a_server_that_ends_before_it_is_up_is_told(monkeypatch: pytest.MonkeyPa
         self.should_exit = True
 
     monkeypatch.setattr(uvicorn.Server, "startup", nothing)
-    refused("ended before it was up")
+    refused("stopped early")
 
 
 def test_a_server_that_hangs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

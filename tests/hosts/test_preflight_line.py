@@ -58,9 +58,7 @@ def test_rows_that_the_line_carries_pass() -> None:
 
 
 def test_rows_that_come_too_slowly_are_refused_with_the_speed_that_fits() -> None:
-    with pytest.raises(
-        TimingInfeasible, match=r"100 times per second; expected 1\.5 × 266 rows/s and holds 32 of"
-    ) as told:
+    with pytest.raises(TimingInfeasible, match=r"100 times per second and holds 32 of .* 1\.5 × 266 answers") as told:
         judged(table(266))
     assert (told.value.limit, told.value.unit) == ("serial line", "deg/s")
     assert told.value.speed == pytest.approx(100 / MARGIN)

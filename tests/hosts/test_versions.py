@@ -277,7 +277,7 @@ def test_versions_add_no_more_light_than_was_allowed(run: Path) -> None:
         vial.swap(2, stop=2)
     with pytest.raises(BadInput, match="one for each projector"):
         vial.versions.swap([Column(1)] * 2, 1)
-    with pytest.raises(BadInput, match="comes after version 1"):
+    with pytest.raises(BadInput, match="after version 1"):
         vial.swap(2, number=1)
 
 

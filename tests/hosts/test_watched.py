@@ -23,7 +23,8 @@ from vamgpu.hosts.rigs.rehearsal import resin_of
 from vamgpu.jobs.demo import _begun
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import prove, solve
-from vamgpu.live import LiveLoop, LiveRecord, LiveState, Truth
+from vamgpu.live import LiveLoop, LiveRecord, Truth
+from vamgpu.live.loop import LiveState
 from vamgpu.live.record import ENTRY
 from vamgpu.live.report import page
 from vamgpu.printing.folder import load_frames
@@ -230,7 +231,7 @@ def test_what_cannot_be_watched_is_refused(nut: Path, run: Path) -> None:
     for wrong in ({"evaluations": 0}, {"evaluations": float("nan")}, {"seed": -1}, {"camera": 3}, {"truth": 3}):
         with pytest.raises(BadInput, match=next(iter(wrong))):
             live(nut, turns=TURNS, folder=run, **wrong)
-    with pytest.raises(BadInput, match="sensor ends at 1023"):
+    with pytest.raises(BadInput, match="brightest level is 1023"):
         live(nut, turns=TURNS, folder=run, camera=RedCamera(open_field=5000.0))
     assert not run.exists()
 

@@ -159,7 +159,7 @@ def test_a_place_that_is_taken_is_refused_before_the_work(tmp_path: Path) -> Non
     with pytest.raises(StorageError, match="overwrit"):
         solve(Job.parse(JOB, SMALL), tmp_path / "boat.vam", progress=lambda stage, share: progress.append(stage))
     for place, overwrite, said in (
-        ("boat.vam", True, "exists and is no job folder"),
+        ("boat.vam", True, "exists and is not a job folder"),
         ("slip/of/the/keys.vam", False, "of/the' does not exist; make it"),
         ("slip/keys.vam", True, "slip' does not exist; make it"),
     ):

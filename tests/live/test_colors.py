@@ -11,7 +11,8 @@ import pytest
 from vamgpu.chemistry.species import Rates
 from vamgpu.errors import BadInput, ShapeMismatch
 from vamgpu.geometry import Beam, Grid, Turntable
-from vamgpu.live import ColorReplanner, ReplannedColors
+from vamgpu.live import ColorReplanner
+from vamgpu.live.colors import ReplannedColors
 from vamgpu.methods.joint import KineticModel, LossWeights, Pair, SpeciesFields, TwoColorResin, optimize_colors
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vat import Vat

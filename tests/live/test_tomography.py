@@ -11,7 +11,8 @@ from live import oracle
 
 import vamgpu as vam
 from vamgpu.errors import BadInput
-from vamgpu.live import MonitoringCamera, Reconstruction, SensorNoise, Tomograph, Turbidity
+from vamgpu.live import MonitoringCamera, SensorNoise, Tomograph, Turbidity
+from vamgpu.live.tomography import Reconstruction
 
 GRID = vam.Grid((40, 40, 40), 0.2)
 EDGE = 1.5 * GRID.pitch

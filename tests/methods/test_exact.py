@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from profiling.exact_reconstruction import Slice, reconstruct, sufficient
 from vamgpu.errors import BadInput
-from vamgpu.methods.dual.reconstruction import Slice, reconstruct, sufficient
 
 
 def phantom() -> np.ndarray:

@@ -280,7 +280,7 @@ def test_wrong_input_is_refused() -> None:
         plain(alpha=0.0)
     with pytest.raises(BadInput, match="at most 0.5"):
         plain(floor=0.7)
-    with pytest.raises(BadInput, match="pairs up"):
+    with pytest.raises(BadInput, match="recombines in pairs"):
         KineticModel(A, B, plain(pairing=0.1), 2)
     with pytest.raises(BadInput, match="runs of 8 angles"):
         KineticModel(A, B, plain(), 2, runs=9)
@@ -290,7 +290,7 @@ def test_wrong_input_is_refused() -> None:
         LinearModel(A, both((12, 12, 5), 8, "numpy")[1], plain())
     with pytest.raises(DeviceError):
         LinearModel(A, both((12, 12, 4), 8, "warp:cpu")[1], plain())
-    with pytest.raises(BadInput, match="expose some"):
+    with pytest.raises(BadInput, match="call expose"):
         model.gradient(A.device.upload(target))
     with pytest.raises(BadInput, match="outside < 1"):
         LossWeights(1.1, 1.4)

@@ -160,7 +160,7 @@ def test_runs_of_poses_add_up_to_the_turn() -> None:
 def test_kinetics_and_exposure_plans_refuse_unequal_times() -> None:
     long = vam.Projection(GRID, BEAM, SCANS["unequal times"], device="numpy")
     resin = TwoColorResin(visible=1.0, ultraviolet=0.2, supply=5.0, alpha=0.2, pairing=0.4)
-    with pytest.raises(BadInput, match="pairs up, but 60 over a full turn, each lit .* leave dwell out"):
+    with pytest.raises(BadInput, match="in pairs, but 60 over a full turn, each lit .* leave dwell out"):
         KineticModel(long, long, resin, period=10.0)
     assert KineticModel(long, long, replace(resin, pairing=0.0)).turns == 3, "doses alone do not ask for times"
     light = long.device.upload(np.ones(long.range.shape))

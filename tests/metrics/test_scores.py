@@ -11,8 +11,9 @@ import pytest
 
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, DeviceError, ShapeMismatch
-from vamgpu.metrics import Parts, mean_brightness, score, score_slices
+from vamgpu.metrics import mean_brightness, score, score_slices
 from vamgpu.metrics.light import light_sent, outside_over_inside
+from vamgpu.metrics.parts import Parts
 
 
 def _plain() -> ModuleType:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,9 @@ import pytest
 
 from profiling.deposit import deposit
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
+from vamgpu.geometry import Beam, Grid, Vessel
+from vamgpu.operators.ray_table import tabulate
+from vamgpu.optics.square_bath import SquareBath
 from vamgpu.optics.vial import Vial
 
 PAPER = Vial(radius=12.4, wall=1.0, resin_index=1.49962, wall_index=1.473, bath_index=1.0, absorption=0.05)
@@ -277,6 +280,65 @@ def test_positions_that_are_not_finite_are_refused() -> None:
         PAPER.illuminate([0.0], [math.inf])
     with pytest.raises(BadInput, match="expected"):
         deposit(PAPER, [0.0, 1.0], [[1.0]], [0.0], (8, 8), 0.1)
+
+
+class Tinted(Vial):
+    """A vial of one's own, which passes a share that is no field."""
+
+    def illuminate(self: Any, across: Any, along: Any) -> Any:
+        u, weight = Vial.illuminate(self, across, along)
+        return u, self.passed * weight
+
+
+class Slotted(Tinted):
+    """The same, kept in a slot."""
+
+    __slots__ = ("passed",)
+
+
+@dataclass(frozen=True)
+class Attributed(Vial):
+    """The same, made a dataclass."""
+
+    illuminate = Tinted.illuminate
+
+
+@dataclass(frozen=True)
+class Uncompared(Vial):
+    """The same, with a field that is not compared."""
+
+    passed: float = field(default=1.0, compare=False)
+    illuminate = Tinted.illuminate
+
+
+def light_of(vessel: Vessel) -> np.ndarray:
+    return tabulate(Grid((24, 24, 1), 0.1), Beam((24, 1), 0.1), vessel).map[..., 1]
+
+
+@pytest.mark.parametrize("kind", [Tinted, Slotted, Attributed, Uncompared])
+@pytest.mark.parametrize("bathed", [False, True])
+def test_equal_vials_that_pass_other_shares_have_tables_of_their_own(kind: type[Vial], bathed: bool) -> None:
+    def vessel(passed: float) -> Vessel:
+        vial = kind(8.0, 0.7, 1.48, 1.52, 1.333, 0.2)
+        object.__setattr__(vial, "passed", passed)
+        return SquareBath(vial, width=20.0, wall=1.0, wall_index=1.5) if bathed else vial
+
+    assert vessel(1.0) == vessel(0.5)
+    np.testing.assert_allclose(light_of(vessel(0.5)), 0.5 * light_of(vessel(1.0)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("bathed", [False, True])
+def test_equal_vials_of_the_library_are_traced_once(bathed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    def vessel() -> Vessel:
+        vial = replace(WATER, radius=8.1)
+        return SquareBath(vial, width=20.0, wall=1.0, wall_index=1.5) if bathed else vial
+
+    traced: list[None] = []
+    illuminate = Vial.illuminate
+    monkeypatch.setattr(Vial, "illuminate", lambda *given: traced.append(None) or illuminate(*given))
+    first = light_of(vessel())
+    count = len(traced)
+    assert count and np.array_equal(light_of(vessel()), first) and len(traced) == count
 
 
 def test_columns_alone_are_those_that_illuminate() -> None:

@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from full_disk import files_of_at_most
+from small_print import some_frames
 
-import vamgpu as vam
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.printing.export import Canvas, export
 from vamgpu.printing.folder import load_frames, save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.pack import pack
 from vamgpu.storage.folder import Entry
-
-
-def some_frames(device: Device | str, bits: int = 8) -> Frames:
-    there = vam.open_device(device)
-    plan: Any = SimpleNamespace(sinogram=there.upload(np.random.default_rng(0).random((12, 13, 21))), operator=None)
-    flat = np.linspace(0.7, 1.0, 21 * 13).reshape(21, 13)
-    curve = GrayCurve.gamma(2.2, black=0.01)
-    return pack(plan, bits=bits, gray=curve, flat_field=flat, flip_r=True, shift=(0.5, -1.25))
 
 
 @pytest.mark.parametrize("bits", [8, 1])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from test_export import some_frames
 
 import vamgpu as vam
 from vamgpu.cli import main
@@ -18,7 +20,15 @@ from vamgpu.printing.export import Canvas, export
 from vamgpu.printing.folder import save_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
-from vamgpu.printing.machine_films import export_for
+from vamgpu.printing.machine_films import MACHINES, export_for
+
+PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text("utf-8").partition("## Films for machines")[2]
+CARD = re.compile(
+    r"turn at +(?P<rpm>\S+) rpm = (?P<speed>\S+) deg/s, one turn in (?P<turn>\S+) s\n"
+    r"light +(?P<turns>\d+) turns of (?P<frames>\d+) frames, (?P<rate>\S+) frames a second, (?P<light>\S+) s\n"
+    r"dark +(?:(?P<before>\d+) turns \(\S+ s\) before, (?P<after>\d+) turns \(\S+ s\) after|none in the files)\n"
+    r"image +(?P<columns>\d+) x (?P<rows>\d+) pixels"
+)
 
 
 def plain_frames(angles: int = 12, gray: GrayCurve = GrayCurve.linear()) -> Frames:
@@ -26,14 +36,30 @@ def plain_frames(angles: int = 12, gray: GrayCurve = GrayCurve.linear()) -> Fram
     return Frames.from_bytes(levels, "numpy", bits=8, gray=gray, scale=1.0, columns=13)
 
 
-def decoded(path: Path) -> tuple[np.ndarray, float]:
-    """Images in RGB, and their rate."""
+def packed(bits: int = 8) -> Frames:
+    plan: Any = type("Plan", (), {"sinogram": vam.open_device("numpy").upload(np.ones((4, 5, 6))), "operator": None})()
+    return vam.pack(plan, bits=bits)
+
+
+def played(path: Path) -> Iterator[tuple[float, np.ndarray]]:
+    """The time [s] and the RGB of each image."""
     import av
 
     with av.open(str(path)) as film:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]), float(
-            film.streams.video[0].average_rate or 0
-        )
+        for frame in film.decode(video=0):
+            yield float(frame.time or 0.0), frame.to_ndarray(format="rgb24")
+
+
+def decoded(path: Path) -> tuple[np.ndarray, float]:
+    """Images in RGB, and their rate."""
+    times, images = zip(*played(path), strict=True)
+    return np.stack(images), (len(times) - 1) / (times[-1] - times[0])
+
+
+def numbers_of(card: Path) -> dict[str, float]:
+    found = CARD.search(card.read_text("utf-8"))
+    assert found is not None, card.read_text("utf-8")
+    return {name: float(value or 0) for name, value in found.groupdict().items()}
 
 
 @pytest.mark.parametrize(("channel", "lit"), [("blue", 2), ("red", 0), (None, None)])
@@ -48,7 +74,7 @@ def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
     assert (film.name, card.name) == ("part_9rpm.mp4", "part_9rpm.txt")
     images, rate = decoded(film)
     assert rate == pytest.approx(9 * 12 / 60, rel=1e-3) and images.shape == (12 * (1 + 2 + 2), 40, 64, 3)
-    assert images[:12].max() <= 3 and images[-24:].max() <= 3 and images[12:36].min(0).max() > 0
+    assert images[:12].max() == images[-24:].max() == 0 and images[12:36].min(0).max() > 0
     top, left = (40 - 13) // 2 + 2, (64 - 21) // 2 + 3
     drawn = images[12:, top : top + 13, left : left + 21]
     expected = np.rot90(frames.gray_levels()[:, :, ::-1], 1, (1, 2))
@@ -61,7 +87,7 @@ def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
     )
     said = card.read_text()
     assert "turn at     9 rpm = 54 deg/s, one turn in 6.66667 s" in said
-    assert "2 turns of 12 images, 1.8 images a second, 13.3333 s" in said
+    assert "2 turns of 12 images, 1.8 images per second, 13.3333 s" in said
     assert "1 turns (6.66667 s) before, 2 turns (13.3333 s) after" in said
 
 
@@ -77,27 +103,108 @@ def test_tvam_code_s_own_loop_shows_the_light(tmp_path: Path) -> None:
     drawn = images[:, 377 : 377 + 13, 501 : 501 + 21]
     assert np.abs(drawn - 255 * light.transpose(0, 2, 1) / light.max()).max() <= 0.51
     assert images.sum() == drawn.sum()
-    assert f"python tvam_code.py -p {made.name} -v 60 -n 4" in card.read_text()
+    said = card.read_text()
+    assert f"python tvam_code.py -p {made.name} -v 60 -n 4" in said and "dark        none in the files" in said
     with pytest.raises(BadInput, match=r"turns at 20 rpm at most: use 20 rpm or less"):
         export_for("tvam-code", frames, tmp_path, "b", rpm=21)
 
 
-@pytest.mark.parametrize("angles", [12, 13])
-def test_a_lightcrafter_gets_three_frames_an_image(angles: int, tmp_path: Path) -> None:
-    frames = plain_frames(angles)
-    made, _ = export_for("lightcrafter", frames, tmp_path, "part", rpm=30)
+@pytest.mark.parametrize("black", [0.0, 0.2])
+def test_tvam_code_s_card_says_how_much_brighter_its_levels_are(black: float, tmp_path: Path) -> None:
+    levels = np.full((12, 21, 13), 20, np.uint8)
+    levels[3, 10, 5] = 153
+    frames = Frames.from_bytes(levels, "numpy", bits=8, gray=GrayCurve.linear(black), scale=1.0, columns=13)
+    made, card = export_for("tvam-code", frames, tmp_path, "part", rpm=10.0)
+    found = re.search(r"brightest pixel, (\S+) of full light, is made 255: (\S+) times", card.read_text())
+    assert found is not None
+    share, factor = float(found[1]), float(found[2])
+    with np.load(made) as held:
+        assert share * held["patterns"].max() == pytest.approx(153, abs=0.5)
+        assert held["patterns"][0, 384, 512] == pytest.approx(20 * factor, abs=0.51)
+    assert "gray curve" not in card.read_text()
+
+
+def test_a_lightcrafter_gets_three_frames_an_image(tmp_path: Path) -> None:
+    frames = plain_frames()
+    made, card = export_for("lightcrafter", frames, tmp_path, "part", rpm=30, canvas=Canvas(repeats=5))
     files = sorted(made.iterdir())
-    assert len(files) == -(-angles // 3)
+    assert len(files) * 3 == 12 == numbers_of(card)["frames"] and numbers_of(card)["after"] == 0
     images = np.stack([np.asarray(Image.open(file)) for file in files])
     assert images.shape[1:] == (1140, 912, 3)
     planes = images[:, 559 : 559 + 21, 449 : 449 + 13][..., [1, 0, 2]].transpose(0, 3, 1, 2).reshape(-1, 21, 13)
-    assert np.array_equal(planes[:angles], frames.gray_levels()) and planes[angles:].sum() == 0
+    assert np.array_equal(planes, frames.gray_levels())
+    assert "in this order, 5 times" in card.read_text() and "dark        none in the files" in card.read_text()
+    with pytest.raises(BadInput, match="got 13 frames a turn; expected a multiple of 3.*solve with 15 angles"):
+        export_for("lightcrafter", plain_frames(13), tmp_path, "b", rpm=30)
+    assert not (tmp_path / "b-lightcrafter").exists()
+
+
+@pytest.mark.parametrize("machine", ["opencal", "rotary"])
+def test_a_film_ends_dark_unless_asked(machine: str, tmp_path: Path) -> None:
+    canvas = Canvas((32, 30), repeats=2)
+    film, card = export_for(machine, plain_frames(), tmp_path, "part", rpm=12, canvas=canvas, channel="blue")
+    images, _ = decoded(film)
+    assert images[-1].max() == 0 and images[-12 * 2 - 1].max() > 0 and images[12 - 1].max() == 0
+    assert len(images) == 12 * (1 + 2 + 2) and numbers_of(card)["after"] == 2
+    film, _ = export_for(machine, plain_frames(), tmp_path, "b", rpm=12, canvas=canvas, dark=(0, 1e-3), channel="red")
+    images, _ = decoded(film)
+    assert len(images) == 12 * 3 and images[0].max() > 0 and images[-12:].max() == 0
+
+
+@pytest.mark.slow
+def test_cards_and_page_tell_what_the_files_hold(tmp_path: Path) -> None:
+    """The commands of the page, and one for each other machine, in sizes of the machines."""
+    levels = np.random.default_rng(1).integers(1, 256, (24, 90, 60), np.uint8)
+    frames = Frames.from_bytes(levels, "numpy", bits=8, gray=GrayCurve.linear(), scale=1.0, columns=60)
+    save_frames(tmp_path / "boat.vam", frames)
+    sizes = {name: (int(x), int(y)) for name, x, y in re.findall(r"^\| `(\S+)` \|.* (\d+) × (\d+)", PAGE, re.MULTILINE)}
+    assert sizes.keys() == MACHINES.keys()
+    commands = [line.partition("#")[0] for line in PAGE.splitlines() if line.startswith("vam export")]
+    commands += [
+        f"vam export boat.vam --for {name} --out . --rpm 12 --repeats 3" for name in ("rotary", "lightcrafter")
+    ]
+    for number, command in enumerate(commands):
+        words = shlex.split(command)[1:]
+        asked = dict(zip(words[2::2], words[3::2], strict=True))
+        out = tmp_path / str(number)
+        out.mkdir()
+        assert main([{"boat.vam": str(tmp_path / "boat.vam"), ".": str(out)}.get(word, word) for word in words]) == 0
+        made, said = next(each for each in out.iterdir() if each.suffix != ".txt"), numbers_of(*out.glob("*.txt"))
+        assert (said["columns"], said["rows"]) == sizes[asked["--for"]]
+        assert said["turns"] == int(asked["--repeats"]) and said["rpm"] == float(asked["--rpm"]) == said["speed"] / 6
+        assert said["light"] == pytest.approx(said["turns"] * said["turn"], rel=1e-5)
+        assert said["rate"] * said["turn"] == pytest.approx(24, rel=1e-5) and said["frames"] == 24
+        if made.suffix == ".mp4":
+            assert (said["before"], said["after"]) == (np.ceil(5 / said["turn"]), np.ceil(10 / said["turn"]))
+            compare(made, said, levels, {"blue": 2}.get(asked.get("--channel", "")))
+        elif made.suffix == ".npz":
+            with np.load(made) as held:
+                assert held["patterns"].shape == (24, *sizes[asked["--for"]])
+        else:
+            images = [np.asarray(Image.open(file)) for file in made.iterdir()]
+            assert {each.shape for each in images} == {(*sizes[asked["--for"]][::-1], 3)} and 3 * len(images) == 24
+
+
+def compare(film: Path, said: dict[str, float], levels: np.ndarray, channel: int | None) -> None:
+    """Assert that each image of a film is what its card says at its time and angle."""
+    rows, columns, turn, count = int(said["rows"]), int(said["columns"]), int(said["frames"]), 0
+    top, left = (rows - levels.shape[1]) // 2, (columns - levels.shape[2]) // 2
+    for number, (time, image) in enumerate(played(film)):
+        assert image.shape == (rows, columns, 3) and time == pytest.approx(number / said["rate"], abs=1e-3)
+        lit, count = said["before"] <= number // turn < said["before"] + said["turns"], count + 1
+        drawn = image[top:, left:][: levels.shape[1], : levels.shape[2]].astype(int)
+        assert lit == bool(image.any()) and np.count_nonzero(image.any(2)) <= (1.1 if lit else 0) * levels[0].size
+        if lit and channel is not None:
+            assert np.array_equal(drawn[..., channel], levels[number % turn])
+        elif lit:
+            assert np.abs(drawn - levels[number % turn][..., None]).mean() < 3
+    assert count == turn * (said["before"] + said["turns"] + said["after"]) and not image.any()
 
 
 def test_a_rotary_film_keeps_to_the_projector_s_rate(tmp_path: Path) -> None:
     made, card = export_for("rotary", plain_frames(), tmp_path, "part", rpm=12.5, canvas=Canvas((16, 24)))
     assert decoded(made)[1] == pytest.approx(2.5) and "film ends in the dark" in card.read_text()
-    with pytest.raises(BadInput, match=r"12 frames a turn at 301 rpm are 60\.2 images a second; .* use 300 rpm"):
+    with pytest.raises(BadInput, match=r"12 frames per turn at 301 rpm are 60\.2 images per second; .* use 300 rpm"):
         export_for("rotary", plain_frames(), tmp_path, "b", rpm=301)
 
 
@@ -108,6 +215,10 @@ def test_a_rotary_film_keeps_to_the_projector_s_rate(tmp_path: Path) -> None:
         ("opencal", {"rpm": 9.5}, "expected a whole number"),
         ("opencal", {"rpm": 0}, "rpm"),
         ("opencal", {"dark": (-1.0, 0.0)}, "seconds of dark"),
+        ("opencal", {"dark": (5.0, 0.0)}, r"dark is \(5.0, 0.0\); expected seconds above 0 after the last turn"),
+        ("rotary", {"dark": (0.0, 0.0)}, "a film that ends lit goes on curing"),
+        ("tvam-code", {"dark": (5.0, 10.0)}, "expected none: the files for tvam-code hold one turn"),
+        ("lightcrafter", {"dark": (0.0, 1.0)}, "expected none: the files for lightcrafter hold one turn"),
         ("opencal", {"channel": "violet"}, "expected one of red, green, blue"),
         ("opencal", {"canvas": Canvas((4, 4))}, "do not fit a canvas of 4 × 4"),
     ],
@@ -121,8 +232,7 @@ def test_films_that_no_machine_shows_are_refused(
 
 
 def test_angles_that_a_film_has_not_are_refused(tmp_path: Path) -> None:
-    plan: Any = type("Plan", (), {"sinogram": vam.open_device("numpy").upload(np.ones((4, 5, 6))), "operator": None})()
-    frames = vam.pack(plan)
+    frames = packed()
     half = Frames(frames.images, 8, frames.gray, 1.0, frames.columns, motion=vam.Turntable.arc(4, span=np.pi))
     with pytest.raises(BadInput, match="expected equal angles and times over a full turn"):
         export_for("opencal", half, tmp_path, "a", rpm=9)
@@ -151,7 +261,7 @@ def test_a_keystone_draws_each_point_where_the_homography_puts_it() -> None:
     with pytest.raises(BadInput, match="four corners"):
         Canvas(keystone=((0, 0), (1, 0)))  # pyright: ignore[reportArgumentType]
     with pytest.raises(BadInput, match="1 bit have no keystone"):
-        next(Canvas(keystone=corners).images(some_frames("numpy", bits=1)))
+        next(Canvas(keystone=corners).images(packed(bits=1)))
 
 
 def test_a_canvas_comes_back_by_import_but_not_a_keystone(tmp_path: Path) -> None:
@@ -168,21 +278,9 @@ def test_a_canvas_comes_back_by_import_but_not_a_keystone(tmp_path: Path) -> Non
 def test_the_command_writes_a_machine_s_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_frames(tmp_path / "boat.vam", plain_frames())
     job, out = str(tmp_path / "boat.vam"), str(tmp_path)
-    words = [
-        "--rpm",
-        "6",
-        "--repeats",
-        "2",
-        "--keystone",
-        "0,3 31,0 31,29 0,27",
-        "--canvas",
-        "32x30",
-        "--dark",
-        "0",
-        "0",
-    ]
+    words = shlex.split('--rpm 6 --repeats 2 --keystone "0,3 31,0 31,29 0,27" --canvas 32x30 --dark 0 1')
     assert main(["export", job, "--for", "opencal", "--out", out, *words]) == 0
-    assert decoded(tmp_path / "boat_6rpm.mp4")[0].shape == (24, 30, 32, 3)
+    assert decoded(tmp_path / "boat_6rpm.mp4")[0].shape == (36, 30, 32, 3)
     assert main(["export", job, "--for", "opencal", "--out", out]) == 1 and "lacks --rpm" in capsys.readouterr().err
     assert main(["export", job, "--npz", f"{out}/a.npz", "--canvas", "32x30"]) == 1
     assert "expected no canvas" in capsys.readouterr().err

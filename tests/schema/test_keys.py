@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from typing import Any
 
@@ -15,6 +16,8 @@ from vamgpu.jobs.curethrough import EXAMPLE
 from vamgpu.jobs.demo import JOB
 from vamgpu.jobs.demo import WEB_JOB as WEB
 from vamgpu.jobs.keys import FILES, HEADS, keys_of, reference, schema_of
+from vamgpu.schema.explain import keys
+from vamgpu.schema.registry import families, find
 
 
 def test_the_page_of_keys_has_every_table_with_its_keys(capsys: pytest.CaptureFixture[str]) -> None:
@@ -44,6 +47,10 @@ def test_keys_of_files_say_what_they_mean() -> None:
         for table in set(file.model_fields) - {"vessel", "light", "method"}:
             silent = [key.name for key in keys_of(f"{name}.{table}") if not key.doc]
             assert not silent, (name, table)
+    for name, members in families().items():
+        for kind in members.nouns:
+            docs = {key.name: key.doc for key in keys(find(name, kind))}
+            assert not [key for key, doc in docs.items() if not doc or re.search(r"\.\s+[a-z_]+: ", doc)], kind
 
 
 def wrong(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> str:

@@ -169,5 +169,5 @@ def test_media_that_a_film_cannot_have_are_told() -> None:
     with pytest.raises(BadInput, match="depends on z"):
         FilmIndex(GridField.from_array(np.full((5, 5, 5), 1.5), 1.0))
     small = FilmIndex(GridField.from_array(np.full((9, 9), 1.5), 1.0))
-    with pytest.raises(BadInput, match=r"GridField of the film reaches from -4 to 4.*expected -10.5 to 10.5"):
+    with pytest.raises(BadInput, match=r"GridField of the film covers -4 to 4.*expected -10.5 to 10.5"):
         Roller(7.5, FILM, 0.01, index=small).trace([1.0], device="numpy")

@@ -190,9 +190,9 @@ def test_what_couples_a_web_is_refused() -> None:
         (VoxelLoss(np.square, np.sqrt, weight=np.ones((60, *SECTION))), "weights of single voxels"),
         (LBFGS(efficiency=0.1), "efficiency is 0.1: its penalty depends on all light"),
         (OWN**0.5, "a power of a sum couples all of its voxels"),
-        ("osmo", r"OSMO\(.*lowers no loss: its light is scaled by the dose of the whole web"),
-        ("recipe", "lowers no loss"),
-        ("fbp", "lowers no loss"),
+        ("osmo", r"OSMO\(.*scales its light by the dose of the whole web"),
+        ("recipe", "scales its light by the dose of the whole web"),
+        ("fbp", "scales its light by the dose of the whole web"),
         ("magic", "there are default"),
     ):
         with pytest.raises(BadInput, match=said):
@@ -282,7 +282,7 @@ def test_a_lens_that_cannot_be_used_is_refused() -> None:
     beam = ROLLER.beam(0.12, 4)
     with pytest.raises(BadInput, match="got 3 as lens; expected a TunableLens, FocusMasks"):
         Stream(part(60), ROLLER, beam, lens=3)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match="about a Roller, and Slanted is none"):
+    with pytest.raises(BadInput, match="of a Roller, but Slanted is not one"):
         stream(part(60), lens=TunableLens())
     with pytest.raises(BadInput, match="bins is 90"):
         Stream(part(60), ROLLER, beam, lens=TunableLens(bins=90))

@@ -66,7 +66,7 @@ def open_device(name: str | Device | None = None) -> Device:
         The device.
 
     Raises:
-        DeviceError: There is no such device (the message names those that exist). Or it cannot keep fields in files.
+        DeviceError: There is no such device (the message names those that exist), or it cannot keep fields in files.
     """
     if name is None:
         name = default_device()
@@ -100,9 +100,7 @@ def within(device: str | None, memory: str) -> str:
     if device is None:
         device = next((name for name in devices() if name in _opencl_names()[1]), None)
         if device is None:
-            raise BadInput(
-                "fields in files need a processor through OpenCL, and none works here; `vam doctor` says why"
-            )
+            raise BadInput("fields in files need an OpenCL processor, and none works here; `vam doctor` says why")
     return f"{device.partition('@')[0]}@{size - BESIDE}B"
 
 
@@ -115,8 +113,8 @@ def _open(name: str) -> Device:
     kind, _, rest = name.partition(":")
     if limited and (memory is None or name not in _opencl_names()[1]):
         raise DeviceError(
-            f"{name}@{size} is no device; expected a processor through OpenCL, one of "
-            f"{', '.join(_opencl_names()[1]) or 'none here'}, and a size of memory, as in opencl:pocl:0@8GB"
+            f"{name}@{size} is not a device; expected an OpenCL processor, one of "
+            f"{', '.join(_opencl_names()[1]) or 'none here'}, with a size of memory, as in opencl:pocl:0@8GB"
         )
     if name.endswith(":*") or "+" in name:
         from vamgpu.backend.slabs import SlabDevice  # PyOpenCL and Warp below are imported only when needed
@@ -137,7 +135,7 @@ def _open(name: str) -> Device:
         from vamgpu.backend.warp import WarpDevice
 
         return WarpDevice(name, rest)
-    raise DeviceError(f"no device {name!r}; here there are: {', '.join(devices())} (`vam doctor` says why)")
+    raise DeviceError(f"no device {name!r}; available: {', '.join(devices())} (`vam doctor` says why others are not)")
 
 
 def _members(names: list[str]) -> list[Device]:

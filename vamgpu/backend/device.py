@@ -55,7 +55,7 @@ class Device(ABC):
         except DeviceError:
             is_named = False
         if not is_named:
-            raise DeviceError(f"got {self!r} to pickle, which no name opens in another process; expected a device of "
+            raise DeviceError(f"got {self!r} to pickle, which no other process opens by name; expected a device of "
                               "vamgpu.open_device: pickle what it computed as NumPy arrays")  # fmt: skip
         return open_device, (self.name,)
 
@@ -98,17 +98,7 @@ class Device(ABC):
 
     @abstractmethod
     def adopt(self, foreign: Any) -> DeviceArray:
-        """Use an array of another library as a plain table, without a copy unless it is strided.
-
-        Args:
-            foreign: In this device's memory: an array of the device's own library, or any that supports DLPack.
-
-        Returns:
-            The table, which keeps the array alive.
-
-        Raises:
-            DeviceError: It is not such an array, or it is on another device.
-        """
+        """A foreign array on this device (own library, DLPack) as a table, without a copy. Raises `DeviceError`."""
 
     @abstractmethod
     def _native(self, table: DeviceArray) -> Any:
@@ -268,18 +258,7 @@ class Device(ABC):
 
     @final
     def field(self, values: Any) -> DeviceArray:
-        """A field from any array: used directly, adopted, or copied on the device; from the host only if necessary.
-
-        Args:
-            values: [major, minor, z]: an array of this device, of NumPy, or of any library that `adopt` supports.
-
-        Returns:
-            The field, which may share memory with the array, even if that is read-only: only read it.
-
-        Raises:
-            BadInput: The array does not have three axes, is not finite, or is on the device with another type.
-            DeviceError: The array is on another device and cannot be fetched.
-        """
+        """A field, only for reading, of any array that `adopt` takes. Raises `BadInput`, `DeviceError`."""
         if isinstance(values, DeviceArray):
             self.check_mine(values)
             return self._in_lanes(values)
@@ -332,12 +311,7 @@ class Device(ABC):
 
     @final
     def put(self, values: Any, out: DeviceArray) -> None:
-        """Copy an array into a field, out = values.
-
-        Args:
-            values: As for `field`.
-            out: Receives the copy; of the same shape.
-        """
+        """Copy an array, as for `field`, into a field of the same shape."""
         source = self.field(values)
         self.launch(linear, a=1.0, x=source, b=0.0, y=source, floor=-3e38, out=out)
 
@@ -411,10 +385,7 @@ class Device(ABC):
 
     @final
     def launch(self, kernel: Kernel, **bindings: Any) -> None:
-        """Run a kernel with arguments bound by name; an array in place of a number gives its lanes.
-
-        Raises `KernelError` for arguments that do not fit the declaration.
-        """
+        """Run a kernel with arguments by name; an array in place of a number gives its lanes. Raises `KernelError`."""
         if bindings.keys() != kernel.arguments.keys():
             raise KernelError(
                 f"{kernel.name} takes {', '.join(kernel.arguments)}; got {', '.join(bindings) or 'nothing'}"
@@ -454,7 +425,7 @@ class Device(ABC):
         """Raise `DeviceError` for an array of another device."""
         if array.device is not self:
             raise DeviceError(
-                f"the array lives on {array.device.name}, the work on {self.name}; download it and upload it here"
+                f"the array is on {array.device.name}, the work on {self.name}; download it and upload it here"
             )
 
     @final

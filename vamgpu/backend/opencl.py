@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
-from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
@@ -50,7 +49,7 @@ def _mapped(nbytes: int) -> tuple[np.ndarray, mmap.mmap]:
             file.truncate(whole)
             mapped = mmap.mmap(file.fileno(), 0)
     except OSError as error:
-        raise OutOfMemory(f"no file of {nbytes} bytes in {folder}: {error}; set TMPDIR to a larger disk") from error
+        raise OutOfMemory(f"no {nbytes} bytes for a file in {folder}: {error}; set TMPDIR to a larger disk") from error
     return np.frombuffer(mapped, np.uint8), mapped
 
 
@@ -61,8 +60,6 @@ def _divisor(count: int) -> int:
 
 PLACES = 4
 """Copies from another GPU that may be under way in pinned memory."""
-HELD = 4
-"""Part of a GPU's memory that freed arrays may keep from other programs, as a divisor."""
 MOST_ENTRIES = 1 << 31
 """Entries of a table that an int32 cannot count."""
 
@@ -85,8 +82,6 @@ class OpenclDevice(Device):
         self._small_groups = "Portable Computing Language" in device.platform.name
         svm = getattr(device, "svm_capabilities", 0)
         self._shares_memory = bool(svm & cl.device_svm_capabilities.FINE_GRAIN_SYSTEM)
-        # drivers of GPUs take milliseconds to find and to free memory
-        self._pool = MemoryPool(ImmediateAllocator(self.queue)) if self.is_gpu else None
         self._pinned: dict[str, deque[tuple[np.ndarray, cl.Event]]] = {}  # by the device that is copied from
         self._copies: deque[cl.Event] = deque()
         self._compiled = lru_cache(maxsize=None)(self.compile)
@@ -102,7 +97,7 @@ class OpenclDevice(Device):
         # the widest slab with the least padding of z
         return min((64, 48, 32, 16), key=lambda lanes: (-(-nz // lanes) * lanes, -lanes))
 
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.MemoryObjectHolder:
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype, lanes: int) -> cl.Buffer:
         nbytes = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         limit = self._device.max_mem_alloc_size
         if nbytes > limit:
@@ -114,10 +109,6 @@ class OpenclDevice(Device):
             beyond = self.memory is not None and self.ledger.allocated + nbytes > self.memory
             if beyond and (lanes or nbytes > SMALL_TABLE):
                 return self._in_file(nbytes)
-            if self._pool is not None:
-                if self._pool.managed_bytes - self._pool.active_bytes > self._device.global_mem_size // HELD:
-                    self._pool.free_held()
-                return self._pool.allocate(max(nbytes, 4))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
         except cl.Error as error:
             raise OutOfMemory(f"{self.name} has no {nbytes} bytes left for {shape} of {dtype}: {error}") from error

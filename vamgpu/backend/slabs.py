@@ -106,8 +106,8 @@ class SlabDevice(Device):
     def __init__(self, name: str, members: Sequence[Device]) -> None:
         if len({(type(member), member.is_gpu, member.real) for member in members}) != 1:
             raise DeviceError(
-                f"{name!r} is {', '.join(map(str, members)) or 'no device'}; expected devices of one kind, which cut "
-                "their work alike"
+                f"{name!r} is {', '.join(map(str, members)) or 'no device'}; expected devices of one kind, which "
+                "divide work in the same way"
             )
         super().__init__(name, " and ".join(member.description for member in members))
         self.members = tuple(members)

@@ -85,7 +85,7 @@ class WarpDevice(Device):
             shape, kind = (*shape[:3], shape[3] // 4), wp.vec4
         stride = int(np.prod(shape[1:], dtype=np.int64)) * dtype.itemsize * (4 if lanes else 1)
         if max(shape, default=0) >= STRIDE_LIMIT or stride >= STRIDE_LIMIT:
-            raise OutOfMemory(f"{shape} of {dtype} has a stride of {stride} bytes; Warp addresses below 2 GiB a step: "
+            raise OutOfMemory(f"{shape} of {dtype} has a stride of {stride} bytes; Warp allows less than 2 GiB: "
                               "use a device of OpenCL, or fewer angles at once")  # fmt: skip
         try:
             return wp.empty(shape, dtype=kind, device=self._device)

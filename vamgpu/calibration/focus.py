@@ -6,7 +6,7 @@ known positions along the light; at each the lens steps through its powers while
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +94,7 @@ def fit_peak(powers: ArrayLike, sharpness: ArrayLike) -> Peak:
     height = float(sharp[top]) - floor
     if height <= 0:
         raise BadInput(
-            f"every picture of the stack is as sharp, {floor:.4g}; expected a grating in focus at some power"
+            f"all pictures of the stack are equally sharp, {floor:.4g}; expected a grating in focus at some power"
         )
     wide = power[sharp > floor + 0.5 * height]
     start = (power[top], max(0.5 * float(np.ptp(wide)), 0.5 * span / power.size), 1.0, 0.0)
@@ -144,28 +144,6 @@ def grating_sharpness(
     # Odd harmonics k have equal gradients; their squares are reduced to exp(−(2πks/p)²), ratio = (2πs₀/p)², s ∝ 1 + u².
     blur = abs(ratio) * (1.0 + ((x - center) / width) ** 2)
     return floor + height * np.exp(-np.multiply.outer(blur, HARMONICS)).sum(axis=-1)
-
-
-def fit_focus(positions: ArrayLike, powers: ArrayLike, stacks: Iterable[ArrayLike]) -> FocusLine:
-    """The line of focus, from pictures [power, row, column] at each position [mm]. Raises `BadInput`."""
-    place = np.atleast_1d(np.asarray(positions, np.float64))
-    if place.ndim != 1 or not np.isfinite(place).all() or np.unique(place).size < 2:
-        raise BadInput(f"positions is {positions!r}; expected two or more different positions of the camera [mm]")
-    stepped = np.asarray(powers, np.float64)
-    rows = np.broadcast_to(stepped, (place.size, stepped.shape[-1])) if stepped.ndim in (1, 2) else stepped
-    if rows.ndim != 2 or rows.shape[0] != place.size:
-        raise BadInput(f"powers has shape {stepped.shape}; expected (powers,) or ({place.size}, powers)")
-    peaks = []
-    given = iter(stacks)
-    for at, row in zip(place, rows, strict=True):
-        pictures = next(given, None)
-        if pictures is None:
-            raise BadInput(f"the stacks end after {len(peaks)} of {place.size} positions; expected one for each")
-        try:
-            peaks.append(fit_peak(row, tenengrad(pictures)))
-        except BadInput as error:
-            raise BadInput(f"position {at:g} mm: {error}") from error
-    return focus_line(place, peaks)
 
 
 def focus_line(positions: ArrayLike, peaks: Sequence[Peak]) -> FocusLine:

@@ -35,7 +35,7 @@ FREQUENCIES = 401
 class EdgeResponse:
     """The modulation transfer function of an edge, and its blur."""
 
-    frequency: np.ndarray  # [1/mm], rising from 0 to half a cycle a pixel
+    frequency: np.ndarray  # [1/mm], rising from 0 to half a cycle per pixel
     modulation: np.ndarray  # at each, 1 at 0
     half: float  # frequency [1/mm] at which half the modulation remains
     angle: float  # of the edge against the nearer axis of the camera [deg]
@@ -121,7 +121,7 @@ def _spread(light: np.ndarray, column: float, slope: float, width: float) -> tup
     reach = min(max(REACH * width, NARROWEST), room)
     if reach < FLAT * width or reach < 0.5 * NARROWEST:
         raise BadInput(
-            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} beside it in every row; expected "
+            f"the edge is blurred by {width:.3g} pixels and has {room:.3g} pixels beside it; expected "
             f"{max(FLAT * width, 0.5 * NARROWEST):.3g}: center it, or use a wider view"
         )
     count = int(reach * OVERSAMPLE)
@@ -153,7 +153,7 @@ def _half(frequency: np.ndarray, modulation: np.ndarray) -> float:
     below = np.flatnonzero(modulation < 0.5)
     if not below.size:
         raise BadInput(
-            f"the modulation is still {modulation[-1]:.2f} at half a cycle a pixel; expected it to fall below a half: "
+            f"the modulation is still {modulation[-1]:.2f} at half a cycle per pixel; expected it to fall below 0.5: "
             "move the camera closer"
         )
     at = int(below[0])

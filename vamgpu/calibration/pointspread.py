@@ -117,7 +117,7 @@ def _measured(path: str | Path) -> tuple[np.ndarray, np.ndarray, float, str]:
     (positions, blurs, pixel), file = read_result(path, "mtf", numbers)
     if positions.ndim != 1 or positions.shape != blurs.shape or not positions.size:
         raise BadInput(
-            f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected as many of each, "
-            "one at least: run vam calibrate mtf again"
+            f"{file!r} has {positions.size} positions and {blurs.size} blurs; expected the same number of "
+            "each, at least one: run vam calibrate mtf again"
         )
     return positions, blurs, pixel, file

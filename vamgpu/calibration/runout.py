@@ -267,7 +267,7 @@ def fit_runout(
     theta, column, slope = (np.asarray(each, np.float64) for each in (angles, columns, slopes))
     if theta.ndim != 1 or column.shape != theta.shape or slope.shape != theta.shape:
         raise ShapeMismatch(
-            f"there are angles of shape {theta.shape}, columns {column.shape} and slopes {slope.shape}; expected alike"
+            f"there are angles of shape {theta.shape}, columns {column.shape}, slopes {slope.shape}; expected one shape"
         )
     check_finite("angles, columns or slopes", theta, column, slope)
     round_ = np.sort(theta % (2.0 * np.pi))

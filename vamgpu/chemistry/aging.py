@@ -91,7 +91,7 @@ def fit_aging(
     """
     times = np.array([positive("print time [s]", t) for t in seconds])
     if len(times) < 4:
-        raise BadInput(f"{len(times)} generations; expected at least 4: three numbers are fitted to all but one")
+        raise BadInput(f"{len(times)} generations; expected at least 4 to fit three numbers without one")
     weights = [1.0] * len(times) if deviations is None else deviations
     spreads = np.array([positive("deviation [s]", s) for s in weights])
     if len(spreads) != len(times):

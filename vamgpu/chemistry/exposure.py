@@ -44,14 +44,14 @@ class ColorExposure:
     def __post_init__(self) -> None:
         given = [light for light in (self.visible, self.ultraviolet) if light is not None]
         if not given or not isinstance(self.device, Device):
-            raise BadInput("an exposure got no light or no device; expected light of a color, the transport's device")
+            raise BadInput("an exposure got no light or no device; expected light of a color, and a device")
         if self.box.radius is None:
             raise BadInput("light enters a cylinder of resin; give the box its radius")
         object.__setattr__(self, "pitch", positive("pitch of the light [mm]", self.pitch or self.box.pitch[0]))
         for light in given:
             if np.ndim(light) != 3 or light.shape != given[0].shape or light.shape[2] != self.box.shape[2]:
                 raise ShapeMismatch(
-                    f"light has shape {np.shape(light)}; expected [angle, r, {self.box.shape[2]}] alike for both colors"
+                    f"light has shape {np.shape(light)}; expected [angle, r, {self.box.shape[2]}] for both colors"
                 )
             if not np.isfinite(light).all() or np.min(light) < 0:
                 raise BadInput(f"light holds {np.min(light):g} mW/mm²; expected finite numbers ≥ 0")
@@ -59,8 +59,8 @@ class ColorExposure:
         motion = Turntable(given[0].shape[0]) if self.motion is None else self.motion
         object.__setattr__(self, "motion", motion)
         if motion.angles != given[0].shape[0] or motion.dwell is not None:
-            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, each lit as "
-                           "long: solve with a Turntable without dwell")  # fmt: skip
+            raise BadInput(f"light of {given[0].shape[0]} angles got {motion} angles; expected as many, lit for "
+                           "equal times: solve with a Turntable without dwell")  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int, int]:

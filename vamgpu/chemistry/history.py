@@ -92,7 +92,7 @@ class ResinHistory:
         except OSError as error:
             raise explained("read", Path(path), error) from error
         except ValueError as error:
-            raise StorageError(f"{str(path)!r} is no JSON: {error}; expected a file that save() wrote") from error
+            raise StorageError(f"{str(path)!r} is not JSON: {error}; expected a file that save() wrote") from error
         try:
             if data["format"] != FORMAT or data["version"] > VERSION:
                 raise BadInput(f"got {data['format']!r}, version {data['version']}; expected version {VERSION}")
@@ -100,7 +100,7 @@ class ResinHistory:
             values["events"] = tuple(Event(**event) for event in values["events"])
             return cls(**values)
         except (KeyError, TypeError, BadInput) as error:
-            raise StorageError(f"{str(path)!r} is no {FORMAT}: {error}; expected a file that save() wrote") from error
+            raise StorageError(f"{str(path)!r} is not a {FORMAT}: {error}; expected a file from save()") from error
 
 
 def recovery(diffusivity: float, seconds: float, depth: float) -> float:

@@ -57,7 +57,7 @@ def induction_times(rates: list[Rates], device: str | Device | None = None) -> F
         raise BadInput(f"oxygen is {[r.oxygen for r in rates if r.oxygen != 1.0][0]:g}; expected rates normalized to 1")
     supply = max(resin.supply for resin in rates)
     if any(resin.supply != supply for resin in rates):
-        raise BadInput("the resins have different supplies; expected one, or a call each")
+        raise BadInput("the resins have different supplies; expected one supply, or a call for each")
     start = SpeciesState([1.0, 1.0, TRACE, 1.0], 0.0, supply)
     visible = [[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0]]
     uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]

@@ -86,7 +86,7 @@ class TurnDoses:
     def worst(cls, *cases: TurnDoses) -> TurnDoses:
         """The worst of several cases: conditions that hold for it hold for each. Raises `BadInput` without cases."""
         if not cases:
-            raise BadInput("the worst of no cases; expected at least one")
+            raise BadInput("got no cases; expected at least one")
         return cls(min(c.in_least for c in cases), max(c.in_most for c in cases), max(c.out_most for c in cases))
 
 

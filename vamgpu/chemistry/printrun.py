@@ -53,7 +53,7 @@ class PrintRun:
             raise BadInput("the transport has only diffusion; expected one with a reaction")
         if self.steps is not None and self.frame_time / self.steps > self.transport.limit:
             raise UnstableStep(
-                f"{self.steps} steps a frame of {self.frame_time:g} s are not stable; expected steps of at most "
+                f"{self.steps} steps per frame of {self.frame_time:g} s are not stable; expected steps of at most "
                 f"{self.transport.limit:g} s: {self.transport.steps(self.frame_time)} or more",
                 self.transport.limit,
             )

@@ -38,10 +38,10 @@ class Reaction:
     def __post_init__(self) -> None:
         check(self)
         if self.order not in (0, 1):
-            raise BadInput(f"Reaction order is {self.order!r}; C splits by order 0 or 1")
+            raise BadInput(f"Reaction order is {self.order!r}; expected 0 or 1")
         if self.mechanical < self.optical:
             raise BadInput(
-                f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; resin turns visible first"
+                f"Reaction mechanical {self.mechanical:g} is below optical {self.optical:g}; expected it at or above"
             )
 
     @classmethod

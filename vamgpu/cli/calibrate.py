@@ -21,26 +21,28 @@ group: App = App(name="calibrate", help="Measure a rig with its camera or photod
 app.command(group)
 Switch = Annotated[bool, Parameter(negative="")]
 Places = Annotated[list[float] | None, Parameter(negative="")]
+Rig = Annotated[str, Parameter(help="the TOML file of the rig, or emulated")]
+Out = Annotated[
+    Path | None, Parameter(help="folder of the result; beside the rig's file by default, where prints find it")
+]
+Projector = Annotated[int, Parameter(help="number of the projector, from 0")]
 
 
 @group.command
 def focus(
-    *, rig: str, out: Path | None = None, reach: float = 2.5, step: float = 0.5, low: float = -0.3,
-    high: float = 0.3, powers: int = 31, half_period: int = 10, projector: int = 0, settings: Settings = None,
+    *, rig: Rig, out: Out = None, reach: float = 2.5, step: float = 0.5, low: float = -0.3,
+    high: float = 0.3, powers: int = 31, half_period: int = 10, projector: Projector = 0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Find where the lens focuses: a camera steps along the light while the mirrors show a grating.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         reach: travel of the camera to either side of its stage's center [mm]
         step: step of the camera [mm]
         low: lowest power of the lens [dpt]
         high: highest power of the lens [dpt]
         powers: number of powers, from low to high
         half_period: half period of the grating [mirrors]
-        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.focus import TABLES, focus, steps, sweep
 
@@ -51,22 +53,19 @@ def focus(
 
 @group.command
 def axis(
-    *, rig: str, out: Path | None = None, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
-    radius: float | None = None, flip_r: Switch = False, projector: int = 0, settings: Settings = None,
+    *, rig: Rig, out: Out = None, first: int = 0, stop: int | None = None, every: int = 1, repeats: int = 4,
+    radius: float | None = None, flip_r: Switch = False, projector: Projector = 0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Find the roller's axis: columns are lit one after another, and a photodiode finds both edges of the shadow.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         first: first column that is lit
         stop: column after the last lit one
         every: step from one lit column to the next
         repeats: number of readings of each
         radius: radius of the roller [columns], if only one edge can be scanned
         flip_r: set it if jobs are packed with flip_r
-        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.axis import TABLES, axis
 
@@ -77,14 +76,12 @@ def axis(
 
 @group.command
 def gray(
-    *, rig: str, out: Path | None = None, every: int = 1, repeats: int = 4,
+    *, rig: Rig, out: Out = None, every: int = 1, repeats: int = 4,
     reader: Literal["photodiode", "camera"] = "photodiode", settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure the gray curve of each projector.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         every: step from one gray level to the next
         repeats: number of readings of each
         reader: instrument that reads the light
@@ -98,7 +95,7 @@ def gray(
 
 @group.command
 def flat(
-    *, rig: str, out: Path | None = None, blocks: tuple[int, int] = (8, 12), repeats: int = 4,
+    *, rig: Rig, out: Out = None, blocks: tuple[int, int] = (8, 12), repeats: int = 4,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure how uniform each projector is at full drive, with a photodiode that collects all of its light.
@@ -106,8 +103,6 @@ def flat(
     Keep everything out of the light during the measurement, also the roller.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         blocks: number of mirror blocks along rows and columns, which are lit one after another
         repeats: number of readings of each
     """
@@ -140,19 +135,17 @@ def list_(*, rig: str, settings: Settings = None) -> None:
 
 @group.command
 def mtf(
-    *, rig: str, out: Path | None = None, at: Places = None, focused: Path | None = None, angle: float = 5.0,
-    repeats: int = 4, projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
+    *, rig: Rig, out: Path | None = None, at: Places = None, focused: Path | None = None, angle: float = 5.0,
+    repeats: int = 4, projector: Projector = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure the sharpness (MTF) at several positions along the light, with a slanted edge.
 
     Args:
-        rig: the TOML file of the rig, or emulated
         out: folder of the result; beside the rig's file by default. beam.spread of a job may name it
         at: positions of the camera from its stage's center [mm]; 0, ±6 and ±15 by default
         focused: result of vam calibrate focus, used to focus on each position; by default the lens does not change
         angle: angle between the edge and the columns [deg]
         repeats: number of images that are averaged
-        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.mtf import POSITIONS, TABLES, mtf
     from vamgpu.hosts.calibrate.report import focused_at
@@ -167,18 +160,15 @@ def mtf(
 
 @group.command
 def runout(
-    *, rig: str, out: Path | None = None, angles: int = 24, repeats: int = 2, speed: float = 30.0, projector: int = 0,
+    *, rig: Rig, out: Out = None, angles: int = 24, repeats: int = 2, speed: float = 30.0, projector: Projector = 0,
     settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Measure the runout of the turntable: a camera follows an upright pin near the axis over one turn.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         angles: number of angles in the turn
         repeats: number of images at each angle, which are averaged
         speed: speed of the turntable from angle to angle [deg/s]
-        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.runout import TABLES, runout
 
@@ -188,14 +178,12 @@ def runout(
 
 @group.command
 def turn(
-    *, rig: str, out: Path | None = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
+    *, rig: Rig, out: Out = None, turns: int = 10, speed: float = 40.0, settings: Settings = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the vial's speed, and its turn in degrees that the motion reports: a camera watches a mark on the vial.
+    """Measure the vial's speed, and its turn per degree that the motion reports: a camera watches a mark on the vial.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         turns: number of turns that are watched
         speed: speed of the vial [deg/s]
     """
@@ -208,21 +196,18 @@ def turn(
 
 @group.command
 def live(
-    *, rig: str, out: Path | None = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
-    projector: int = 0, settings: Settings = None, overwrite: Overwrite = False,
+    *, rig: Rig, out: Out = None, repeats: int = 8, keep_place: Switch = False, cured: Path | None = None,
+    projector: Projector = 0, settings: Settings = None, overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
-    """Measure the camera of watched prints: open field, dark level, noise, and where it sees which mirror.
+    """Measure the camera of watched prints: open field, dark level, noise, and where it sees each mirror.
 
     Without a vial, single columns and rows of mirrors are lit. Measure again with a vial of fresh resin in front of the
     camera's own light, and --keep-place, which lights no mirror.
 
     Args:
-        rig: the TOML file of the rig, or emulated
-        out: folder of the result; beside the rig's file by default, where prints find it
         repeats: number of images at each exposure time
         keep_place: keep the place of the last measurement
         cured: folder of a watched print in fresh resin, from whose images the turbidity is measured
-        projector: number of the projector, from 0
     """
     from vamgpu.hosts.calibrate.live import PLACE, TABLES, live
     from vamgpu.hosts.rigs.calibrations import MEASURED, measured

@@ -52,8 +52,8 @@ def import_(
     if out is not None and out.suffix.lower() == ".toml":
         if beside := [name for name, value in (("--job", job), ("--patterns", patterns), ("--target", target),
                                                ("--set", settings)) if value is not None]:  # fmt: skip
-            raise BadInput(f"{', '.join(beside)} with --out {out}, which needs no patterns; expected only the "
-                           "configuration: leave it out")  # fmt: skip
+            raise BadInput(f"got {', '.join(beside)} with --out {out}; a job file is made from the configuration "
+                           "alone: leave it out")  # fmt: skip
         for note in import_task(source, out, overwrite=overwrite):
             console().print(f"[yellow]note[/]  {escape(note)}")
         console().print(f"wrote [bold]{shown_path(out)}[/]; solve it with: vam solve {shown_path(out)}")
@@ -80,7 +80,7 @@ def export(
     offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
     repeats: int = 1, rig: Path | None = None, projector: int = 1,
     machine: Annotated[str | None, Parameter(name="--for")] = None, out: Path | None = None, rpm: float | None = None,
-    dark: tuple[float, float] = (5.0, 10.0), channel: str | None = None, keystone: str | None = None,
+    dark: tuple[float, float] | None = None, channel: str | None = None, keystone: str | None = None,
     overwrite: Overwrite = False,
 ) -> None:  # fmt: skip
     """Write the frames of a job as files for other programs.
@@ -102,44 +102,32 @@ def export(
         repeats: number of turns
         rig: TOML file of a rig; frames are made for its gray curve, flat field and axis
         projector: number of the projector of that rig, from 1
-        machine: files as a machine plays them, with a card: opencal, tvam-code, rotary or lightcrafter; with --out and
-            --rpm, its turns by --repeats
-        out: the folder for them
+        machine: machine to write a film and a card for: opencal, tvam-code, rotary or lightcrafter; needs --out and
+            --rpm, and --repeats sets the number of turns
+        out: the folder for this film and card
         rpm: speed of that machine's turntable; in videos it replaces --fps
-        dark: seconds without light before and after the turns of its film, made whole turns
+        dark: seconds without light before and after the turns of its film, rounded to whole turns; 5 and 10 by default
         channel: the only channel of a video that is lit: red, green or blue
-        keystone: corners at which those of the canvas are drawn, "column,row" from its left top: left top, right top,
-            right bottom, left bottom
+        keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
+            canvas are drawn
     """
     from vamgpu.jobs.foreign.drtvam import export_drtvam
-    from vamgpu.jobs.web import is_web_folder
     from vamgpu.methods.plan_folder import load_plan
     from vamgpu.printing.export import Canvas
     from vamgpu.printing.export import export as write
-    from vamgpu.printing.folder import frames_of, load_frames
+    from vamgpu.printing.folder import frames_of
     from vamgpu.printing.machine_films import export_for
     from vamgpu.storage.atomic import named
     from vamgpu.storage.folder import Folder
 
-    formats = {"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4}
-    places = {ending: place for ending, place in formats.items() if place is not None}
+    places = _places({"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4})
     if not places and drtvam is None and machine is None:
         raise BadInput("there is no format; expected at least one of --png, --tiff, --npz, --mp4, --drtvam with a "
                        "path, or --for with a machine")  # fmt: skip
     if machine is not None and (out is None or rpm is None):
         raise BadInput(f"--for {machine} lacks {'--rpm' if out else '--out'}; expected --out FOLDER --rpm SPEED")
-    for ending, place in places.items():
-        if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
-            raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
     job = named(job)
-    if is_web_folder(job):
-        raise BadInput(
-            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: in Python, "
-            "get the frames of a web one by one with vamgpu.webs.store.WebFolder.open(path).frame(number)"
-        )
-    screen, frames = console(), load_frames(job, "numpy")
-    if rig is not None:
-        frames = _on_rig(frames, rig, projector)
+    screen, frames = console(), _frames(job, rig, projector)
     placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats, keystone=_corners(keystone))
     for ending, place in places.items():
         on = None if placed == Canvas() else placed
@@ -157,6 +145,15 @@ def export(
                            "leave them out, or export for a machine with --for")  # fmt: skip
         whole = frames_of(Folder.open(job), frames.device, load_plan(job, frames.device))
         screen.print(f"wrote [bold]{shown_path(export_drtvam(whole, drtvam))}[/]")
+
+
+def _places(formats: dict[str, Path | None]) -> dict[str, Path]:
+    """Ending → path of what is asked for. Raises `BadInput`."""
+    places = {ending: place for ending, place in formats.items() if place is not None}
+    for ending, place in places.items():
+        if place.suffix.lower() not in {ending, ending.replace("tiff", "tif")}:
+            raise BadInput(f"got {str(place)!r}; expected a path with {f'ending {ending}' if ending else 'no ending'}")
+    return places
 
 
 def _size(canvas: str | None) -> tuple[int, int] | None:
@@ -179,8 +176,19 @@ def _corners(text: str | None) -> tuple[tuple[float, float], ...] | None:
         raise BadInput(f"--keystone is {text!r}; expected four corners such as 0,12 1919,0 1919,1079 0,1070") from error
 
 
-def _on_rig(frames: Frames, rig: Path, projector: int) -> Frames:
-    """Frames as a projector of a rig shows them, corrected by its calibrations."""
+def _frames(job: Path, rig: Path | None, projector: int) -> Frames:
+    """Frames of a job, corrected by the calibrations of a rig's projector if there is one. Raises `BadInput`."""
+    from vamgpu.jobs.web import is_web_folder
+    from vamgpu.printing.folder import load_frames
+
+    if is_web_folder(job):
+        raise BadInput(
+            f"{str(job)!r} is a web, whose frames have no end; expected the folder of a vial's job: in Python, "
+            "get the frames of a web one by one with vamgpu.webs.store.WebFolder.open(path).frame(number)"
+        )
+    frames = load_frames(job, "numpy")
+    if rig is None:
+        return frames
     from vamgpu.hosts.rigs.calibrations import calibration_of
     from vamgpu.hosts.rigs.config import read_rig
 

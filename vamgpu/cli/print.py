@@ -64,16 +64,16 @@ def print_(
         resume: folder of an interrupted run to continue
         unattended: number of times that a held print resumes by itself; by default it asks the operator
         device: device that makes the frames; by default the best one, or NumPy for a dry run
-        dry_run: print on emulated machines with a simulated clock, on any rig
+        dry_run: print on emulated machines with a simulated clock, for any rig
         panel: serve the live page; a dry run then takes as long as a print
         stay: serve the page after the print as well, until Ctrl-C
         host: address that serves the page; other machines need a token
         port: port of the page; by default a free one
         live: watch a vial with the rig's camera, and replan the remaining patterns after every turn; --turns is then
             the number of turns in which fresh resin gets the job's dose, 16 by default
-        anyway: print a job although its proof does not print; by default a terminal is asked
-        mend: show frames of a vial whose light was cut again in an added turn, where the proved dose and the budget of
-            light allow it
+        anyway: print a job although its proof does not print; by default you are asked at a terminal
+        mend: show frames of a vial that were cut short once more, in an added turn, if the proved dose and the budget
+            of light allow it
     """
     if jobs == ("demo", "live"):
         given = dry_run or panel or settings or device or mend or any(x is not None for x in (speed, stop, resume))
@@ -268,7 +268,7 @@ def panel(
         resume: folder of an interrupted run, to continue it
         unattended: as for ``vam print``
         device: as for ``vam print``
-        dry_run: print on emulated machines, on any rig, in the time that a print takes
+        dry_run: print on emulated machines, for any rig, in the time that a print takes
         mend: as for ``vam print``
         attach: folder of a run that another process is printing; watch it, or stop it
         host: address that serves the page; other machines need a token

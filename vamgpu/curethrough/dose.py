@@ -88,15 +88,6 @@ class RunningDose:
         return self.state.numpy()[0]
 
 
-def doses(
-    machine: Machine, stack: Stack, device: str | Device | None = None, fraction: float = 0.0
-) -> Iterator[tuple[int, np.ndarray]]:
-    """(start, Ω [slice, y, x]) of every block, the last first. Raises `BadInput`."""
-    exposure = RunningDose(machine, stack.shape[1:], device)  # type: ignore[arg-type]
-    for start, stop in blocks(stack.shape[0]):
-        yield start, exposure.step(stack[start:stop], fraction).numpy()
-
-
 class Judge:
     """Cured height of the void and uncured height of the part, summed over a stack in reverse order of blocks."""
 
@@ -162,15 +153,3 @@ def column_dose(machine: Machine, levels: Any, zeta: Any) -> np.ndarray:
     phi = machine.doses[np.asarray(levels)] / machine.decay
     fade = 10.0 ** (-(n + 1 - places) * machine.eta)
     return phi[n] + (borders[n + 1] - phi[n]) * fade
-
-
-def closed_sum(machine: Machine, levels: Any, zeta: float) -> np.ndarray:
-    """Ω(ζ) of columns of gray levels [slice, …], as the sum over slices (S13, S23 with its sign corrected, S48)."""
-    column = np.asarray(levels)
-    n = np.arange(len(column)).reshape(-1, *[1] * (column.ndim - 1))
-    if machine.layered:
-        share = np.where(n >= np.ceil(zeta), 10.0 ** (-(n - zeta) * machine.eta), 0.0)
-        return (machine.doses[column] * share).sum(axis=0)
-    far = 10.0 ** (-(n + 1 - zeta) * machine.eta)
-    share = np.where(n >= zeta, 10.0 ** (-np.maximum(n - zeta, 0.0) * machine.eta) - far, 1.0 - far)
-    return (machine.doses[column] / machine.decay * np.where(n >= np.floor(zeta), share, 0.0)).sum(axis=0)

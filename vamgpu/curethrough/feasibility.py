@@ -77,10 +77,7 @@ def least_void(printer: Printer, open_dose: float | None = None) -> float:
 
 
 def fastest(printer: Printer, feature: Feature, shown: int, open_dose: float | None = None) -> float:
-    """Fastest speed [mm/s] for a feature in a stack of ``shown`` slices, tail included; 0 if there is none.
-
-    The void between it and the next feature must also open, see `least_void`.
-    """
+    """Fastest speed [mm/s] for a feature and the void behind it in ``shown`` slices, tail included; 0 if none."""
     speed = printer.fastest((shown - feature.lower) * printer.slice_height)
     if feature.last or least_void(printer.at_speed(speed), open_dose) <= feature.void:
         return speed

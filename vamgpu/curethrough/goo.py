@@ -26,12 +26,12 @@ class Goo:
     def __init__(self, data: bytes, place: str) -> None:
         self.place, self.data = place, data
         if len(data) < HEAD or data[4:12] != MAGIC:
-            raise SliceError(f"{place!r} is no .goo file of version 3, or is cut off: copy or export it again")
+            raise SliceError(f"{place!r} is not a .goo file of version 3, or is cut off: copy or export it again")
         self.count, columns, rows = struct.unpack_from(">IHH", data, COUNT)
         self.shape, self.height = (int(rows), int(columns)), float(struct.unpack_from(">f", data, HEIGHT)[0])
         self.layers = tuple(self._found())
         if not self.layers or 0 in self.shape:
-            raise SliceError(f"{place!r} has {self.count} layers of {columns} × {rows} pixels; expected some of each")
+            raise SliceError(f"{place!r} has {self.count} layers of {columns} × {rows} pixels; expected more than 0")
 
     def _found(self) -> Iterator[tuple[bytes, int, int]]:
         """Definition, first byte and end of each layer."""
@@ -97,14 +97,7 @@ def _runs(packed: bytes) -> tuple[list[int], list[int]]:
 
 
 def encode_goo(levels: np.ndarray, _: str = "") -> bytes:
-    """A layer's bytes, with mark and check sum.
-
-    Args:
-        levels: Gray levels, uint8 [y, x].
-
-    Returns:
-        The bytes.
-    """
+    """Bytes of a layer's gray levels, uint8 [y, x], with mark and check sum."""
     flat = np.ascontiguousarray(levels).ravel()
     starts = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1, [flat.size]])
     packed = bytearray()

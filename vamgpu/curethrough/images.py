@@ -10,15 +10,13 @@ from io import BytesIO
 import numpy as np
 
 from vamgpu.errors import SliceError
+from vamgpu.storage.images import SIGNATURE, encode_png
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
 DEEP = ("I", "F", "I;16", "I;16B", "I;16L", "I;16N")
 COLORS = {0: "gray", 2: "color", 3: "palette", 4: "gray with alpha", 6: "color with alpha"}
 HEAD = 33
 """Number of bytes of a PNG that contain its properties."""
 MOST_PIXELS = 1 << 27
-UP = 2
-"""PNG's filter of differences from the row above: most rows of a slice are like the previous one."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +42,14 @@ def header(data: bytes, name: str) -> Header:
     except Exception as error:  # noqa: BLE001 - damaged files raise whatever their reader stumbles over
         raise _damaged(name, error) from error
     if pages != 1:
-        raise SliceError(f"{name} holds {pages} pages; expected one slice a file: split it")
+        raise SliceError(f"{name} holds {pages} pages; expected one slice per file: split it")
     bits = 1 if mode == "1" else 16 if mode in DEEP else 8
     return _promised(Header((height, width), f"{bits}-bit {'gray' if mode in ('1', 'L') else mode}"), bits, name)
 
 
 def _promised(found: Header, bits: int, name: str) -> Header:
     if bits > 8:
-        raise SliceError(f"{name} has {bits} bits a pixel; expected 8: export the slices again with 8 bits")
+        raise SliceError(f"{name} has {bits} bits per pixel; expected 8: export the slices again with 8 bits")
     if min(found.shape) < 1 or found.shape[0] * found.shape[1] > MOST_PIXELS:
         size = f"{found.shape[1]} × {found.shape[0]}"
         raise SliceError(f"{name} is {size} pixels; expected 1 to {MOST_PIXELS:,} in all: check the file")
@@ -113,78 +111,8 @@ def _damaged(name: str, error: Exception) -> SliceError:
 
 
 def encode(levels: np.ndarray, ending: str) -> bytes:
-    """A picture of 8 bits, in gray.
-
-    Args:
-        levels: Gray levels, uint8 [y, x].
-        ending: .png, .tif or .tiff.
-
-    Returns:
-        The bytes of its file.
-    """
-    return _png(levels) if ending.lower() == ".png" else _tiff(levels)
-
-
-def _png(levels: np.ndarray) -> bytes:
-    rows, columns = levels.shape
-    lines = np.empty((rows, columns + 1), np.uint8)
-    lines[:, 0] = UP
-    lines[0, 1:] = levels[0]
-    np.subtract(levels[1:], levels[:-1], out=lines[1:, 1:])
-    head = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
-    return _written(head, lines)
-
-
-def encode_bits(lit: np.ndarray) -> bytes:
-    """A PNG of 1 bit a pixel.
-
-    Args:
-        lit: Whether each pixel is white, [y, x].
-
-    Returns:
-        The bytes of its file.
-    """
-    rows, columns = lit.shape
-    lines = np.zeros((rows, 1 - (-columns // 8)), np.uint8)
-    lines[:, 1:] = np.packbits(lit, axis=1)
-    return _written(struct.pack(">IIBBBBB", columns, rows, 1, 0, 0, 0, 0), lines)
-
-
-def encode_colors(levels: np.ndarray) -> bytes:
-    """A PNG of 8 bits in red, green and blue.
-
-    Args:
-        levels: Levels, uint8 [y, x, color].
-
-    Returns:
-        The bytes of its file.
-    """
-    rows, columns, _ = levels.shape
-    lines = np.zeros((rows, 3 * columns + 1), np.uint8)
-    lines[:, 1:] = levels.reshape(rows, -1)
-    return _written(struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0), lines)
-
-
-def _written(head: bytes, lines: np.ndarray) -> bytes:
-    packed = deflated(lines)
-    return SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")
-
-
-def deflated(data: np.ndarray) -> bytes:
-    """Bytes packed by zlib as runs of equal bytes: for differences this is smaller and faster than a search.
-
-    Args:
-        data: Contiguous bytes [any axes].
-
-    Returns:
-        The packed bytes.
-    """
-    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    return packer.compress(data) + packer.flush()  # type: ignore[arg-type]
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+    """The bytes of gray levels, uint8 [y, x], as a file ending in .png, .tif or .tiff."""
+    return encode_png(levels) if ending.lower() == ".png" else _tiff(levels)
 
 
 def _tiff(levels: np.ndarray) -> bytes:

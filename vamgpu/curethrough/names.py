@@ -72,7 +72,7 @@ def _counted(names: Sequence[str], place: str) -> list[int]:
         if len(set(numbers)) > 1:
             return numbers
     same = ", ".join(names[:2])
-    raise SliceError(f"{place}: names such as {same} have the same number; expected a number that counts them")
+    raise SliceError(f"{place}: names such as {same} have the same number; expected a different number in each")
 
 
 def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:
@@ -82,7 +82,7 @@ def following(name: str, count: int, taken: Sequence[str]) -> tuple[str, ...]:
     first = DIGITS.split(PurePosixPath(taken[0]).stem)
     places = range(1, len(parts), 2)
     if not places and count:
-        raise SliceError(f"{name!r} has no number to continue for {count} more slices; give it one")
+        raise SliceError(f"{name!r} has no number from which to count {count} more slices; give it one")
     at = next((k for k in places if parts[k] != first[k]), places[-1] if places else 0)
     made = []
     for k in range(1, count + 1):

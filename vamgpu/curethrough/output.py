@@ -183,9 +183,9 @@ def check_place(path: str | Path, source: object = None, *, overwrite: bool = Fa
             )
     held = source.others if isinstance(source, ZipStack) else ()
     if place.suffix.lower() in (".sl1", ".sl1s") and not any(info.filename == "config.ini" for info in held):
-        raise StorageError(f"{str(path)!r} would lack the printer settings of an SL1; write a .zip or a folder")
+        raise StorageError(f"{str(path)!r} would lack the printer settings of an SL1 file; write a .zip or a folder")
     if place.suffix.lower() == ".goo" and not isinstance(source, GooStack):
-        raise StorageError(f"{str(path)!r} would lack what a .goo file says of its printer; write a .zip or a folder")
+        raise StorageError(f"{str(path)!r} would lack the printer settings of a .goo file; write a .zip or a folder")
     if not os.path.lexists(place):
         return
     if not overwrite:

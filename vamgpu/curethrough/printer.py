@@ -37,20 +37,6 @@ def die_down(zeta: Any, upper: float, phi_min: float, eta: float) -> np.ndarray:
     return constant_light(zeta, upper, 1.0, phi_min, eta)
 
 
-def highest_place(upper: float, lower: float, phi_min: float, phi_max: float, eta: float) -> float:
-    """ζ*, where curves ii and iii meet (S39)."""
-    delta = lower - upper
-    low = (1.0 - phi_min) - (1.0 - phi_max) * 10.0 ** (-delta * eta)
-    return upper + log10((phi_max - phi_min) / low) / eta
-
-
-def highest_dose(delta: Any, phi_min: float, phi_max: float, eta: float) -> np.ndarray:
-    """Ω*, the most dose within a feature ``delta`` slices high (S42)."""
-    fade = 10.0 ** (-np.asarray(delta, dtype=np.float64) * eta)
-    room = (1.0 - phi_min) - (1.0 - phi_max) * fade
-    return (1.0 - phi_min) * (phi_max - phi_min) / room + phi_min
-
-
 def build_up_slices(dose_0: float, phi: float, eta: float) -> float:
     """Slices of light Φ that bring Ω_0 to Ω_c: log10[(Φ − Ω_0) / (Φ − Ω_c)] / η; infinite where Φ never gets there."""
     if dose_0 >= 1.0:
@@ -70,7 +56,7 @@ def measured_levels(light: Any) -> tuple[float, ...]:
     except (TypeError, ValueError) as error:
         raise BadInput(f"light is {light!r}; expected {LEVELS} numbers [mW/mm²]") from error
     if values.shape != (LEVELS,) or not np.isfinite(values).all() or (values < 0).any():
-        raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one a gray level")
+        raise BadInput(f"light has shape {values.shape}; expected {LEVELS} finite numbers ≥ 0, one per gray level")
     fall = np.flatnonzero(np.diff(values) < 0)
     if fall.size:
         at = int(fall[0])

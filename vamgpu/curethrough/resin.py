@@ -306,5 +306,5 @@ def _pairs(x: Any, y: Any, name_x: str, name_y: str) -> tuple[np.ndarray, np.nda
     except (TypeError, ValueError) as error:
         raise BadInput(f"{name_x} and {name_y} must be numbers: {error}") from error
     if one.ndim != 1 or one.shape != two.shape or not one.size or not (np.isfinite(one) & np.isfinite(two)).all():
-        raise BadInput(f"got {one.shape} {name_x} and {two.shape} {name_y}; expected as many of each, finite")
+        raise BadInput(f"got {one.shape} {name_x} and {two.shape} {name_y}; expected the same number of each, finite")
     return one, two

@@ -20,7 +20,7 @@ from vamgpu.curethrough.goo import Goo
 from vamgpu.curethrough.images import HEAD, MOST_PIXELS, Header, decode, header
 from vamgpu.curethrough.names import is_slice, ordered
 from vamgpu.errors import SliceError
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explaining
 from vamgpu.storage.memory import afford
 from vamgpu.storage.reading import open_file, read_bytes
 from vamgpu.storage.zips import open_zip, unpacked
@@ -110,7 +110,7 @@ class FileStack(ABC):
             if found != first:
                 raise SliceError(
                     f"{self._label(name)} is {_worded(found)}, but {self.names[0]!r} is {_worded(first)}; "
-                    "expected all slices alike: export them again"
+                    "expected all slices to be the same: export them again"
                 )
         assert first is not None
         return first.shape
@@ -141,13 +141,11 @@ class FolderStack(FileStack):
         super().__init__(place, ordered(names, repr(str(path))))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
-        try:
+        with explaining("read", self.place / name):
             if most is None:
                 return read_bytes(self.place / name, MOST_BYTES)
             with open_file(self.place / name) as file:
                 return file.read(most)
-        except OSError as error:
-            raise explained("read", self.place / name, error) from error
 
 
 class ZipStack(FileStack):
@@ -209,7 +207,7 @@ class GooStack(FileStack):
         super().__init__(place, tuple(f"layer{number:05d}.png" for number in range(self.goo.count)))
 
     def _bytes(self, name: str, most: int | None = None) -> bytes:
-        raise SliceError(f"{self._label(name)} is no picture of its own; read the stack")
+        raise SliceError(f"{self._label(name)} is not a separate picture; read the stack")
 
     def _decode(self, name: str, out: np.ndarray) -> None:
         self.goo.decode(self.names.index(name), out)

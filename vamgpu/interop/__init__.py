@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vamgpu.interop.functions import Differentiable, Kinetics, Linear, function_of
+from vamgpu.interop.functions import Differentiable, function_of
 from vamgpu.interop.proof import ProofDose
 
-__all__ = ["Differentiable", "Kinetics", "Linear", "ProofDose", "function_of"]
+__all__ = ["Differentiable", "ProofDose", "function_of"]

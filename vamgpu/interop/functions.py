@@ -56,11 +56,7 @@ class Differentiable(ABC):
 
 
 class Linear(Differentiable):
-    """An operator; its transpose is its vector-Jacobian product at every point.
-
-    Args:
-        operator: The operator.
-    """
+    """An operator; its transpose is its vector-Jacobian product at every point."""
 
     def __init__(self, operator: LinearOperator) -> None:
         self.operator: LinearOperator = operator
@@ -81,13 +77,9 @@ class Linear(Differentiable):
 
 
 class Kinetics(Differentiable):
-    """Effective dose of visible and ultraviolet light, by the adjoint of the kinetics.
+    """Effective dose of visible and ultraviolet light, by the adjoint of the kinetics."""
 
-    Derivatives expose the light again, because a model stores only the states of the last light.
-
-    Args:
-        model: The model of both colors.
-    """
+    # Derivatives expose the light again, because a model stores only the states of the last light.
 
     def __init__(self, model: KineticModel | LinearModel) -> None:
         visible, ultraviolet = model.operators

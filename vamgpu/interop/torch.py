@@ -48,15 +48,7 @@ def differentiable(what: Any) -> Callable[..., Tensor]:
 
 
 def to_device(device: Device, tensor: Tensor) -> DeviceArray:
-    """A tensor as a field; shares memory if possible.
-
-    Args:
-        device: Device of the field.
-        tensor: [major, minor, z], anywhere.
-
-    Returns:
-        The field.
-    """
+    """A tensor [major, minor, z], anywhere, as a field; shares memory if possible."""
     given = tensor.detach()
     if given.is_cuda and tuple(map(int, given.__dlpack_device__())) == device.dlpack_device:
         return device.field(given.to(torch.float32).contiguous())
@@ -64,15 +56,7 @@ def to_device(device: Device, tensor: Tensor) -> DeviceArray:
 
 
 def to_tensor(array: DeviceArray, like: Tensor) -> Tensor:
-    """A field as a tensor.
-
-    Args:
-        array: The field.
-        like: Gives type and device.
-
-    Returns:
-        The tensor; memory of a GPU is shared or copied on the GPU, memory of the host is copied.
-    """
+    """A field as a tensor of the type and device of ``like``; memory of a GPU is shared or copied there."""
     found = torch.from_numpy(array.numpy()) if not _on_gpu(array.device) else torch.from_dlpack(array)
     return found.to(like.device, like.dtype)
 

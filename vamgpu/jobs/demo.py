@@ -17,13 +17,13 @@ Proof = TypeVar("Proof")
 Checked = TypeVar("Checked", bound=CheckedJob[Any])
 
 JOB = """\
-# A boat in a vial of 24.8 mm that turns in air, also while a frame is lit. The pitch of the beam is measured in air:
+# A boat in a vial of 24.8 mm that turns in air while each frame is lit. The beam's pitch is measured in air;
 # refraction narrows its columns to 80 um in the resin, which is also the width of voxels unless target.pitch sets it.
 # The lens blurs by half a pixel unless beam.spread sets the blur: a length, or the result of `vam calibrate mtf`.
 #
 # Vial and resin index are those of automatic exposure (A. Orth et al.), which prints a boat of this height in 57 s in
-# fresh resin, and states neither irradiance nor absorption. 65 mW/cm2 is what another tomographic printer shines into
-# its vial (B. Wang et al.), and the absorption and the critical dose are assumed. Measure your own; times grow with
+# fresh resin; they do not state irradiance or absorption. Another tomographic printer (B. Wang et al.) shines 65 mW/cm2
+# into its vial. Absorption and critical dose are assumed: measure your own. The exposure time is proportional to
 # critical_dose / irradiance.
 
 [target]

@@ -22,27 +22,16 @@ MOST = 100_000
 
 @dataclass(frozen=True)
 class Point:
-    """One combination of values, and its results.
+    """One combination of values, and its results."""
 
-    Args:
-        number: Number of the point, from 1.
-        values: Key of the job → its value, as for ``--set``.
-        folder: The job folder.
-        window: Proved strict process window, relative to the greatest dose; NaN if there is none.
-        iou: Proved intersection over union at the best threshold [0 to 1].
-        error_rate: Share of voxels on the wrong side of that threshold.
-        seconds: Exposure predicted by the proof [s]; NaN if the job has no irradiance.
-        error: Reason why the point failed; "" if it did not.
-    """
-
-    number: int
-    values: Mapping[str, str] = field(hash=False)
-    folder: Path
-    window: float = float("nan")
-    iou: float = float("nan")
-    error_rate: float = float("nan")
-    seconds: float = float("nan")
-    error: str = ""
+    number: int  # number of the point, from 1
+    values: Mapping[str, str] = field(hash=False)  # key of the job → its value, as for ``--set``
+    folder: Path  # the job folder
+    window: float = float("nan")  # proved strict process window, relative to the greatest dose; NaN if there is none
+    iou: float = float("nan")  # proved intersection over union at the best threshold [0 to 1]
+    error_rate: float = float("nan")  # share of voxels on the wrong side of that threshold
+    seconds: float = float("nan")  # exposure predicted by the proof [s]; NaN if the job has no irradiance
+    error: str = ""  # reason why the point failed; "" if it did not
 
 
 @dataclass(frozen=True)
@@ -72,32 +61,18 @@ def sweep(
     cluster: str | None = None,
     progress: Callable[[Point, int], None] = lambda point, count: None,
 ) -> list[Point]:
-    """Solve and prove a job for every combination of values.
+    """Solve and prove a job for every combination of values; returns the points in the order of the combinations.
 
-    If the folder of a point exists from an earlier run, the point is only proved, not solved again. ``sweep.csv`` is
-    rewritten after every point.
-
-    Args:
-        job: The TOML file; workers of a cluster must see it and ``path`` under the same paths.
-        vary: Key of the job → its values.
-        path: Folder of the job folders, which are numbered from 0001.vam in the order of the combinations.
-        settings: ``key=value`` for all points.
-        cluster: As for `vamgpu.jobs.cluster.workers`; None for this process.
-        progress: Called with every finished point, and the number of points.
-
-    Returns:
-        The points, in the order of the combinations.
-
-    Raises:
-        JobError: The file or a key is invalid; the error of a single point is in its ``error``.
-        BadInput: No key varies, or there are too many points.
-        DeviceError: As `vamgpu.jobs.cluster.workers`.
-        StorageError: The folder cannot be written.
+    A point whose folder exists from an earlier run is only proved. ``sweep.csv`` is rewritten after every point. job:
+    seen by the workers of a cluster under the same path, as ``path``, the folder of 0001.vam and so on. vary: key of
+    the job → its values. settings: ``key=value`` for all points. cluster: as of `vamgpu.jobs.cluster.workers`.
+    progress: called with every finished point and their number. Raises `JobError`, `BadInput` without a key that varies
+    or with too many points, `DeviceError`, `StorageError`; the error of a point is in its ``error``.
     """
     source, place = Path(job).resolve(), Path(path).resolve()
     combinations = list(product(*vary.values())) if vary else []
     if not 1 <= len(combinations) <= MOST:
-        raise BadInput(f"got {len(combinations)} points; expected 1 to {MOST}: name keys and values to vary")
+        raise BadInput(f"got {len(combinations)} combinations; expected 1 to {MOST}: name keys and values to vary")
     checked = read_job(source, settings)
     try:
         place.mkdir(parents=True, exist_ok=True)

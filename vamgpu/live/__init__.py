@@ -8,23 +8,22 @@ from types import ModuleType
 from typing import Any
 
 from vamgpu.live.camera import CameraPose, MonitoringCamera, SensorNoise
-from vamgpu.live.colors import ColorReplanner, ReplannedColors
+from vamgpu.live.colors import ColorReplanner
 from vamgpu.live.estimate import Estimate, Estimator
-from vamgpu.live.loop import Decision, LiveLoop, LiveState
+from vamgpu.live.loop import Decision, LiveLoop
 from vamgpu.live.printer import CuringResin, Truth, VirtualPrinter
 from vamgpu.live.prior import Prior
 from vamgpu.live.record import LiveRecord, LiveSetup
-from vamgpu.live.replan import Forecast, Replanned, Replanner
-from vamgpu.live.tomography import Reconstruction, Tomograph
+from vamgpu.live.replan import Replanner
+from vamgpu.live.tomography import Tomograph
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.live.webs import WebReplanner
 from vamgpu.webs.drift import WebDrift
 
 __all__ = [
     "CameraPose", "ColorReplanner", "CuringResin", "Decision", "Estimate", "Estimator", "LiveLoop", "LiveRecord",
-    "Forecast", "LiveSetup", "LiveState", "MonitoringCamera", "Prior", "Reconstruction", "Replanned",
-    "ReplannedColors", "Replanner", "SensorNoise", "Tomograph", "Truth", "Turbidity", "VirtualPrinter",
-    "WebDrift", "WebReplanner",
+    "LiveSetup", "MonitoringCamera", "Prior", "Replanner", "SensorNoise", "Tomograph", "Truth", "Turbidity",
+    "VirtualPrinter", "WebDrift", "WebReplanner",
 ]  # fmt: skip
 
 

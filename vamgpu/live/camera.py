@@ -115,16 +115,8 @@ class CameraPose:
         turn, shift = self._turn, np.array([self.height, self.axis]) / pitch
         return _resampled(images, turn.T, -turn.T @ shift)
 
-    def centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
-        """Turn images of a camera in this pose into centered ones.
-
-        Args:
-            images: Gray levels or other values, [angle, row, column].
-            pitch: Pitch of a pixel [mm].
-
-        Returns:
-            The images, [angle, row, column].
-        """
+    def _centering(self, images: np.ndarray, pitch: float) -> np.ndarray:
+        """Turn images of a camera in this pose, [angle, row, column], into centered ones."""
         return _resampled(images, self._turn, np.array([self.height, self.axis]) / pitch)
 
     @property
@@ -179,8 +171,8 @@ class MonitoringCamera:
         check(self)
         vessel = self.projection.vessel
         if vessel is not None and vessel.absorption > 0:
-            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: what the resin takes of the "
-                           "camera's light before the print is in the open field")  # fmt: skip
+            raise BadInput(f"got {vessel!r}, which absorbs; expected one of absorption 0: the open field already "
+                           "contains the absorption before the print")  # fmt: skip
         field = np.asarray(self.open_field, np.float32)
         if field.shape not in ((), self.shape[1:], self.shape):
             raise ShapeMismatch(f"the open field has shape {field.shape}; expected {self.shape[1:]} = [row, column], "
@@ -188,8 +180,8 @@ class MonitoringCamera:
         if not np.isfinite(field).all() or field.min() < 0 or field.max() <= 0:
             raise BadInput("the open field is dark, negative or not finite; expected gray levels of the lit vial")
         if field.min() >= self.noise.brightest:
-            raise BadInput(f"the open field is {field.min():g} or more everywhere, and the sensor ends at "
-                           f"{self.noise.brightest}; expected less: weaken it, or set the noise's bits")  # fmt: skip
+            raise BadInput(f"the open field is {field.min():g} or more everywhere, but the sensor's brightest level is "
+                           f"{self.noise.brightest}; expected less: weaken the light, or set bits")  # fmt: skip
         object.__setattr__(self, "open_field", field)
 
     @property
@@ -212,22 +204,7 @@ class MonitoringCamera:
         Raises:
             ShapeMismatch: A field is not of the projection's grid.
         """
-        return self._as_images(self.transmission(extinction, index)) * self.open_field
-
-    def transmission(self, extinction: Any, index: Any = None) -> np.ndarray:
-        """Share of the open field's light that a centered camera receives.
-
-        Args:
-            extinction: As for `transmitted`, [x, y, z].
-            index: As for `transmitted`, [x, y, z].
-
-        Returns:
-            The share, [angle, r, z].
-
-        Raises:
-            ShapeMismatch: A field is not of the projection's grid.
-        """
-        return 1.0 - self.darkened(extinction, index).numpy()
+        return self._as_images(1.0 - self.darkened(extinction, index).numpy()) * self.open_field
 
     def darkened(self, extinction: Any, index: Any = None) -> DeviceArray:
         """Share of the open field's light that a centered camera does not receive.
@@ -352,9 +329,9 @@ class MonitoringCamera:
         weight = np.where(good, levels**2 / np.where(good, variance, 1.0), 0.0)
         if not self.pose.centered:
             pitch = self.projection.beam.pitch
-            known = self.pose.centering(good.astype(np.float32), pitch) > 0.99  # no spline through unknown values
-            depth = self.pose.centering(depth, pitch)
-            weight = np.where(known, np.maximum(self.pose.centering(weight, pitch), 0.0), 0.0)
+            known = self.pose._centering(good.astype(np.float32), pitch) > 0.99  # no spline through unknown values
+            depth = self.pose._centering(depth, pitch)
+            weight = np.where(known, np.maximum(self.pose._centering(weight, pitch), 0.0), 0.0)
         return depth.swapaxes(1, 2), weight.swapaxes(1, 2)
 
     def measured(self, images: Any) -> tuple[DeviceArray, DeviceArray]:

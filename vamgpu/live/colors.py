@@ -27,20 +27,12 @@ from vamgpu.operators.reductions import extent
 
 @dataclass(frozen=True, eq=False)
 class ReplannedColors:
-    """Light of both colors of each of the turns that remain.
+    """Light of both colors of each of the turns that remain."""
 
-    Args:
-        light: Light of one turn, [angle, r, z] on the device, from 0 to the projectors' limits; dark if the print
-            should stop.
-        kept: Forecast of the print with the running plan.
-        expected: Forecast with this light; its ``turns`` is the moment to stop.
-        evaluations: Projector evaluations spent, each one forward and one back projection of both colors.
-    """
-
-    light: Pair
-    kept: Forecast
-    expected: Forecast
-    evaluations: float
+    light: Pair  # of one turn, [angle, r, z] on the device, within the projectors' limits; dark for a stop
+    kept: Forecast  # forecast of the print with the running plan
+    expected: Forecast  # forecast with this light; its ``turns`` is the moment to stop
+    evaluations: float  # projector evaluations spent, each one forward and one back projection of both colors
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ class Estimator:
 
         minimize Σ ((M(D(p)) − seen) / deviation)² + (p − mean)ᵀ covariance⁻¹ (p − mean)
 
-    by Gauss-Newton. The dose D and its derivatives come from operators with moved and more absorbing resin. The
+    by Gauss-Newton. The dose D and its derivatives come from operators whose resin is shifted or absorbs more. The
     remaining deviation gives each voxel a relative gain, which is smoothed over its neighbors and drawn towards 0.
 
     Args:
@@ -186,7 +186,7 @@ class Estimator:
         return look_up(dose, self._curve.values, self._curve.start, self._curve.density)[0]
 
     def gain(self, values: np.ndarray) -> np.ndarray:
-        """Dose over that of even light.
+        """Dose relative to that with the same light at every height and radius.
 
         Args:
             values: Value of each of `NAMES`, (7,).
@@ -265,9 +265,9 @@ class Estimator:
             prior: Prior of the parameters of these turns.
             before: The estimate before these turns; None at the start.
             start: Initial values of the search, for example the last values, (7,); None for the prior's.
-            correlated: Whether neighbors may err alike; how many count as one is then measured.
-            common: Relative error that the conversion seen has in all voxels alike, such as that of the turbidity, and
-                its change from the middle to the top, and to the rim.
+            correlated: Whether errors of neighbors may be correlated; their correlation is then measured.
+            common: Relative error of the conversion common to all voxels, such as that of the turbidity, and its
+                change from the middle to the top, and to the rim.
 
         Returns:
             The estimate.
@@ -463,7 +463,7 @@ class Estimator:
         if not (np.isfinite(values).all() and np.isfinite(chi)) or absurd.any() or off > 1.0:
             measured = ", ".join(f"{name} {value:.4g}" for name, value in zip(NAMES, values, strict=True))
             raise BadInput(f"got {measured} from the conversion seen, impossible for a print; expected that of this "
-                           "print: drop this turn's images and go on by the last plan")  # fmt: skip
+                           "print: discard this turn's images and continue with the last plan")  # fmt: skip
 
     def _width(self, axis: int) -> float:
         return self.operator.beam.pixels[axis] * self.operator.beam.pitch

@@ -55,7 +55,7 @@ def turbidity_of(record: LiveRecord) -> MeasuredTurbidity:
     def gaps(logs: np.ndarray) -> np.ndarray:
         gain, full = np.exp(logs)
         field = Turbidity((0.0, 1.0), (0.0, full)).extinction_at(estimator.conversion(gain * dose))
-        seen = np.maximum(camera.transmission(field.astype(np.float32))[used], DARKEST)
+        seen = np.maximum(1.0 - camera.darkened(field.astype(np.float32)).numpy()[used], DARKEST)
         return scale * (-np.log(seen) - depth[used])
 
     start = np.log([1.0, loop.tomograph.turbidity.full])

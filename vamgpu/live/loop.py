@@ -64,7 +64,7 @@ class Decision:
         turns: Expected number of remaining turns.
         inhibitor: Estimated inhibitor, relative to fresh resin, dimensionless.
         parameters: Estimated values and deviations by name, dimensionless or [mm]; empty if nothing is estimated.
-        iou: Overlap claimed for the end: the least within the errors of gel point and dose, dimensionless.
+        iou: Lowest overlap expected at the end, within the errors of gel point and dose, dimensionless.
         reason: Reason in words.
         doubt: Reason why images no longer decide; empty if they do. The planned light then continues until images are
             as dark as the planned print makes them, with at most the dose of the plan, and no overlap is predicted.
@@ -121,40 +121,22 @@ class _Laps:
 
 @dataclass(frozen=True, eq=False)
 class LiveState:
-    """State of the loop between turns.
+    """State of the loop between turns."""
 
-    Args:
-        turn: Turns shown so far.
-        shown: Sum of the light shown so far, [angle, r, z], on the device or NumPy.
-        pending: Light whose radicals have not reacted yet, [angle, r, z], on the device or NumPy.
-        light: Light of the next turn, [angle, r, z].
-        turns: Number of turns for which the light is to be shown.
-        version: Version of the light.
-        seen: The last field; None before the first.
-        committed: Light of earlier turns that can no longer be changed, one [angle, r, z] each; the next images belong
-            to the first of them.
-        values: The last estimate of the parameters, (7,); None before the first.
-        clear: Mean level of the last images before anything cured, [row, column]; None before the first turn.
-        level: Mean level of the last images, [row, column]; None before the first turn.
-        sunk: Shift of what is cured towards lower rows since it was first seen [pixels].
-        images: Digest of the last images.
-        doubt: Reason why images no longer decide; empty if they do.
-    """
-
-    turn: int
-    shown: DeviceArray | np.ndarray
-    pending: DeviceArray | np.ndarray
-    light: np.ndarray
-    turns: int
-    version: int = 0
-    seen: Reconstruction | None = None
-    committed: tuple[np.ndarray, ...] = ()
-    values: np.ndarray | None = None
-    clear: np.ndarray | None = None
-    level: np.ndarray | None = None
-    sunk: float = 0.0
-    images: str = ""
-    doubt: str = ""
+    turn: int  # turns shown so far
+    shown: DeviceArray | np.ndarray  # sum of the light shown so far, [angle, r, z], on the device or NumPy
+    pending: DeviceArray | np.ndarray  # light whose radicals have not reacted yet, [angle, r, z], also there or NumPy
+    light: np.ndarray  # light of the next turn, [angle, r, z]
+    turns: int  # number of turns for which the light is to be shown
+    version: int = 0  # version of the light
+    seen: Reconstruction | None = None  # the last field; None before the first
+    committed: tuple[np.ndarray, ...] = ()  # fixed light of turns that begin, [angle, r, z] each; the first shows next
+    values: np.ndarray | None = None  # the last estimate of the parameters, (7,); None before the first
+    clear: np.ndarray | None = None  # mean level of the last images before anything cured, [row, column]
+    level: np.ndarray | None = None  # mean level of the last images, [row, column]; None before the first turn
+    sunk: float = 0.0  # shift of what is cured towards lower rows since it was first seen [pixels]
+    images: str = ""  # digest of the last images
+    doubt: str = ""  # reason why images no longer decide; empty if they do
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +205,7 @@ class LiveLoop:
         return LiveState(0, dark, dark, light, self.planned - self.ahead, committed=(light,) * self.ahead)
 
     def decide(self, state: LiveState, frames: np.ndarray) -> tuple[LiveState, Decision]:
-        """Decide after one more turn of the first committed light, or of the state's light if none is committed.
+        """Decide after one more turn. It showed the first committed light or, if none is committed, the state's light.
 
         If images or estimates are rejected, only the update of this turn is lost.
 

@@ -42,7 +42,7 @@ class CuringResin:
         rate: Rate of curing, per dose.
         solid: Least dose that makes fresh resin solid, in units of the part's.
         dark: Lifetime of radicals [turns].
-        gel_error: Error by which the conversion at the gel point may be wrong, relative.
+        gel_error: Relative error of the conversion at the gel point.
 
     Raises:
         BadInput: A value is out of its range, or the resin is solid before it cures.
@@ -57,8 +57,8 @@ class CuringResin:
     def __post_init__(self) -> None:
         check(self)
         if self.solid <= self.induction:
-            raise BadInput(f"the resin is solid from {self.solid:g} on and its induction ends at {self.induction:g}; "
-                           "expected induction to end before")  # fmt: skip
+            raise BadInput(f"the resin is solid from a dose of {self.solid:g}, but its induction ends at "
+                           f"{self.induction:g}; expected the induction to end at a lower dose")  # fmt: skip
 
     def conversion(self, dose: Any) -> np.ndarray:
         """Final conversion.

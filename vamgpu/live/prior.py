@@ -78,7 +78,7 @@ class Prior:
         """The prior one turn later, for parameters that change by the given deviations per turn.
 
         Args:
-            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; others do not change.
+            deviations: Standard deviations by the names in `NAMES`, dimensionless or [mm]; the others are 0.
 
         Returns:
             The prior of the next turn.

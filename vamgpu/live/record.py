@@ -22,7 +22,7 @@ from vamgpu.live.tomography import Tomograph
 from vamgpu.live.turbidity import Turbidity
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
-from vamgpu.storage.atomic import explained
+from vamgpu.storage.atomic import explained, explaining
 from vamgpu.storage.numpy_files import map_npy
 from vamgpu.storage.reading import parse_json, read_text
 
@@ -152,7 +152,7 @@ class LiveSetup:
             return cls(**plain)
         except (TypeError, KeyError) as error:
             raise BadInput(f"the setup of a live print cannot be read ({error}); expected the names of LiveSetup: "
-                           f"take {SETUP} as it was written") from error  # fmt: skip
+                           f"restore {SETUP}") from error  # fmt: skip
 
 
 class LiveRecord:
@@ -188,18 +188,16 @@ class LiveRecord:
         """
         if self.begun:
             raise StorageError(f"{str(self.folder)!r} already holds a live print; use another folder")
-        try:
+        with explaining("write", self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / SETUP).write_text(json.dumps(asdict(setup), indent=1))
             np.save(self.folder / "live-part.npy", part)
             np.save(self.folder / "live-light.npy", light)
             (self.folder / DECISIONS).write_text("")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
         return setup.loop(part, light)
 
     def add(self, frames: np.ndarray, decision: Decision, **facts: Any) -> None:
-        """Add a turn; its frames are written first, and every decision then has its frames.
+        """Add a turn; its frames are written first, so that every decision has its frames.
 
         Args:
             frames: Gray levels, [angle, row, column].
@@ -209,12 +207,10 @@ class LiveRecord:
         Raises:
             StorageError: The folder cannot be written.
         """
-        try:
+        with explaining("write", self.folder):
             np.save(self._frames(decision.turn), frames)
             with (self.folder / DECISIONS).open("a") as file:
                 file.write(json.dumps(decision.entry | {"stages": _rounded(decision.stages)} | facts) + "\n")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
 
     def note(self, turn: int, stages: Mapping[str, float] | None = None, **facts: Any) -> None:
         """Add facts about a decision that are known later, such as the time of its upload.
@@ -227,11 +223,8 @@ class LiveRecord:
         Raises:
             StorageError: The folder cannot be written.
         """
-        try:
-            with (self.folder / DECISIONS).open("a") as file:
-                file.write(json.dumps({"of": turn, "stages": _rounded(stages or {})} | facts) + "\n")
-        except OSError as error:
-            raise explained("write", self.folder, error) from error
+        with explaining("write", self.folder), (self.folder / DECISIONS).open("a") as file:
+            file.write(json.dumps({"of": turn, "stages": _rounded(stages or {})} | facts) + "\n")
 
     @property
     def decisions(self) -> list[dict[str, Any]]:
@@ -311,7 +304,7 @@ class LiveRecord:
             yield was, frames, decision
 
     def loop(self) -> LiveLoop:
-        """The loop that the record is of, before its first turn.
+        """The loop of the recorded print, before its first turn.
 
         Raises:
             BadInput: The setup cannot be read.
@@ -320,10 +313,10 @@ class LiveRecord:
         return self.setup().loop(self.part(), np.array(map_npy(self.folder / "live-light.npy")))
 
     def states(self, loop: LiveLoop) -> Iterator[tuple[LiveState, Decision]]:
-        """Go through the print once more with a loop.
+        """Repeat the print with a loop.
 
         Args:
-            loop: The loop of `loop`, before its first turn.
+            loop: A loop made by `loop`, before its first turn.
 
         Yields:
             The state and the repeated decision after each turn.

@@ -66,37 +66,22 @@ def allowed_turns(turns: Sequence[int], planned: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Forecast of a print.
+    """Forecast of a print."""
 
-    Args:
-        turns: Number of remaining turns.
-        window: Strict process window, dimensionless.
-        iou: Overlap with the part at the threshold of the resin, dimensionless, 0..1.
-        least: Least overlap at the thresholds that the resin may have, dimensionless, 0..1.
-    """
-
-    turns: int
-    window: float
-    iou: float
-    least: float
+    turns: int  # number of remaining turns
+    window: float  # strict process window, dimensionless
+    iou: float  # overlap with the part at the threshold of the resin, dimensionless, 0..1
+    least: float  # least overlap at the thresholds that the resin may have, dimensionless, 0..1
 
 
 @dataclass(frozen=True, eq=False)
 class Replanned:
-    """Light of each of the turns that remain.
+    """Light of each of the turns that remain."""
 
-    Args:
-        light: Light of one turn, [angle, r, z] on the device, from 0 to the projector's limit; dark if the print should
-            stop.
-        kept: Forecast of the print with the running plan.
-        expected: Forecast with this light; its ``turns`` is the moment to stop.
-        evaluations: Projector evaluations spent; a replay with the same number finds the same light.
-    """
-
-    light: DeviceArray
-    kept: Forecast
-    expected: Forecast
-    evaluations: float
+    light: DeviceArray  # of one turn, [angle, r, z] on the device, at most the projector's; dark for a stop
+    kept: Forecast  # forecast of the print with the running plan
+    expected: Forecast  # forecast with this light; its ``turns`` is the moment to stop
+    evaluations: float  # projector evaluations spent; a replay with the same number finds the same light
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +121,7 @@ class Replanner:
         greatest: Greatest dose in the part.
         threshold: Least dose that makes resin solid; the three doses above are scaled to put it midway between outside
             and inside. None does not scale them.
-        thresholds: Further values that this dose may have, see `CuringResin.solid_doses`.
+        thresholds: Other possible values of this dose, see `CuringResin.solid_doses`.
 
     Raises:
         BadInput: A value is out of its range.
@@ -174,9 +159,9 @@ class Replanner:
             turns: Allowed numbers of further turns, 0 for a stop now.
             evaluations: Limit of projector evaluations: the available time times the machine's evaluations per second.
             deviation: Standard deviation of the delivered dose, [x, y, z], or one for all.
-            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected by its
-                missing part. None starts with the plan's light unchanged.
-            error: Relative error of the dose, which `Forecast.least` counts in.
+            expected_dose: Planned dose of the whole print, [x, y, z]; the plan's light is first corrected for what is
+                missing of it. None starts with the plan's light unchanged.
+            error: Relative error of the dose, which `Forecast.least` allows for.
 
         Returns:
             The light found, or the plan's own if its surface is no farther off.

@@ -170,7 +170,7 @@ class BeamImages:
         self.view, self.pixels = view, (int(pixels[0]), int(pixels[1]))
         if not self._known.any():
             raise BadInput(f"the camera's images of {view.shape[0]} × {view.shape[1]} show no pixel of the beam; "
-                           "expected crop, pixel and place by which they do: run vam calibrate live")  # fmt: skip
+                           "expected a crop, pixel and place for which they do: run vam calibrate live")  # fmt: skip
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Resample an image.

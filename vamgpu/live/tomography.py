@@ -53,24 +53,14 @@ class OpticalDepths:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """The field reconstructed from the images of a turn.
+    """The field reconstructed from the images of a turn."""
 
-    Attributes:
-        field: Extinction above that of the resin before the print [1/mm], [x, y, z] on the tomograph's device.
-        cured: Conversion of the resin, [x, y, z] on the tomograph's device.
-        iterations: Projector evaluations that were made; a replay uses the same number.
-        misfit: Mean square difference of images and field over the variance of the noise, dimensionless: near 1 if
-            camera and noise are described correctly.
-        seconds: Wall time [s].
-        contrast: Mean square of the images' optical depths over the variance of the noise, dimensionless.
-    """
-
-    field: DeviceArray
-    cured: DeviceArray
-    iterations: int
-    misfit: float
-    seconds: float
-    contrast: float
+    field: DeviceArray  # extinction above that of the resin before the print [1/mm], [x, y, z] on the device
+    cured: DeviceArray  # conversion of the resin, [x, y, z] on the device
+    iterations: int  # projector evaluations that were made; a replay uses the same number
+    misfit: float  # mean square of images less field, over the noise's variance: near 1 if camera and noise are right
+    seconds: float  # wall time [s]
+    contrast: float  # mean square of the images' optical depths over the variance of the noise, dimensionless
 
     @cached_property
     def extinction(self) -> np.ndarray:
@@ -86,7 +76,7 @@ class Reconstruction:
 class Tomograph:
     """Fields of conversion from the images of a `MonitoringCamera`, turn by turn.
 
-    The most probable extinction x ≥ 0, given images with their noise and neighbors that differ little:
+    The most probable extinction x ≥ 0, given the images and their noise, if neighbors differ little:
 
         minimize Σ w·(A x − y)² + Σ_neighbors (x − x')² / δ²
 
@@ -189,7 +179,7 @@ class Tomograph:
         """Standard deviation of the extinction due to the noise of a turn's images.
 
         Simulated noise of the camera goes through the same steps, and its magnitude is measured around every voxel.
-        The higher certainty of voids from x ≥ 0, and errors by smoothing, are not included.
+        It ignores errors by smoothing, and that x ≥ 0 makes voids more certain.
 
         Args:
             images: As for `see`, gray levels [angle, row, column] or `OpticalDepths`.

@@ -167,7 +167,7 @@ class WebReplanner:
         self, path: str | Path, plan: PlanFolders, horizon: int, *, count: int | None = None,
         delivered: np.ndarray | None = None, overwrite: bool = False, progress: Progress | None = None,
     ) -> WebFolder:  # fmt: skip
-        """Write a web of the committed frames, byte for byte, and of the new frames for the rest.
+        """Write a web: the committed frames, byte for byte, then the new frames.
 
         A killed run leaves a folder of whole segments; the same call continues it and gives the same bytes.
 
@@ -181,7 +181,7 @@ class WebReplanner:
             progress: Called after each segment.
 
         Returns:
-            The folder, from which `vamgpu.webs.proof.prove_web` knows the light of its frames.
+            The folder; `vamgpu.webs.proof.prove_web` reads from it the light of its frames.
 
         Raises:
             BadInput, ShapeMismatch, TileError: As for `segments`.
@@ -215,8 +215,8 @@ class WebReplanner:
         if (place / RECORD).is_file():
             folder = WebFolder.open(place).swept()
             if folder.details != plain(details, "details"):
-                raise StorageError(f"{str(place)!r} holds another web, or one replanned otherwise; choose another "
-                                   "path, or allow overwriting it")  # fmt: skip
+                raise StorageError(f"{str(place)!r} holds another web, or one replanned with other settings; choose "
+                                   "another path, or allow overwriting it")  # fmt: skip
             return folder
         layout, beam = self.stream.layout, self.stream.beam
         section = self.stream.grid.shape[1], self.stream.grid.shape[2]

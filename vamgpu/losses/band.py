@@ -62,7 +62,7 @@ class Band(KernelLoss):
         bounded = bounded and all(abs(value) < MOST for value in self.center)
         if not (pairs and bounded and 1 <= self.power <= GREATEST_POWER):
             raise BadInput(
-                f"{self!r}: expected two of slack and gain, centers that are numbers, the others ≥ 0 and below "
+                f"{self!r}: expected two values each of slack and gain, finite centers, the others ≥ 0 and below "
                 f"{MOST:g}, and a power from 1 to {GREATEST_POWER:g}"
             )
 

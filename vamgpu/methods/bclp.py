@@ -22,8 +22,8 @@ class BCLP(ByDescent):
 
         minimize (Σ w·max(0, |M(d) − f| − ε)^p)^(q/p),    g ← max(0, g − η·∂/∂g)
 
-    and in the roll-to-roll paper with λ·Σ M(d)² added, the L2 regularization (S1), and momentum. Printed there without
-    max(0, …), which would penalize voxels inside their band, and without the sum of the last term. If λ > 0 and q ≠ p,
+    and in the roll-to-roll paper with λ·Σ M(d)² added, the L2 regularization (S1), and momentum. The paper prints it
+    without max(0, …), which would penalize voxels inside their band, and without the last sum. If λ > 0 and q ≠ p,
     both sums are means over the voxels: with sums, λ would outweigh the norm on finer voxels.
 
     What differs here: the step η is not fixed. The first step changes the light by ``share``, and each further step is
@@ -90,7 +90,7 @@ class BCLP(ByDescent):
         return self._band(self.ridge)
 
     def apart(self, excess: float) -> BCLP:
-        """The loss with q = p and regularization for the same minimum; distant parts are then independent.
+        """The loss with q = p, regularized so that its minimum is the same; distant parts are then independent.
 
         The power q/p scales the norm's gradient by q/p·excess^(q/p − 1); the regularization is divided by this factor.
 

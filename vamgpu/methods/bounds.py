@@ -99,8 +99,8 @@ def _of_slices(
     if not 0 <= first < behind <= shape[2]:
         raise BadInput(f"slices are {slices!r}; expected 0 ≤ first < behind ≤ {shape[2]}")
     if (shape[2] - rows) % 2:
-        raise BadInput(f"{rows} rows light {shape[2]} slices, so every row lies between two of them; expected an even "
-                       "difference, or no slices")  # fmt: skip
+        raise BadInput(f"{rows} rows light {shape[2]} slices: each row lies between two slices; expected both numbers "
+                       "even or both odd, or no slices")  # fmt: skip
     spreads = [operator.beam.sigma * pitch, *(tolerances.spread or () if tolerances is not None else ())]
     beyond = 2 * ceil(REACHED * max(spreads) / pitch)
     grid = Grid((*shape[:2], behind - first), pitch)

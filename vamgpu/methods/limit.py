@@ -18,25 +18,16 @@ MARGIN = 0.99
 
 @dataclass(frozen=True)
 class ExposureLimit:
-    """Time limit of a print, with its lamp and resin.
+    """Time limit of a print, with its lamp and resin. Raises `BadInput` for a value that is not above 0.
 
     An exposure lasts until the dose midway between the least in the part and the greatest outside is the critical dose.
     The brightest pixel is full-on. The time limit therefore limits the ratio of the brightest pixel to that dose.
-
-    Args:
-        seconds: Longest exposure [s].
-        irradiance: Irradiance of a full-on pixel in air [mW/mm²].
-        critical_dose: Least dose that makes resin solid [mJ/mm³].
-        absorption: Absorption of the resin [1/mm], if the operator absorbs no light.
-
-    Raises:
-        BadInput: A value is not above 0.
     """
 
-    seconds: float
-    irradiance: float
-    critical_dose: float
-    absorption: float | None = None
+    seconds: float  # longest exposure [s]
+    irradiance: float  # irradiance of a full-on pixel in air [mW/mm²]
+    critical_dose: float  # least dose that makes resin solid [mJ/mm³]
+    absorption: float | None = None  # absorption of the resin [1/mm], if the operator absorbs no light
 
     @classmethod
     def of(

@@ -19,7 +19,7 @@ from vamgpu.methods.state import OptimizerState
 class OSMO(Method):
     """Alternately lower a model of the part where voids get too much dose, and raise it where the part gets too little.
 
-    As published, with the model m, initially the target, and the dose d of its light divided by the greatest dose:
+    As published: the model m begins as the target, and d is the dose of its light, divided by the greatest dose:
 
         m ← m − max(0, d − outside) in voids, update d, then m ← m + max(0, inside − d) in the part, update d
 

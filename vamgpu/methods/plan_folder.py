@@ -43,24 +43,19 @@ LIMITS = "dose", "weight", "body"
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """A plan without its light: method as text, history as plain records, citations, seconds, strict window, bound,
-    corners, and the operator and device that computed it.
-
-    pareto: windows of shorter exposures, if requested. notes: what was too coarse. bound_on: voxels and motion for
-    which the bound holds.
-    """
+    """A plan without its light, as plain records."""
 
     method: str
     history: tuple[Mapping[str, float], ...]
-    papers: tuple[str, ...]
+    papers: tuple[str, ...]  # citations
     seconds: float
-    window: float
+    window: float  # strict
     bound: float | None = None
     corners: tuple[Mapping[str, Any], ...] = ()
-    ran: str = ""
-    pareto: tuple[Mapping[str, float], ...] = ()
-    notes: tuple[str, ...] = ()
-    bound_on: str = ""
+    ran: str = ""  # operator and device that computed it
+    pareto: tuple[Mapping[str, float], ...] = ()  # windows of shorter exposures, if requested
+    notes: tuple[str, ...] = ()  # what was too coarse
+    bound_on: str = ""  # voxels and motion for which the bound holds
 
     @classmethod
     def of(cls, plan: Any, window: float | None = None) -> PlanRecord:
@@ -165,7 +160,7 @@ def _with_optics(beam: Mapping[str, Any]) -> dict[str, Any]:
         return dict(beam)
     warnings.warn(
         "the folder does not state the beam's fill and point spread: it was solved for pixels lit all over and a "
-        "perfect lens, and is read with these (fill 1, spread 0); solve it again for the light that a lens makes",
+        "perfect lens, and is read with these (fill 1, spread 0); solve it again for a real lens",
         OpticsWarning, stacklevel=3,
     )  # fmt: skip
     return OPTICS | dict(beam)

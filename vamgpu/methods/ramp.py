@@ -17,14 +17,11 @@ from vamgpu.web import WebGrid
 
 @dataclass(frozen=True, eq=False)
 class Taps:
-    """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero.
-
-    balance: factor of the filtered light of each angle; None if angles are even and lit equally long.
-    """
+    """One side of a symmetric filter; taps between multiples of ``stride`` (counted from the first) are zero."""
 
     table: DeviceArray
     stride: int
-    balance: DeviceArray | None = None
+    balance: DeviceArray | None = None  # factor of each angle's light; None if angles are even and lit equally long
 
 
 def ramp(operator: Operator) -> Taps:

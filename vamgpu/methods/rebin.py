@@ -44,7 +44,7 @@ def rebin(plan: Plan, operator: Projection) -> DeviceArray:
     if not source.motion.is_even:
         raise BadInput(
             f"rebin got {source.motion} angles; expected even ones over a full turn, each lit equally long, because a "
-            "ray turned by a vessel must find its angle: otherwise optimize with the vessel in the operator"
+            "ray that a vessel turns belongs to another angle: otherwise optimize with the vessel in the operator"
         )
     if source.device is not operator.device:
         raise BadInput(f"the plan is on {source.device}, the operator on {operator.device}; use one device for both")

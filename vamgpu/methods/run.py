@@ -77,16 +77,16 @@ def optimize(
 ) -> Plan:
     """Find patterns [angle, r, z] ≥ 0 whose dose prints a target, on the operator's device.
 
-    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. On rings, rays through voxels
-    judge the best and the last patterns at the end; `Plan.history` has the values on rings.
+    The plan holds the best patterns that the run evaluated, not its last; see `Plan`. For an operator on rings, rays
+    through voxels judge the best and the last patterns at the end; `Plan.history` has the values on rings.
 
     Args:
         operator: The projector, or any object that is a `vamgpu.operators.protocol.Operator`. A `SpectralProjection`
             counts as a `RingProjection` on its rings: the dose is optimized and judged on the target's voxels.
         target: A `Target`, or fractions [x, y, z] (NumPy or on the device).
         method: A name from `METHODS` in any case, an instance, or a `vamgpu.losses.Loss` that `Descent` minimizes.
-        iterations: Total number, including those of ``resume``; None for the method's own, or as ``evaluations``
-            allows. 0 returns the initial patterns: ``start``, otherwise filtered back projection.
+        iterations: Total number, including those of ``resume``; None for the method's own number, or for as many as
+            ``evaluations`` allows. 0 returns the initial patterns: ``start``, otherwise filtered back projection.
         tolerance: Stop when the loss has fallen below this share of the first one (0: only when no gain is left).
         progress: A function that gets every `Step`; True shows a bar with the time left, False none. By default a bar
             is shown on a terminal and in a notebook.
@@ -98,14 +98,14 @@ def optimize(
         start: Initial patterns, a plan or [angle, r, z] ≥ 0 of any library, in units of the dose the part should get;
             scaled if the part gets less than half or more than twice that. Not with ``resume``, and not for methods
             that start from the target.
-        tolerances: Tolerances of machine and resin: the same patterns for all corners, with one threshold. Loss and
+        tolerances: Tolerances of machine and resin; the patterns then print at all corners with one threshold. Loss and
             window are then those of all corners together; see `Tolerances` and `Plan.corners`.
         exposure_limit: Longest exposure [s], until the dose midway between part and void is ``critical_dose``. Only for
             "default".
-        irradiance: Irradiance of a full-on pixel in air [mW/mm²], for a limit. Like the others, also text with its
-            unit.
-        critical_dose: Least dose that makes resin solid [mJ/mm³], for a limit.
-        absorption: Absorption of the resin [1/mm], for a limit if the operator absorbs no light.
+        irradiance: Irradiance of a full-on pixel in air [mW/mm²], for ``exposure_limit``. Like the others, also text
+            with its unit.
+        critical_dose: Least dose that makes resin solid [mJ/mm³], for ``exposure_limit``.
+        absorption: Absorption of the resin [1/mm]; an ``exposure_limit`` needs it if the operator absorbs no light.
 
     Returns:
         The plan with the best patterns that the run evaluated.

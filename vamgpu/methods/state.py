@@ -228,10 +228,7 @@ class OptimizerState:
     def apply_penalty(
         self, light: DeviceArray, gradient: DeviceArray, weight: float = 0.0, power: float = 1.0, hold: bool = True
     ) -> float:
-        """Add a penalty weight·Σ light^power to a gradient, then hold dark and brightest light if required.
-
-        Returns the penalty.
-        """
+        """Add a penalty weight·Σ light^power to a gradient, and hold dark and brightest light; return the penalty."""
         parts = parts_for(apply_penalty, gradient)
         how = {"weight": weight, "power": power, "hold": int(hold), "most": min(self.most, UNLIMITED)}
         self.device.launch(apply_penalty, light=light, **how, gradient=gradient, parts=parts)

@@ -70,7 +70,7 @@ class SurfaceRamp(ByPairs):
         most: Greatest dose in the part, in units of the part's dose.
         dark: Greatest dose of resin beyond the judged cylinder, in units of the part's dose.
         width: Width of the ramp on either side of the surface [pixels in the resin].
-        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; lower: shorter exposure.
+        brightest: Greatest light of a pixel, relative to the mean of the initial patterns; less is a shorter exposure.
         history: Largest number of stored pairs of sinograms.
         history_bytes: Their memory limit; None for the device's free memory. A `MemoryNotice` reports if fewer pairs
             fit.

@@ -35,23 +35,14 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Corner:
-    """One combination of extreme tolerances; all zero is nominal.
+    """One combination of extreme tolerances; all zero is nominal."""
 
-    Args:
-        axis: Displacement of the axis of rotation, towards +r [mm].
-        spread: Standard deviation of the point spread [mm]; None for the beam's own.
-        absorption: Relative increase of the resin's absorption.
-        index: Increase of the resin's refractive index.
-        wobble: Displacement of the vial from its axis, along x and y [mm].
-        dose: Relative increase of every dose.
-    """
-
-    axis: float = 0.0
-    spread: float | None = None
-    absorption: float = 0.0
-    index: float = 0.0
-    wobble: tuple[float, float] = (0.0, 0.0)
-    dose: float = 0.0
+    axis: float = 0.0  # displacement of the axis of rotation, towards +r [mm]
+    spread: float | None = None  # standard deviation of the point spread [mm]; None for the beam's own
+    absorption: float = 0.0  # relative increase of the resin's absorption
+    index: float = 0.0  # increase of the resin's refractive index
+    wobble: tuple[float, float] = (0.0, 0.0)  # displacement of the vial from its axis, along x and y [mm]
+    dose: float = 0.0  # relative increase of every dose
 
     @property
     def optics(self) -> Corner:
@@ -72,14 +63,7 @@ class Corner:
 
 @dataclass(frozen=True)
 class CornerDose:
-    """Doses of one light at a corner, in units of the light.
-
-    Attributes:
-        name: Name of the corner.
-        least: Least dose inside the part.
-        leak: Greatest dose outside the part.
-        greatest: Dose anywhere.
-    """
+    """Least dose inside, greatest outside and greatest anywhere of one light at a corner, in units of the light."""
 
     name: str
     least: float
@@ -94,11 +78,7 @@ class CornerDose:
 
 @dataclass(frozen=True)
 class CornerDoses:
-    """Doses of one light at every corner, the nominal one first.
-
-    Attributes:
-        corners: All of them.
-    """
+    """Doses of one light at every corner, the nominal one first."""
 
     corners: tuple[CornerDose, ...]
 
@@ -124,11 +104,7 @@ class CornerDoses:
         return (self.darkest.least - max(self.leakiest.leak, 0.0)) / greatest if greatest > 0.0 else -1.0
 
     def statement(self) -> str:
-        """The window in words, and the two corners that limit it.
-
-        Returns:
-            One sentence.
-        """
+        """The window in a sentence, with the two corners that limit it."""
         return (
             f"strict window {self.window:+.3f} with one threshold for {len(self.corners)} corners, {self.nominal:+.3f} "
             f"nominal; least dose in the part at {self.darkest.name}, most outside at {self.leakiest.name}"
@@ -141,8 +117,8 @@ class Tolerances:
 
     One threshold must hold for all scenarios: the corners, which combine both ends of every tolerance, the middles of
     the faces between them, and the nominal print. Patterns for only the corners have a narrower window elsewhere in the
-    box. Each scenario has its own operator with its beam, vessel or axis. Linear interpolation moves images only for a
-    wobble, and for an axis unless the operator is a `Projection` of a round vessel or air.
+    box. Each scenario has its own operator with its beam, vessel or axis. Images are shifted by linear interpolation
+    for a wobble, and for an axis error unless the operator is a `Projection` of a round vessel or air.
 
     Args:
         axis: Position error of the axis of rotation across the light, ± [mm].
@@ -151,9 +127,9 @@ class Tolerances:
         dose: Dose of the whole exposure, ± a share of it.
         index: Refractive index of the resin, ±.
         wobble: Distance of the vial from the axis, in any direction [mm]; four directions are evaluated.
-        judged: "worst" for the least and the greatest dose of all corners; "mean + spread" for their mean dose, and
-            corners whose deviation from it is divided by √(number of tolerances), which is the standard deviation if
-            all tolerances have equal effects.
+        judged: "worst" judges the least and the greatest dose of all corners. "mean + spread" divides each corner's
+            deviation from their mean dose by √(number of tolerances): the standard deviation if all tolerances have
+            equal effects.
 
     Raises:
         ToleranceError: The least point spread exceeds the greatest.
@@ -254,7 +230,7 @@ class Tolerances:
         return tuple(dict.fromkeys((Corner(), *found)))
 
     def scenarios(self, operator: Any, *, judged: Judged | None = None) -> Scenarios:
-        """The operator at every corner, as one.
+        """The operators of all corners, joined in one.
 
         Args:
             operator: The nominal projector.

@@ -72,7 +72,7 @@ def pareto(
         "no target": plan.target is None,
     }
     if why := [name for name, holds in several.items() if holds]:
-        raise BadInput(f"times against windows got a plan with {' and '.join(why)}; expected one part and one machine")
+        raise BadInput(f"a series of exposures got a plan with {' and '.join(why)}; expected one part and one machine")
     points, light = [_point(plan, limit)], plan
     for done, share in enumerate(SHARES):
         progress(done / len(SHARES))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from vamgpu.metrics.light import mean_brightness
-from vamgpu.metrics.parts import Parts
 from vamgpu.metrics.scores import Scores, score
 from vamgpu.metrics.slices import SliceScores, score_slices
 
-__all__ = ["Parts", "Scores", "SliceScores", "mean_brightness", "score", "score_slices"]
+__all__ = ["Scores", "SliceScores", "mean_brightness", "score", "score_slices"]

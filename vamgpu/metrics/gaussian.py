@@ -13,18 +13,14 @@ from vamgpu.geometry import counts
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """height · exp(−(x − mean)² / 2σ²) over a histogram.
+    """height · exp(−(x − mean)² / 2σ²) over a histogram."""
 
-    mean (μ), sigma (σ): in units of the values.  r2: coefficient of determination R² over the bins.  height: in counts.
-    edges: (bins + 1,).  counts: (bins,).
-    """
-
-    mean: float
-    sigma: float
-    r2: float
-    height: float
-    edges: np.ndarray
-    counts: np.ndarray
+    mean: float  # μ, in units of the values
+    sigma: float  # σ, in units of the values
+    r2: float  # coefficient of determination R² over the bins
+    height: float  # in counts
+    edges: np.ndarray  # (bins + 1,)
+    counts: np.ndarray  # (bins,)
 
     def __call__(self, values: npt.ArrayLike) -> np.ndarray:
         """The curve, in counts per bin."""

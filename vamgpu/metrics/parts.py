@@ -17,22 +17,13 @@ EVERYWHERE = 1e18
 class Parts:
     """A dose judged by a target: a voxel is in the part if the target's fraction is at least ``level``, else outside.
 
-    Args:
-        dose, target: Fields [x, y, z] on one device.
-        level: Fraction from which a voxel counts as in.
-        reach: Voxels farther [voxels] from the axis are not counted; None, the default everywhere, means the inscribed
-            cylinder.
-
-    Raises:
-        ShapeMismatch: Shapes do not fit.
-        DeviceError: Arrays are on different devices.
-        BadInput: A value is out of its range.
+    Raises `ShapeMismatch`, `DeviceError`, `BadInput`.
     """
 
-    dose: DeviceArray
-    target: DeviceArray
-    level: float = 0.5
-    reach: float | None = None
+    dose: DeviceArray  # [x, y, z]
+    target: DeviceArray  # [x, y, z] on the same device
+    level: float = 0.5  # fraction from which a voxel counts as in
+    reach: float | None = None  # radius that is counted [voxels]; None, the default everywhere, for the inscribed one
 
     def __post_init__(self) -> None:
         if self.dose.shape != self.target.shape or len(self.dose.shape) != 3:
@@ -48,12 +39,5 @@ class Parts:
 
     @classmethod
     def whole(cls, field: DeviceArray) -> Parts:
-        """Count every sample of a field in class `IN`, e.g. of a sinogram.
-
-        Args:
-            field: Any field [x, y, z].
-
-        Returns:
-            The parts.
-        """
+        """Every sample of a field [x, y, z] in class `IN`, e.g. of a sinogram."""
         return cls(field, field, level=-EVERYWHERE, reach=EVERYWHERE)

@@ -24,7 +24,7 @@ ANGLES = 1801
 def steepest(ratio: float) -> float:
     """Greatest angle [rad] between light in the film and its normal: arcsin m, with m = n_medium/n_resin in 0..1."""
     if positive("index ratio m = n_medium/n_resin", ratio) > 1.0:
-        raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; expected at most 1: beyond, no angle is lost")
+        raise BadInput(f"index ratio m = n_medium/n_resin is {ratio:g}; expected at most 1: above it, no angle is lost")
     return asin(ratio)
 
 
@@ -58,7 +58,7 @@ def _width(fwhm: float, ratio: float, angles: int, along: float, depth: float) -
     while point_dose(np.array(high * along), np.array(high * depth), fwhm, ratio, angles) > 0.5:
         low, high = high, 2.0 * high
         if high > 1e6 * fwhm:
-            raise BadInput(f"at m = {ratio:g} and {angles} angles the point spread has no width; expected more")
+            raise BadInput(f"at m = {ratio:g} and {angles} angles the point spread has no width; expected more angles")
     while high - low > 1e-9 * high:
         middle = 0.5 * (low + high)
         above = point_dose(np.array(middle * along), np.array(middle * depth), fwhm, ratio, angles) > 0.5

@@ -12,16 +12,12 @@ from vamgpu.metrics.parts import IN, OUT, Parts
 
 @dataclass(frozen=True)
 class Windows:
-    """Process windows over the greatest dose; if positive, some threshold prints every judged voxel correctly.
+    """Process windows over the greatest dose; if positive, some threshold prints every judged voxel correctly."""
 
-    strict: least dose in the part − greatest dose outside. trimmed: 1 % quantile in − 99 % quantile out. fine: 0.1 % in
-    − 99.9 % out. one_sided: least in − 99 % out.
-    """
-
-    strict: float
-    trimmed: float
-    fine: float
-    one_sided: float
+    strict: float  # least dose in the part − greatest dose outside
+    trimmed: float  # 1 % quantile in − 99 % quantile out
+    fine: float  # 0.1 % in − 99.9 % out
+    one_sided: float  # least in − 99 % out
 
 
 def windows(parts: Parts, ends: Extremes, voxels: tuple[int, int]) -> Windows:

@@ -43,7 +43,7 @@ class RayBundle:
         weight = np.full(count, 1.0 / count) if self.weight is None else np.asarray(self.weight, np.float64)
         if weight.shape not in ((count,), start.shape[:3]) or not np.isfinite(weight).all() or (weight < 0).any():
             raise BadInput(
-                f"weights of rays have shape {weight.shape}; expected {count} finite numbers ≥ 0, or some a pixel"
+                f"weights of rays have shape {weight.shape}; expected {count} finite numbers ≥ 0, or as many per pixel"
             )
         length[np.abs(length - 1.0) < 1e-15] = 1.0  # a bundle that is read back is then the same to the bit
         for name, value in (("start", start), ("direction", direction / length), ("weight", weight)):

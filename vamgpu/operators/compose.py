@@ -57,7 +57,7 @@ def same_device(first: LinearOperator, second: LinearOperator) -> None:
 
 @final
 class Composed(Derived):
-    """outer ∘ inner, with the geometry of the one that has it.
+    """outer ∘ inner, with the geometry of whichever has one.
 
     inner: the operator applied first.  outer: the operator applied to its result.  Raises `ShapeMismatch`,
     `DeviceError`.

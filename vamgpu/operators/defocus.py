@@ -140,10 +140,10 @@ class _WeightedRows:
 class Defocused(Derived):
     """A projector whose light widens away from the focus, across columns and across rows.
 
-    A = Σ Bₖ·Pₖ: the projector Pₖ includes the light whose variance is near that of node k, linearly between nodes, and
-    Bₖ blurs by that variance. A pixel's light therefore has the width of ``defocus`` at every depth, including its
-    interpolation between pixels (light is never narrower than that). Depths are counted along the rays from the axis. A
-    projection takes one projection per node.
+    A = Σ Bₖ·Pₖ over nodes k of the blur's variance: Pₖ projects depths near the variance of node k, with linear
+    weights between nodes; Bₖ blurs by that variance. A pixel's light therefore has the width of ``defocus`` at every
+    depth. This includes the interpolation between pixels: light is never narrower than that. Depths are counted along
+    the rays from the axis. Each product takes one projection per node.
 
     Args:
         operator: A `Projection`, a `RingProjection` or an `Oblique`.

@@ -20,13 +20,7 @@ from vamgpu.schema.registry import name_of
 
 
 class LinearOperator(ABC):
-    """Maps ``domain`` to ``range`` on a device. NumPy in → NumPy out; device array in → device array out.
-
-    Attributes:
-        domain: Space of the operand.
-        range: Space of the result.
-        device: The device of its arrays.
-    """
+    """Maps ``domain`` to ``range`` on a device. NumPy in → NumPy out; device array in → device array out."""
 
     domain: Space
     range: Space
@@ -116,36 +110,15 @@ class LinearOperator(ABC):
         return self.device.real
 
     def matvec(self, x: np.ndarray) -> np.ndarray:
-        """Apply the matrix to a flat vector, as SciPy's linear operators do.
-
-        Args:
-            x: (columns,) or (columns, 1).
-
-        Returns:
-            A x, (rows,) or (rows, 1).
-        """
+        """A x for a flat vector, (columns,) or (columns, 1), as of SciPy's linear operators."""
         return np.asarray(self(np.reshape(x, self.domain.shape))).reshape(-1, *np.shape(x)[1:])
 
     def rmatvec(self, y: np.ndarray) -> np.ndarray:
-        """Apply the transpose to a flat vector.
-
-        Args:
-            y: (rows,) or (rows, 1).
-
-        Returns:
-            Aᵀ y, (columns,) or (columns, 1).
-        """
+        """Aᵀ y for a flat vector, (rows,) or (rows, 1)."""
         return self.T.matvec(y)
 
     def vjp(self, x: Any) -> tuple[Any, LinearOperator]:
-        """Compute the value and the vector-Jacobian product, for differentiation by hand.
-
-        Args:
-            x: The operand, as for a call.
-
-        Returns:
-            A x, and the transpose, which maps derivatives by A x to those by x.
-        """
+        """A x, and the transpose, which maps derivatives by A x to those by x; for differentiation by hand."""
         return self(x), self.T
 
     def __matmul__(self, other: Any) -> Any:
@@ -206,11 +179,7 @@ class LinearOperator(ABC):
 
     @final
     def dense(self) -> np.ndarray:
-        """The matrix itself, for tiny geometries.
-
-        Returns:
-            The matrix (range size, domain size).
-        """
+        """The matrix itself (range size, domain size), for tiny geometries."""
         columns = np.prod(self.domain.shape)
         unit = np.zeros(self.domain.shape)
         matrix = np.empty((int(np.prod(self.range.shape)), int(columns)))
@@ -222,14 +191,7 @@ class LinearOperator(ABC):
 
     @final
     def dot_test(self, seed: int = 0) -> float:
-        """Test the transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖) for signed normals x and y, sums in float64.
-
-        Args:
-            seed: Seed of the random numbers.
-
-        Returns:
-            The relative gap, 0 for an exact transpose.
-        """
+        """Gap of the transpose: |⟨Ax, y⟩ − ⟨x, Aᵀy⟩| / (‖Ax‖‖y‖) for signed normals x and y, sums in float64."""
         rng = np.random.default_rng(seed)
         x = rng.standard_normal(self.domain.shape).astype(np.float32)
         y = rng.standard_normal(self.range.shape).astype(np.float32)

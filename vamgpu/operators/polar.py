@@ -54,8 +54,8 @@ class PolarGrid:
     """Rings of voxels about the axis of rotation: cells are about as long as rings are wide.
 
     Each ring has a whole number of cells between two angles of the turntable; a rotation by one angle therefore maps
-    the grid onto itself. A volume is ``[angle, cell, z]``: cell q of ring j between angle t and the next lies at ``[t,
-    band.cell + q · band.rings + j − band.begin]``.
+    the grid onto itself. A volume is ``[angle, cell, z]``. Between angle t and the next, cell q of ring j is stored at
+    ``[t, band.cell + q · band.rings + j − band.begin]``.
 
     Args:
         rings: Number of rings, a multiple of eight.

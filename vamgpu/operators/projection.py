@@ -35,7 +35,7 @@ class Projection(LinearOperator):
     i's box, blurred by the beam's point spread, averaged over the box of voxel j: the length [mm] of the ray in the
     voxel, multiplied by the transmittance, and by the absorbed fraction per mm if a vessel absorbs. Inside a vessel,
     one ray passes through each point within the printable radius; voxels outside it count as unlit. For a container
-    that turns while a frame is lit, light is the mean along its way, accurate to 0.001 of the greatest dose.
+    that turns while a frame is lit, light is the mean over that arc, accurate to 0.001 of the greatest dose.
 
     Args:
         grid: Voxels of the volume.
@@ -184,7 +184,7 @@ class Projection(LinearOperator):
         """This projection at other angles of the same turn; it shares everything that does not depend on them.
 
         Args:
-            motion: The angles, whose arcs must not be longer than its own.
+            motion: The angles; their arcs must not be longer than this projection's.
 
         Returns:
             The projection.
@@ -196,7 +196,7 @@ class Projection(LinearOperator):
 
     @property
     def row_weights(self) -> np.ndarray:
-        """Share of the light of each row of pixels in each slice, (slices, rows)."""
+        """Share of each pixel row's light that falls in each slice, (slices, rows)."""
         return self._rows.weights
 
     def lit_slices(self, light: np.ndarray | DeviceArray) -> DeviceArray:

@@ -48,13 +48,5 @@ class Operator(Protocol):
         ...
 
     def __call__(self, x: Any, out: Any = None) -> Any:
-        """Compute A x.
-
-        Args:
-            x: A field on the device, [domain.shape]; it does not change.
-            out: Receives the result, [range.shape]; None for a new field.
-
-        Returns:
-            The result, on the device.
-        """
+        """A x [range.shape] of a field on the device, which does not change; in ``out``, or in a new field."""
         ...

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property, lru_cache
 from math import ceil, hypot, inf, sqrt
 from typing import Any
 
@@ -162,12 +162,17 @@ def unwrap(vessel: Any) -> tuple[Vessel, list[Callable[..., np.ndarray]]]:
 
 
 def _never_changes(vessel: Any) -> bool:
-    """Whether what a vessel does to light is known by its value."""
+    """Whether equal vessels of its class do the same to light: their compared fields are all that they hold."""
+    kind = type(vessel)
     try:
         hash(vessel)
+        held = {k: v for k, v in vars(vessel).items() if not isinstance(getattr(kind, k, None), cached_property)}
     except TypeError:
         return False
-    return getattr(getattr(vessel, "__dataclass_params__", None), "frozen", False)
+    if not getattr(vars(kind).get("__dataclass_params__"), "frozen", False):
+        return False
+    compared = {each.name for each in fields(vessel) if each.compare}
+    return compared >= held.keys() and all(_never_changes(each) for each in held.values() if is_dataclass(each))
 
 
 def _square(samples: int, pitch: float) -> list[np.ndarray]:

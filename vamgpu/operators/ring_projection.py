@@ -53,10 +53,10 @@ THICK = 64
 class RingProjection(LinearOperator):
     """A `Projection` at even angles, computed by Fourier transforms over the angles, on rings about the axis.
 
-    It can replace a `Projection` everywhere, also in a vial. It gives the same dose within 0.002 of the greatest (root
-    mean square; 0.02 anywhere), for light with a point spread and except for two voxels along the rim of the lit resin.
-    Dose is the mean over voxels, or over parts of them as wide as columns in the resin, about points of rings 0.75
-    voxels or 0.6 columns wide; cubic splines interpolate it at the voxels within the cylinder that light reaches at
+    It can replace a `Projection` everywhere, also in a vial. Its doses differ by at most 0.002 of the greatest dose
+    (root mean square; 0.02 in any voxel) if light has a point spread, except within two voxels of the rim of the lit
+    resin. Rings are 0.75 voxels or 0.6 columns wide. At their points, the dose is averaged over a voxel, or over the
+    width of a column in the resin. Cubic splines interpolate it at the voxels in the cylinder that light reaches at
     every angle. Voxels beyond it count as unlit. Its transpose is exact. Prints are judged by independent rays, as for
     ``direct``. It keeps its work fields: three on rings, each at least 1.4 times a volume, and three of light. Slices
     are processed in strips that keep the fields below one gigabyte on processors and eight on GPUs.
@@ -192,7 +192,7 @@ class RingProjection(LinearOperator):
         self.transposed_with(y, out, ())
 
     def takes_with(self, cells: PolarGrid) -> bool:
-        """Whether light that is transformed once can also be used for cells of the same slices.
+        """Whether one transform of the light also serves the cells of other operators.
 
         Args:
             cells: The cells.
@@ -257,7 +257,7 @@ class RingProjection(LinearOperator):
 
     @property
     def row_weights(self) -> np.ndarray:
-        """Share of the light of each row of pixels in each slice, (slices, rows)."""
+        """Share of each pixel row's light that falls in each slice, (slices, rows)."""
         return self._rows.weights
 
     def _rows_field(self, shape: tuple[int, ...]) -> DeviceArray:
@@ -358,7 +358,7 @@ def _fitting(rings: PolarGrid, grid: Grid, motion: Turntable) -> PolarGrid:
         )
     if not covers(rings, grid):
         raise BadInput(
-            f"got {rings.rings} rings {rings.pitch:g} mm wide, which end before the last ones that voxels need; "
+            f"got {rings.rings} rings {rings.pitch:g} mm wide, which do not reach the outermost voxels; "
             f"expected {_least(grid, rings.pitch / grid.pitch)} or more for {grid!r}, a multiple of {ROWS}"
         )
     return rings

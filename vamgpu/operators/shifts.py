@@ -219,7 +219,7 @@ def _tapers(tall: Beam, rows: int, centers: np.ndarray) -> np.ndarray:
     for above, below in zip(*bounds, strict=True):
         if below - above > 1e-6 * tall.pitch:
             raise BadInput(f"tiles leave a gap from z = {above:.4g} to {below:.4g} mm; expected neighbors that touch: "
-                           "more tiles, or more rows a tile")  # fmt: skip
+                           "more tiles, or more rows per tile")  # fmt: skip
     z = centers[:, None] + (np.arange(rows) - 0.5 * (rows - 1)) * tall.pitch
 
     def ramp(tile: int, where: np.ndarray) -> np.ndarray:

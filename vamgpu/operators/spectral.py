@@ -46,7 +46,7 @@ class SpectralProjection(LinearOperator):
             whole step.
         splines: Return coefficients of `vamgpu.operators.ring_splines`, which interpolate doses between cells; only
             with a square.
-        tiles: Dose of the light of one angle in every eight rings, if it is not that of the vessel.
+        tiles: Dose that the light of one angle leaves in every eight rings, in place of that of a vessel.
 
     Raises:
         BadInput: An argument is of another type, or no light reaches a ring.

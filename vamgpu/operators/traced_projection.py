@@ -156,7 +156,7 @@ class _Matrix:
         self.resampled = RowResampler(beam.pixels[1], beam.pitch, grid.shape[2], grid.pitch, owner.device)
         cells, rays = grid.shape[0] * grid.shape[1], owner.motion.angles * beam.pixels[0]
         if max(cells, rays) > WHOLE:
-            raise BadInput(f"{cells} voxels a slice and {rays} rays; at most {WHOLE} of each: use a coarser geometry")
+            raise BadInput(f"{cells} voxels per slice and {rays} rays; at most {WHOLE} of each: use a coarser geometry")
         entries = _mean_of(owner, (rays, cells))
         self.entries = entries.weight.size
         self.rows = entries.table(self.device, owner.range.shape[:2], PLANES * grid.shape[1])
@@ -215,7 +215,7 @@ def _traced(owner: TracedProjection, poses: np.ndarray) -> SparseEntries:
         at += some.size
     found, whole = np.concatenate(entries), np.concatenate(pairs)
     if len(whole) >= 2**31:
-        raise OutOfMemory(f"the matrix has {len(whole)} entries; below {2**31} can be numbered: use a coarser grid")
+        raise OutOfMemory(f"the matrix has {len(whole)} entries; expected fewer than {2**31}: use a coarser grid")
     row = np.repeat(np.arange(found.size, dtype=np.int32), found)
     return SparseEntries(row, whole[:, 0].astype(np.int32), np.ascontiguousarray(whole[:, 1]))
 

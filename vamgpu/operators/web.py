@@ -25,11 +25,11 @@ class WebProjection(LinearOperator):
     """The light of one angle at every position of a web that moves past it.
 
     ``A(web)`` is the light [angle, r, z] of a web [l, rho, z]: g[angle, r, z] = Σ over the window of P[r, rho, l]·f[l +
-    start + angle·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count as 0. A window
-    that begins between two columns interpolates linearly, and light is the mean over the film's motion while a frame is
-    lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is never
-    stored: memory is that of f and g, and for steps between columns one more g. A pixel is that of the `Propagation`,
-    without point spread.
+    start + angle·step, rho, z]; ``A.T(light)`` is the dose of the web. Columns outside the web count as 0. If a window
+    begins between two columns, the film is interpolated linearly. Light is the mean over the film's motion while a
+    frame is lit. The unfolded matrix of "Roll-to-roll tomographic volumetric additive manufacturing", section S2, is
+    never stored: it takes the memory of f and g, and of one more g if steps are not whole columns. A pixel is that of
+    the `Propagation`, without point spread.
 
     Args:
         grid: The web.

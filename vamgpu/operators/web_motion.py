@@ -32,7 +32,7 @@ class WebMotion:
         step = positive("the step in columns a pose", step)
         if step > window:
             raise SkippedColumns(
-                f"the web moves {step:g} columns an angle and the window of light is {window} columns long; turn by "
+                f"the web moves {step:g} columns per angle and the window of light is {window} columns long; turn by "
                 "smaller steps or use coarser columns"
             )
         begin = float(1 - window) if start is None else float(start)
@@ -99,6 +99,6 @@ class WebMotion:
             dark = np.setdiff1d(span, lit)
             raise SkippedColumns(
                 f"{dark.size} of {expected} columns are never lit, the first is column {dark[0]}: the web moves "
-                f"{self.step:g} columns an angle and light reaches {np.unique(light.l).size} columns of the window; "
+                f"{self.step:g} columns per angle and light reaches {np.unique(light.l).size} columns of the window; "
                 "turn by smaller steps or use coarser columns"
             )

@@ -97,27 +97,18 @@ def _sheet(value: object) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Range of angles to the normal of the film, both sides together [rad].
+    """Range of angles to the normal of the film, both sides together [rad]."""
 
-    outer: for light behind the outer face, 2·asin(m) (Toombs et al., S11). inner: for light at the roller; it is
-    larger, because the normal turns as a ray goes inwards. limit: largest gain. clipped: angle of incidence in the bath
-    above which 1/T exceeds the limit. lost: part of ``outer`` that is clipped. lost_incidence: the same as a range of
-    angles of incidence.
-    """
-
-    outer: float
-    inner: float
-    limit: float
-    clipped: float
-    lost: float
-    lost_incidence: float
+    outer: float  # for light behind the outer face, 2·asin(m) (Toombs et al., S11)
+    inner: float  # for light at the roller: larger, because the normal turns as a ray goes inwards
+    limit: float  # largest gain
+    clipped: float  # angle of incidence in the bath above which 1/T exceeds the limit
+    lost: float  # part of ``outer`` that is clipped
+    lost_incidence: float  # the same as a range of angles of incidence
 
 
 def coverage(film: Film, radius: float, limit: float, polarization: str = "none") -> Coverage:
-    """Coverage of a film on a roller of this radius [mm] by light of a polarization.
-
-    Raises `BadInput` for a limit below 1.
-    """
+    """Coverage of a film on a roller of this radius [mm] by polarized light. Raises `BadInput` for a limit below 1."""
     if not limit >= 1.0:
         raise BadInput(f"the largest gain is {limit!r}; expected at least 1")
     outer, faces = radius + film.thickness, film.faces(radius)

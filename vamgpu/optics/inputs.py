@@ -6,12 +6,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vamgpu.errors import BadInput
-from vamgpu.geometry import positive
+from vamgpu.geometry import Vessel, positive
 
 Floats = NDArray[np.float64]
 
 LOW_TRANSMITTANCE = 0.8
 """Share of the light below which a vessel warns: regions with less light print late."""
+
+
+class Container(Vessel):
+    """A vessel that limits the radius of a target."""
+
+    def check_fits(self, radius: float) -> None:
+        """Check that a target of this radius about the axis can be printed.
+
+        Args:
+            radius: Radius of the target [mm].
+
+        Raises:
+            BadInput: The radius is not a finite number above 0.
+            TargetTooLarge: The radius exceeds the printable radius.
+
+        Warns:
+            OpticsWarning: Faces, windows or liquid transmit less than 0.8 of the light within the radius.
+        """
+        raise NotImplementedError
 
 
 def as_offsets(name: str, value: ArrayLike) -> Floats:

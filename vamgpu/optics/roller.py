@@ -45,13 +45,13 @@ class Roller:
         step: Rotation from one angle to the next [rad].
         legs: Length of each straight run in the window [mm]; None for the depth in which light falls to 5 %.
         reflectivity: Share of the light that the roller reflects, specular.
-        compensation: Largest factor by which columns compensate Fresnel's loss, see `gain`; None for none. It is
-            part of the beam: a projector with equally bright columns must show frames multiplied by `gain`.
+        compensation: Largest factor by which columns compensate Fresnel's loss, see `gain`; None for no compensation.
+            It is part of the beam: a projector with equally bright columns must show frames multiplied by `gain`.
         divergence: Half angle of the fan of light of each column in the bath [rad], uniform in its sine, centered where
             the column is in focus.
         planes: Depths [mm] of the projector's focus planes along the light from the axis, < 0 before it. Each column is
             in focus at the plane nearest to where it meets the middle of the film, as in `vamgpu.FocusMasks`. None:
-            each column is in focus exactly there.
+            each column is in focus exactly at the film's middle.
         lit_share: Share of each step during which its frame is lit while the film moves, half of it before the angle; 0
             for a film that stops while it is lit. With a lens, the focus planes divide this time.
         neutral: Depth of the line that bending does not stretch, as a share of the thickness, measured from the roller.

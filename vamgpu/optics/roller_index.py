@@ -63,7 +63,7 @@ class FilmIndex:
         need, slack = ((-outer, outer), (-outer, leg)), 1e-6 * outer
         if any(low > a + slack or high < b - slack for (low, high), (a, b) in zip(spans, need, strict=True)):
             known, needed = (" and ".join(f"{low:.4g} to {high:.4g}" for low, high in s) for s in (spans, need))
-            raise BadInput(f"the {type(self.index).__name__} of the film reaches from {known} mm in x and y; expected "
+            raise BadInput(f"the {type(self.index).__name__} of the film covers {known} mm in x and y; expected "
                            f"{needed} mm, the film with its straight runs")  # fmt: skip
 
     def at(self, x: Floats, y: Floats) -> Floats:

@@ -63,22 +63,17 @@ class Layers:
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight segments of rays in resin; all arrays (pieces,).
+    """Straight segments of rays in resin; all arrays (pieces,)."""
 
-    ray: number of the ray. x, y: start [mm]. dx, dy: unit direction. length [mm]. before: path in resin before the
-    start [mm]. power: share of the ray's power after losses at faces and roller, before absorption. side: −1 and 1 in
-    the straight runs at negative and positive x, 0 on the roller.
-    """
-
-    ray: np.ndarray
-    x: Floats
+    ray: np.ndarray  # number of the ray
+    x: Floats  # start [mm]
     y: Floats
-    dx: Floats
+    dx: Floats  # unit direction
     dy: Floats
-    length: Floats
-    before: Floats
-    power: Floats
-    side: np.ndarray
+    length: Floats  # [mm]
+    before: Floats  # path in resin before the start [mm]
+    power: Floats  # share of the ray's power after losses at faces and roller, before absorption
+    side: np.ndarray  # −1 and 1 in the straight runs at negative and positive x, 0 on the roller
 
     def absorbed(self, absorption: float) -> Floats:
         """Power absorbed in each segment, as a share of its ray's; length times power without absorption."""
@@ -89,14 +84,12 @@ class Segments:
 
 @dataclass(frozen=True)
 class Traced:
-    """Rays and how they ended. transmittance: share of each ray's power that first entered the resin. length: path in
-    the resin [mm]. end: `End` of each ray. All (rays,).
-    """
+    """Rays and how they ended; all arrays (rays,)."""
 
     segments: Segments
-    transmittance: Floats
-    length: Floats
-    end: np.ndarray
+    transmittance: Floats  # share of each ray's power that first entered the resin
+    length: Floats  # path in the resin [mm]
+    end: np.ndarray  # `End` of each ray
 
 
 def trace(layers: Layers, x: Floats, y: Floats, dx: Floats, dy: Floats, device: str | Device | None = None) -> Traced:

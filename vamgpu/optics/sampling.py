@@ -57,8 +57,8 @@ def more_angles(motion: Turntable, width: float, radius: float) -> int:
 def enough_angles(beam: Beam, vessel: Any, radius: float | str, lit_share: float = 1.0) -> int:
     """Number of even angles of a turn at which no point of a part moves farther than four pixels.
 
-    The relevant distance is that by which the farthest point moves while a frame is lit, or, if that is more, half of
-    its distance to the next angle, relative to the width of a pixel in the resin. Patterns optimized with the motion in
+    The distance, in widths of a pixel in the resin, is how far the farthest point moves while a frame is lit or, if
+    that is more, half of how far it moves to the next angle. Patterns optimized with the motion in
     the operator do not need more angles: see `MOVED`.
 
     Args:

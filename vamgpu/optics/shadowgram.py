@@ -77,7 +77,7 @@ def shadowgram(
         resin_index: Refractive index around the cylinder.
         pose: Angle θ of the print [rad].
         rays: Rays per pixel and axis.
-        step: Of ∫ds/n [mm]; by default a third of the grid's pitch over the index.
+        step: Step of ∫ds/n [mm]; by default a third of the grid's pitch, divided by the index.
         device: A name or a device.
 
     Returns:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, Vessel
+from vamgpu.geometry import Chords
 from vamgpu.optics.double_walled_vial import DoubleWalledVial
-from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, as_offsets
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Container, Floats, as_offsets
 from vamgpu.optics.interface import fresnel
 from vamgpu.optics.vial import Vial
 from vamgpu.schema import check
@@ -20,7 +20,7 @@ from vamgpu.schema.quantities import Absorption, HalfTilt, Index, Length, Thickn
 
 
 @dataclass(frozen=True)
-class SquareBath(Vessel):
+class SquareBath(Container):
     """A round vial that turns in a fixed square bath of liquid; light enters through one flat window.
 
     The index of the liquid is the vial's bath_index. Parallel light stays parallel behind a flat window. At normal
@@ -193,18 +193,6 @@ class SquareBath(Vessel):
         return u, weight * self._share(u, q) / slope
 
     def check_fits(self, radius: float) -> None:
-        """Check that a target can be printed, as `Vial.check_fits` does.
-
-        Args:
-            radius: Radius of the target about the axis [mm].
-
-        Raises:
-            BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds the printable radius.
-
-        Warns:
-            OpticsWarning: Vial, window or liquid transmit less than 0.8 of the light.
-        """
         self.vessel.check_fits(radius)
         if radius > self.lit_radius:
             raise TargetTooLarge(

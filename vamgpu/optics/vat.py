@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, Vessel, positive
-from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
+from vamgpu.geometry import Chords, positive
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Container, Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Polarization, polarized, transmittance
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Absorption, Index, Length
 
 
 @dataclass(frozen=True)
-class Vat(Vessel):
+class Vat(Container):
     """A square or rectangular vat with a flat window, lit at right angles, that does not turn while the part turns.
 
     The resin fills the vat or, if a radius is given, a round vessel in the middle of a clear liquid of the same index.
@@ -111,18 +111,6 @@ class Vat(Vessel):
         return points_x.copy(), weight
 
     def check_fits(self, radius: float) -> None:
-        """Check that a target of this radius about the axis can be printed.
-
-        Args:
-            radius: Radius of the target [mm].
-
-        Raises:
-            BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds the printable radius.
-
-        Warns:
-            OpticsWarning: The window transmits less than 0.8.
-        """
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from vamgpu.backend.cores import pointwise
 from vamgpu.card import card
 from vamgpu.errors import BadInput, OpticsWarning, TargetTooLarge
-from vamgpu.geometry import Chords, Vessel, centers, positive
+from vamgpu.geometry import Chords, centers, positive
 from vamgpu.optics.faces import Face, transmit, turn
-from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Floats, absorbed_share, as_offsets
+from vamgpu.optics.inputs import LOW_TRANSMITTANCE, Container, Floats, absorbed_share, as_offsets
 from vamgpu.optics.interface import Polarization, impact_after, polarized
 from vamgpu.optics.raymap import first_columns
 from vamgpu.schema import check, write
@@ -27,7 +27,7 @@ PICTURE = 110
 
 
 @dataclass(frozen=True)
-class Vial(Vessel):
+class Vial(Container):
     """A round vial of resin with a clear wall; light refracts at the outer and at the inner face of the wall.
 
     Fixed frame: at the angle θ, a voxel at (x, y) lies at X = y·cos θ − x·sin θ, the direction in which the beam's
@@ -193,18 +193,6 @@ class Vial(Vessel):
         return (np.where(spacing != 0.0, share, 0.0),)
 
     def check_fits(self, radius: float) -> None:
-        """Check that a target of this radius about the axis can be printed.
-
-        Args:
-            radius: Radius of the target [mm].
-
-        Raises:
-            BadInput: The radius is not a finite number above 0.
-            TargetTooLarge: The radius exceeds the printable radius.
-
-        Warns:
-            OpticsWarning: Within the radius the faces transmit less than 0.8.
-        """
         radius = positive("target radius [mm]", radius)
         if radius > self.printable_radius:
             raise TargetTooLarge(

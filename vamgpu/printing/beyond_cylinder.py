@@ -16,17 +16,12 @@ from vamgpu.metrics.thin_regions import IN_THE_PART
 
 @dataclass(frozen=True)
 class Outer:
-    """The greatest dose beside, above and below the judged cylinder, a pixel or more from the part.
+    """The greatest dose beside, above and below the judged cylinder, a pixel or more from the part."""
 
-    dose: on one voxel, in units of Aᵀ(light). place: its center x, y, z [mm]. width: width of the voxel [mm]: that of
-    the part's voxels, or wider beyond the corners of the grid if the resin reaches much farther. radius: greatest
-    distance from the axis that was searched [mm]: the inner wall, or else the corners of the grid.
-    """
-
-    dose: float
-    place: tuple[float, float, float]
-    width: float
-    radius: float
+    dose: float  # on one voxel, in units of Aᵀ(light)
+    place: tuple[float, float, float]  # its center x, y, z [mm]
+    width: float  # of the voxel [mm]: the part's, or wider beyond the corners of the grid if the resin reaches far
+    radius: float  # greatest distance from the axis that was searched [mm]: the inner wall, or else the grid's corners
 
     @property
     def distance(self) -> float:

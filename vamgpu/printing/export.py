@@ -17,12 +17,12 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 
 from vamgpu.backend.cores import threads
-from vamgpu.curethrough.images import deflated, encode, encode_bits
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import counts, positive
 from vamgpu.printing.folder import describe
 from vamgpu.quantity import positive as number
 from vamgpu.storage.atomic import as_path, check_folder, replacing
+from vamgpu.storage.images import deflated, encode_png
 from vamgpu.storage.manifest import plain
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Canvas:
     def undone(self, images: np.ndarray, angles: int, rows: int, columns: int) -> np.ndarray:
         """The levels of the first turn among images that a canvas was exported as. Raises `BadInput`."""
         if self.keystone is not None or self.rotation % 90:
-            raise BadInput("the images were rotated by a part of a quarter turn, or have a keystone; expected plain "
+            raise BadInput("the images were not rotated by whole quarter turns, or have a keystone; expected plain "
                            "ones: prove the job that they were exported from")  # fmt: skip
         shape = (rows, columns)[:: -1 if round(self.rotation / 90) % 2 else 1]
         top, left = self._corner(shape, images.shape[1:] if self.size is None else self.size[::-1])
@@ -259,7 +259,7 @@ def _png(shown: _Shown, draft: Path) -> None:
 
     def save(numbered: tuple[int, np.ndarray]) -> None:
         number, levels = numbered
-        data = encode(levels, ".png") if shown.frames.bits == 8 else encode_bits(levels > 127)
+        data = encode_png(levels if shown.frames.bits == 8 else levels > 127)
         (draft / f"frame_{number:0{digits}d}.png").write_bytes(data)
 
     for _ in _on_threads(save, shown):

@@ -223,7 +223,7 @@ def flattened(flat_field: Any, shape: tuple[int, ...]) -> np.ndarray:
     try:
         flat = np.asarray(flat_field, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BadInput(f"the flat field is no numeric array: {error}; expected brightness [row, column]") from error
+        raise BadInput(f"the flat field is not a numeric array: {error}; expected brightness [row, column]") from error
     if flat.shape != shape:
         raise ShapeMismatch(f"the flat field has shape {flat.shape}; expected {shape} = [row, column] of the frames")
     if not np.isfinite(flat).all() or flat.min() <= 0:

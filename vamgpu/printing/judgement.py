@@ -44,22 +44,13 @@ WHOLE = 2**28
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A proved print, judged by more criteria than its strict window.
+    """A proved print, judged by more criteria than its strict window."""
 
-    Attributes:
-        over_tolerance: W from 0 to two voxels or pixels, on voxels at most half as wide as the part's and as a pixel in
-            the resin.
-        surface: comparison of the print's surface with the mesh.
-        pixel: width of the narrowest column in the resin [mm]; a voxel of the part if there are no rays.
-        off: computes the table of errors.
-        not_judged: what was not judged, one sentence each.
-    """
-
-    over_tolerance: ToleranceWindow
-    surface: SurfaceJudgement
-    pixel: float
-    off: Callable[[], ToleranceTable] = field(repr=False)
-    not_judged: tuple[str, ...] = ()
+    over_tolerance: ToleranceWindow  # W up to two voxels or pixels, on voxels half as wide or less
+    surface: SurfaceJudgement  # comparison of the print's surface with the mesh
+    pixel: float  # width of the narrowest column in the resin [mm]; a voxel of the part if there are no rays
+    off: Callable[[], ToleranceTable] = field(repr=False)  # computes the table of errors
+    not_judged: tuple[str, ...] = ()  # what was not judged, one sentence each
 
     @property
     def deep(self) -> float:

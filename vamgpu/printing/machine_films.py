@@ -10,35 +10,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vamgpu.curethrough.images import encode_colors
 from vamgpu.errors import BadInput
 from vamgpu.printing.export import Canvas, export
 from vamgpu.quantity import positive
 from vamgpu.storage.atomic import check_folder, replacing
+from vamgpu.storage.images import encode_png
 
 if TYPE_CHECKING:
     from vamgpu.printing.frames import Frames
 
 HDMI = 60.0
 """Images per second that projectors show."""
+DARK = (5.0, 10.0)
+"""Seconds without light before and after the turns of a film."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine, and how its files are made.
-
-    Args:
-        size: Columns and rows of its images.
-        fastest: Images per second that it shows.
-        speed: Greatest speed of its stage [rpm].
-        write: Writes its files.
-        notes: What its operator has to know.
-    """
+    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and notes for its operator."""
 
     size: tuple[int, int]
     fastest: float
     speed: float
-    write: Callable[[Film, Path], Path]
+    dark: tuple[float, float] | None
+    write: Callable[[Film, Path], tuple[Path, str]]
     notes: tuple[str, ...]
 
 
@@ -61,92 +56,84 @@ class Film:
 
 def export_for(
     machine: str, frames: Frames, folder: str | Path, name: str, *, rpm: float, canvas: Canvas = Canvas(),
-    dark: tuple[float, float] = (0.0, 0.0), channel: str | None = None, overwrite: bool = False,
+    dark: tuple[float, float] | None = None, channel: str | None = None, overwrite: bool = False,
 ) -> tuple[Path, Path]:  # fmt: skip
-    """Write frames as the files of a machine, and a card beside them.
+    """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
 
-    Args:
-        machine: ``"opencal"``, ``"tvam-code"``, ``"rotary"`` or ``"lightcrafter"``.
-        frames: The frames, of equal angles over a full turn.
-        folder: An existing folder.
-        name: Name of the part, with which those of the files begin.
-        rpm: Speed of the turntable [rpm].
-        canvas: Placement, and number of turns; its size is by default that of the machine.
-        dark: Seconds without light before the first turn and after the last; made whole turns, so that a film that
-            is played in a loop begins at the same angle again.
-        channel: ``"red"``, ``"green"`` or ``"blue"`` to light one channel of a film alone.
-        overwrite: Whether to replace files.
-
-    Returns:
-        The file or folder, and its card.
-
-    Raises:
-        BadInput: The machine is unknown, cannot show the frames so fast, or cannot turn so fast; or an argument is
-            out of its range.
-        StorageError: A file exists or cannot be written.
+    name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
+    seconds without light before the first turn and after the last, made whole turns: a film that is played in a loop
+    then begins at the same angle again. channel: the only one that is lit: "red", "green" or "blue". Raises `BadInput`
+    if the machine cannot show or turn so fast, `StorageError`.
     """
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
     kind, motion = MACHINES[machine], frames.motion
     if motion is not None and not motion.is_even:
-        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn: no film has others")
+        raise BadInput(f"got frames of {motion}; expected equal angles and times over a full turn, as in every film")
     turn = 60.0 / positive("rpm", rpm)
-    before, after = (ceil(positive("seconds of dark", each, zero=True) / turn - 1e-9) for each in dark)
+    asked = dark or kind.dark or (0.0, 0.0)
+    before, after = (ceil(positive("seconds of dark", each, zero=True) / turn - 1e-9) for each in asked)
+    if kind.dark is None and (before or after):
+        raise BadInput(f"dark is {dark}; expected none: the files for {machine} hold one turn, without dark images")
+    if kind.dark is not None and not after:
+        raise BadInput(f"dark is {dark}; expected seconds above 0 after the last turn: a film that ends lit goes on "
+                       "curing at its last angle, or starts again")  # fmt: skip
     lit = replace(canvas, size=canvas.size or kind.size, dark=(before * frames.shape[0], after * frames.shape[0]))
     film = Film(frames, name, rpm, lit, channel, overwrite)
     most = min(kind.speed, 60.0 * kind.fastest / frames.shape[0])
     if rpm > most * (1.0 + 1e-9):
-        raise BadInput(f"{frames.shape[0]} frames a turn at {rpm:g} rpm are {film.fps:.4g} images a second; {machine} "
-                       f"shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm or "
-                       "less, or fewer angles")  # fmt: skip
+        raise BadInput(f"{frames.shape[0]} frames per turn at {rpm:g} rpm are {film.fps:.4g} images per second; "
+                       f"{machine} shows {kind.fastest:g} and turns at {kind.speed:g} rpm at most: use {most:.4g} rpm "
+                       "or less, or fewer angles")  # fmt: skip
     check_folder(Path(folder) / name)
-    made = kind.write(film, Path(folder))
+    made, levels = kind.write(film, Path(folder))
     card = made.with_name(f"{made.stem}.txt")
     with replacing(card, overwrite=overwrite) as draft:
-        draft.write_text(_card(film, machine, made), encoding="utf-8")
+        draft.write_text(_card(film, machine, made, levels), encoding="utf-8")
     return made, card
 
 
-def _card(film: Film, machine: str, made: Path) -> str:
+def _card(film: Film, machine: str, made: Path, levels: str) -> str:
     """What to set at the machine."""
     n, canvas, turn = film.frames.shape[0], film.canvas, 60.0 / film.rpm
-    dark = [each // n for each in canvas.dark]
-    light, seconds = f"{canvas.repeats} turns of {n} images", f"{canvas.repeats * turn:.6g} s"
+    before, after = (each // n for each in canvas.dark)
+    light, seconds = f"{canvas.repeats} turns of {n} frames", f"{canvas.repeats * turn:.6g} s"
     lines = [
         f"{made.name} for {machine}",
         f"turn at     {film.rpm:g} rpm = {6.0 * film.rpm:g} deg/s, one turn in {turn:.6g} s",
-        f"light       {light}, {film.fps:.6g} images a second, {seconds}",
-        f"dark        {dark[0]} turns ({dark[0] * turn:.6g} s) before, {dark[1]} turns ({dark[1] * turn:.6g} s) after",
+        f"light       {light}, {film.fps:.6g} images per second, {seconds}",
+        f"dark        {before} turns ({before * turn:.6g} s) before, {after} turns ({after * turn:.6g} s) after"
+        if after else "dark        none in the files",
         f"image       {canvas.size[0]} x {canvas.size[1]} pixels, light in {film.channel or 'all channels'}"
         if canvas.size else "",
-        f"levels      gray curve {film.frames.gray.describe()}",
+        f"levels      {levels}",
     ]  # fmt: skip
     words = {"turns": canvas.repeats, "speed": 6.0 * film.rpm, "name": made.name}
     notes = (note.format(**words) for note in MACHINES[machine].notes)
     return "\n".join([*lines, *notes, ""])
 
 
-def _film(film: Film, place: Path) -> Path:
-    return export(film.frames, place, fps=film.fps, overwrite=film.overwrite, canvas=film.canvas,
+def _film(film: Film, place: Path) -> tuple[Path, str]:
+    made = export(film.frames, place, fps=film.fps, overwrite=film.overwrite, canvas=film.canvas,
                   players=film.channel is None, channel=film.channel)  # fmt: skip
+    return made, f"gray curve {film.frames.gray.describe()}"
 
 
-def _opencal(film: Film, folder: Path) -> Path:
+def _opencal(film: Film, folder: Path) -> tuple[Path, str]:
     """OpenCAL reads the speed from the name, in whole rpm."""
     if film.rpm != int(film.rpm):
         raise BadInput(f"rpm is {film.rpm:g}; expected a whole number, which OpenCAL reads from the name of the film")
     return _film(film, folder / f"{film.name}_{int(film.rpm)}rpm.mp4")
 
 
-def _rotary(film: Film, folder: Path) -> Path:
+def _rotary(film: Film, folder: Path) -> tuple[Path, str]:
     return _film(film, folder / f"{film.name}.mp4")
 
 
-def _tvam_code(film: Film, folder: Path) -> Path:
+def _tvam_code(film: Film, folder: Path) -> tuple[Path, str]:
     """Linear levels ``patterns`` [angle, r, z] of one turn: its stage starts and ends the light."""
     gray = film.frames.gray
-    once = replace(film.canvas, repeats=1, dark=(0, 0))
-    light = [gray(image.T) - gray.black for image in once.images(film.frames)]
+    light = [gray(image.T) - gray.black for image in replace(film.canvas, repeats=1).images(film.frames)]
     most = max(float(each.max()) for each in light)
     if most <= 0.0:
         raise BadInput("every frame is dark; expected some light")
@@ -154,40 +141,43 @@ def _tvam_code(film: Film, folder: Path) -> Path:
     place = folder / f"{film.name}-tvam.npz"
     with replacing(place, overwrite=film.overwrite) as draft, draft.open("wb") as file:
         np.savez_compressed(file, patterns=levels)
-    return place
+    share = most / (1.0 - gray.black)
+    return place, (
+        f"linear in light; the brightest pixel, {share:.4g} of full light, is made 255: {1.0 / share:.4g} times "
+        f"the dose,\n            unless you dim the projector to {share:.4g} or make {share:.4g} of the turns"
+    )
 
 
-def _lightcrafter(film: Film, folder: Path) -> Path:
+def _lightcrafter(film: Film, folder: Path) -> tuple[Path, str]:
     """Images of 24 bits with three frames each, in the order in which the controller takes them: green, red, blue."""
-    place, group = folder / f"{film.name}-lightcrafter", []
+    place, n = folder / f"{film.name}-lightcrafter", film.frames.shape[0]
+    if n % 3:
+        raise BadInput(f"got {n} frames per turn; expected a multiple of 3, because an image of a LightCrafter holds "
+                       f"three frames of one turn: solve with {n + 3 - n % 3} angles")  # fmt: skip
     with replacing(place, overwrite=film.overwrite) as draft:
         draft.mkdir()
-        images, number = replace(film.canvas, repeats=1, dark=(0, 0)).images(film.frames), 0
-        for image in images:
-            group.append(image)
-            if len(group) == 3:
-                (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
-                group, number = [], number + 1
-        if group:
-            group += [np.zeros_like(group[0])] * (3 - len(group))
-            (draft / f"{number:04d}.png").write_bytes(encode_colors(np.stack([group[k] for k in (1, 0, 2)], 2)))
-    return place
+        images = replace(film.canvas, repeats=1).images(film.frames)
+        for number, (first, second, third) in enumerate(zip(images, images, images, strict=True)):
+            colors = np.stack([second, first, third], 2)
+            (draft / f"{number:04d}.png").write_bytes(encode_png(colors))
+    return place, f"gray curve {film.frames.gray.describe()}"
 
 
 MACHINES = {
-    "opencal": Machine((1920, 1080), HDMI, 60.0, _opencal, (
+    "opencal": Machine((1920, 1080), HDMI, 60.0, DARK, _opencal, (
         "OpenCAL takes the speed from the name, turns counterclockwise and plays the film again and again:",
         "stop the print in the dark after the last turn.",
     )),
-    "tvam-code": Machine((768, 1024), 290.0, 20.0, _tvam_code, (
+    "tvam-code": Machine((768, 1024), 290.0, 20.0, None, _tvam_code, (
         "python tvam_code.py -p {name} -v {speed:g} -n {turns}",
         "Two times the number of images must divide the steps of a turn of the stage; the light starts after one turn.",
     )),
-    "rotary": Machine((1920, 1080), HDMI, 600.0, _rotary, (
+    "rotary": Machine((1920, 1080), HDMI, 600.0, DARK, _rotary, (
         "Start the turntable before the film; the film ends in the dark.",
     )),
-    "lightcrafter": Machine((912, 1140), 120.0, 600.0, _lightcrafter, (
+    "lightcrafter": Machine((912, 1140), 120.0, 600.0, None, _lightcrafter, (
         "Each image holds three frames of 8 bits, in green, red and blue: show them in this order, {turns} times.",
+        "Switch the light off after the last turn.",
     )),
 }  # fmt: skip
 """Name → machine, from what is public of each."""

@@ -98,9 +98,9 @@ def pack(
             the window of the plan, in up to twelve rounds of one and a half evaluations each. For 1 bit it returns the
             widest window found, and the brightness of a full-on pixel if neither ``quantile`` nor ``scale`` sets it; it
             needs a plan of a vial, moved by whole pixels. The ``plan`` of the frames then has the unrounded patterns
-            and the window of the frames. None: for 1 bit "fit" if possible, otherwise "error-diffusion", or
-            "round" for angles of unequal dwell. For 8 bits "fit" for plans whose target has no bodies and no
-            tolerances, within a tenth of their evaluations, otherwise "round".
+            and the window of the frames. None chooses, for 1 bit, "fit" if possible, otherwise "error-diffusion", or
+            "round" for angles of unequal dwell. For 8 bits it chooses "fit", limited to a tenth of the plan's
+            evaluations, if the plan has no bodies and no tolerances, otherwise "round".
         scale: Irradiance of a full-on pixel, instead of the quantile.
 
     Returns:

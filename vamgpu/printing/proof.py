@@ -16,12 +16,12 @@ from vamgpu.card import card, drawable
 from vamgpu.deprecated import Renamed
 from vamgpu.errors import BadInput
 from vamgpu.methods.part import idle_light, lit_pixels
-from vamgpu.metrics import Parts, Scores, SliceScores
+from vamgpu.metrics import Scores, SliceScores
 from vamgpu.metrics.histogram import Histogram, above, histogram
 from vamgpu.metrics.light import outside_over_inside
 from vamgpu.metrics.line import Line
 from vamgpu.metrics.mesh_union import joined
-from vamgpu.metrics.parts import EVERYWHERE, IN
+from vamgpu.metrics.parts import EVERYWHERE, IN, Parts
 from vamgpu.metrics.thin_regions import Unjudged, unjudged
 from vamgpu.operators.dose_unit import absorbs
 from vamgpu.operators.projection import Projection
@@ -157,7 +157,7 @@ class Proof:
         return body_doses(self.dose.numpy(), self.target.numpy(), self.limits, at, grid)
 
     def fine(self, reach: float | None = None, above: float = 0.0) -> Iterator[FineSlab]:
-        """Compute the dose again, on voxels at most half as wide as the part's and as a column in the resin.
+        """Compute the dose again, on voxels at most half as wide as those of the part, and as a column in the resin.
 
         See `IndependentExposure.fine`.
 
@@ -289,7 +289,7 @@ class Proof:
         Args:
             path: Path of the page.
             plan: Plan whose convergence and papers the page shows.
-            judgement: Window over tolerance, tolerance table and surface; by default `Proof.judgement`.
+            judgement: Windows and surface that the page shows; by default `Proof.judgement`.
 
         Returns:
             The path.

@@ -41,8 +41,8 @@ LATER = ("width", "agrees", "given")
 def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a proof, see `Proof.save`."""
     if not isinstance(proof.frames, Frames):
-        raise BadInput(f"the proof is of {type(proof.frames).__name__}, expected Frames: what a run showed is kept in "
-                       "its own folder, which `vam prove` takes")  # fmt: skip
+        raise BadInput(f"the proof judges {type(proof.frames).__name__}; expected Frames: the folder of a run keeps "
+                       "what it showed, and `vam prove` takes that folder")  # fmt: skip
     target = Target.from_array(proof.target.numpy(), proof.operator.grid.pitch, proof.name)
     inputs, arrays = inputs_of(
         Solved(proof.dose, proof.operator, replace(target, solid=proof.solid, limits=proof.limits))

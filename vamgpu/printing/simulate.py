@@ -90,8 +90,8 @@ def simulate(
         DeviceError: an array of another device.
 
     Warns:
-        OpticsWarning: part of the target is beyond the judged cylinder, or irradiance or critical dose is too great a
-            number for these units.
+        OpticsWarning: part of the target is beyond the judged cylinder, or irradiance or critical dose is too large
+            to be in these units.
     """
     A = direct(A)
     assert not isinstance(A, RingProjection)

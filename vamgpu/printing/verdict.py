@@ -22,12 +22,7 @@ ROUGH = 1.0
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong with a print.
-
-    Attributes:
-        said: What is wrong, in words.
-        remedy: How to correct it.
-    """
+    """One thing that is wrong with a print, and how to correct it."""
 
     said: str
     remedy: str

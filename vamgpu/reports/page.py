@@ -39,17 +39,11 @@ class Chart:
 
 @dataclass(frozen=True)
 class Images:
-    """Images side by side.
+    """Images side by side."""
 
-    Args:
-        images: The images.
-        layout: A class of the style sheet.
-        across: Columns of the layout ``panels``.
-    """
-
-    images: Sequence[Image]
-    layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]
-    across: int = 2
+    images: Sequence[Image]  # the images
+    layout: Literal["frames", "trio upright", "panels", "strip", "sinogram"]  # a class of the style sheet
+    across: int = 2  # columns of the layout ``panels``
     kind: ClassVar[str] = "images"
 
 
@@ -72,11 +66,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Windows of a print on a machine with one error at a time.
-
-    Args:
-        groups: One per error, with its rows.
-    """
+    """Windows of a print on a machine with one error at a time; one group of rows per error."""
 
     groups: Sequence[Mapping[str, Any]]
     kind: ClassVar[str] = "tolerances"

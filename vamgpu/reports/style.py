@@ -83,17 +83,6 @@ def bar(drawn: Any, axis: Axes | list[Axes], label: str, **options: Any) -> None
     made.outline.set_visible(False)
 
 
-def scale_bar(axis: Axes, length: float, label: str, *, below: bool = False) -> None:
-    """A scale bar of a length in the units of the picture's axes, white in its lower left corner or dark below it."""
-    (left, right), (low, high) = axis.get_xlim(), axis.get_ylim()
-    x, y = left + 0.05 * (right - left), low + (-0.03 if below else 0.06) * (high - low)
-    color = INK if below else "white"
-    axis.plot([x, x + length], [y, y], color=color, lw=2.5, solid_capstyle="butt", clip_on=False)
-    axis.text(x, y + (-0.02 if below else 0.025) * (high - low), label, color=color, fontsize=8.5,
-              va="top" if below else "bottom")  # fmt: skip
-    axis.set(xlim=(left, right), ylim=(low, high))
-
-
 def png(figure: Figure) -> bytes:
     """The figure as a small PNG, the same bytes for the same picture; with a palette of 256 colors if necessary."""
     from PIL import Image

@@ -170,7 +170,7 @@ class Scene:
             name: Name in messages and reports; by default that of the first printed body.
 
         Returns:
-            The target, its `limits` per voxel.
+            The target; its `limits` hold the dose that each voxel requires.
 
         Raises:
             BadInput: A value is out of its range.
@@ -273,7 +273,7 @@ class Scene:
         if not self.inserts:
             return Projection(target.grid, beam, motion, vessel, device, footprint=footprint)  # type: ignore[arg-type]
         if isinstance(vessel, (GradedVial, Occluded)):
-            raise BadInput(f"{type(vessel).__name__} and inserts in the resin; expected a vessel in whose resin light "
+            raise BadInput(f"got {type(vessel).__name__} with inserts in resin; expected a vessel in whose resin light "
                            "runs straight, such as a Vial, or no inserts")  # fmt: skip
         index = getattr(vessel, "resin_index", None) if resin_index is None else resin_index
         absorption = 0.0 if vessel is None else vessel.absorption
@@ -365,7 +365,7 @@ class _Shares:
             if body.role not in PRINTED or (self.owner == k).any():
                 continue
             if not (filled[k] >= HALF).any():
-                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected some: use a finer pitch")
+                raise EmptyMesh(f"body {body.name!r} fills no voxel by half; expected at least one: use a finer pitch")
             there = set(self.owner[filled[k] >= HALF].tolist()) - {-1}
             over = ", ".join(repr(bodies[n].name) for n in sorted(there)) or "others"
             raise EmptyMesh(

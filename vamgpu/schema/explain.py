@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -156,8 +157,9 @@ def _nouns() -> Iterator[str]:
 
 
 def first_of(cls: type[Any]) -> str:
-    """The first paragraph of a docstring."""
-    return " ".join((cls.__doc__ or "").strip().split("\n\n")[0].split())
+    """The first paragraph of a docstring, without the fields that follow in the same line."""
+    text = " ".join((cls.__doc__ or "").strip().split("\n\n")[0].split())
+    return re.split(r"(?<=\.) (?=[a-z_]+: )", text)[0]
 
 
 def _table(table: type[Any]) -> Iterator[str]:

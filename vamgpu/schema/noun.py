@@ -78,8 +78,8 @@ def docs_of(cls: type[Any], names: list[str]) -> dict[str, str]:
     """Descriptions of names in the docstrings of a class and its bases, under ``Args:`` or in a line."""
     found: dict[str, str] = {}
     name = "|".join(map(re.escape, names)) or "$."
-    listed = rf"(?:^|\n|  )((?:{name})(?:, (?:{name}))*):\s+"
-    entry = re.compile(rf"{listed}(.*?)(?={listed}|\n\n|\.\s+(?:Raises|Sources?)\b|\Z)", re.DOTALL)
+    listed = rf"(?:^|\n|  |(?<=\.) )((?:{name})(?:, (?:{name}))*):\s+"
+    entry = re.compile(rf"{listed}(.*?)(?={listed}|(?<=\.)\s+[a-z_]+:\s|\n\n|\.\s+(?:Raises|Sources?)\b|\Z)", re.DOTALL)
     for part in reversed(cls.__mro__):
         text = "\n".join(line.strip() for line in (part.__doc__ or "").splitlines())
         for match in entry.finditer(text):

@@ -160,7 +160,7 @@ class Layout:
             raise ValueError(f"zarr.json says shape {shape} in files of {shards}")
         if chunk != (1, *shape[1:]) or shards[1:] != shape[1:] or dtype.kind not in "biuf":
             raise ValueError(f"an array {dtype} {shape} in chunks of {chunk} and files of {shards}; expected one chunk "
-                             "an entry of the first axis")  # fmt: skip
+                             "per entry of the first axis")  # fmt: skip
         if kinds != ("sharding_indexed", "regular", "end") or codecs != (["bytes", "zstd"], ["bytes", "crc32c"]):
             raise ValueError(f"codecs {kinds}, {codecs}; expected those that this library writes")
         return cls(path, shape, dtype, shards[0])

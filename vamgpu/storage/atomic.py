@@ -41,6 +41,17 @@ def explained(action: str, path: Path, error: OSError | ValueError) -> StorageEr
     return StorageError(f"cannot {action} {str(path)!r}: {getattr(error, 'strerror', None) or error}; {remedy}")
 
 
+@contextmanager
+def explaining(action: str, path: Path) -> Iterator[None]:
+    """Raise errors of the system as `explained`, and `StorageError` as it is."""
+    try:
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        raise explained(action, path, error) from error
+
+
 def page_path(path: str | Path) -> Path:
     """The path of a report, which replaces an existing file."""
     if Path(path).suffix.lower() not in PAGES:

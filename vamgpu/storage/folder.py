@@ -99,7 +99,7 @@ class Folder:
         try:
             text = read_text(file)
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise StorageError(f"{str(path)!r} is no finished job: it has no {MANIFEST}; check the path") from error
+            raise StorageError(f"{str(path)!r} is not a finished job: it has no {MANIFEST}; check the path") from error
         except UnicodeDecodeError as error:
             raise StorageError(f"{str(file)!r} is damaged: {error}; write the job again") from error
         except OSError as error:
@@ -163,7 +163,7 @@ def check_place(path: str | Path, *, overwrite: bool = False) -> None:
     if not overwrite:
         raise StorageError(f"{str(path)!r} exists; choose another path, or allow overwriting it (--overwrite)")
     if not is_file(place / MANIFEST):
-        raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
+        raise StorageError(f"{str(path)!r} exists and is not a job folder; choose another path")
 
 
 def write_folder(
@@ -179,7 +179,7 @@ def write_folder(
     # Arrays are fetched and written one after another and in parts, one chunk per entry along the first axis.
     place = as_path(path)
     if overwrite and os.path.lexists(place) and not is_file(place / MANIFEST):
-        raise StorageError(f"{str(path)!r} exists and is no job folder; choose another path")
+        raise StorageError(f"{str(path)!r} exists and is not a job folder; choose another path")
     Manifest(dict(inputs), dict(details), device, {}).to_json()  # reject bad inputs before the long computation
     with replacing(place, overwrite=overwrite) as draft:
         draft.mkdir()
@@ -197,7 +197,7 @@ def _store(draft: Path, name: str, entry: Entry) -> ArrayRecord:
     if not (name.isidentifier() and prod(shape) and shape and len(shape) == len(entry.axes) and dtype.kind in "biuf"):
         raise BadInput(
             f"array {name!r} is {dtype} {shape} with axes {entry.axes}; "
-            "expected a plain name, some numbers, and one name an axis"
+            "expected a plain name, some numbers, and one name per axis"
         )
     source = (
         Streamed(shape, dtype, lambda first, last: values[first:last]) if isinstance(values, np.ndarray) else values

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from io import BytesIO
 from pathlib import Path
 
@@ -13,6 +15,9 @@ from vamgpu.storage.reading import read_bytes
 MOST_BYTES = 1 << 30
 MOST_PIXELS = 1 << 28
 """Limit of pixels: larger cameras are not used on printers."""
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+UP = 2
+"""PNG's filter of differences from the row above: most rows of a slice are like the previous one."""
 
 
 def read_image(path: str | Path) -> np.ndarray:
@@ -68,3 +73,27 @@ def write_exr(path: str | Path, light: np.ndarray) -> None:
         OpenEXR.File(head, {"Y": OpenEXR.Channel(np.ascontiguousarray(light, np.float32))}).write(str(path))
     except Exception as error:  # its writer raises errors of its own
         raise OSError(f"{type(error).__name__}: {error}") from error
+
+
+def encode_png(levels: np.ndarray) -> bytes:
+    """A PNG of levels: bool [y, x] with 1 bit a pixel, uint8 [y, x] in gray or uint8 [y, x, color]."""
+    rows, columns = levels.shape[:2]
+    packed = np.packbits(levels, axis=1) if levels.dtype == bool else levels.reshape(rows, -1)
+    lines = np.zeros((rows, packed.shape[1] + 1), np.uint8)
+    if levels.dtype == np.uint8 and levels.ndim == 2:
+        lines[:, 0], lines[0, 1:] = UP, levels[0]
+        np.subtract(levels[1:], levels[:-1], out=lines[1:, 1:])
+    else:
+        lines[:, 1:] = packed
+    head = struct.pack(">IIBBBBB", columns, rows, 1 if levels.dtype == bool else 8, 2 * (levels.ndim == 3), 0, 0, 0)
+    return SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", deflated(lines)) + _chunk(b"IEND", b"")
+
+
+def deflated(data: np.ndarray) -> bytes:
+    """Contiguous bytes, packed as runs of equal bytes: for differences this is smaller and faster than a search."""
+    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
+    return packer.compress(data) + packer.flush()  # type: ignore[arg-type]
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))

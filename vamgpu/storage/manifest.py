@@ -77,9 +77,9 @@ class Manifest:
         try:
             data = parse_json(text)
         except ValueError as error:
-            raise StorageError(f"{str(path)!r} is no valid JSON: {error}; write the job again") from error
+            raise StorageError(f"{str(path)!r} is not valid JSON: {error}; write the job again") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise StorageError(f"{str(path)!r} is no manifest of a {FORMAT}; check the path")
+            raise StorageError(f"{str(path)!r} is not a manifest of a {FORMAT}; check the path")
         if data.get("version") not in READ:
             raise StorageError(
                 f"{str(path)!r} has version {data.get('version')!r}, this library reads {READ[0]} to {READ[-1]}; "

@@ -68,7 +68,7 @@ def _header(file: BinaryIO, length: int, name: str) -> tuple[tuple[int, ...], bo
     claim, held = prod(shape) * dtype.itemsize, length - file.tell()
     if dtype.hasobject or any(n < 0 for n in shape) or claim > held:
         raise StorageError(
-            f"{name} says it holds {dtype} {shape} and has {held} bytes for it; expected plain numbers, all of them: "
+            f"{name} declares {dtype} {shape} but has {held} bytes for it; expected all of its numbers, plain: "
             "write the file again"
         )
     return shape, fortran, dtype

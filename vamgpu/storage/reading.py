@@ -105,7 +105,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError:
         raise
     except RecursionError as error:
-        raise tomllib.TOMLDecodeError(f"more than {MOST_LEVELS} tables or lists in one another") from error
+        raise tomllib.TOMLDecodeError(f"more than {MOST_LEVELS} nested tables or lists") from error
     except ValueError as error:
         raise tomllib.TOMLDecodeError(str(error)) from error
     return data
@@ -116,7 +116,7 @@ def parse_json(text: str | bytes) -> Any:
     try:
         data = json.loads(text)
     except RecursionError as error:
-        raise ValueError(f"more than {MOST_LEVELS} objects or lists in one another") from error
+        raise ValueError(f"more than {MOST_LEVELS} nested objects or lists") from error
     _check(data, finite=True)
     return data
 
@@ -142,4 +142,4 @@ def _check(data: Any, finite: bool = False) -> None:
         if not deeper:
             return
         level = deeper
-    raise ValueError(f"more than {MOST_LEVELS} tables or lists in one another")
+    raise ValueError(f"more than {MOST_LEVELS} nested tables or lists")

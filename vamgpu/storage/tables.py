@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
+from vamgpu.quantity import RAISED
 from vamgpu.storage.reading import read_bytes
 
 MOST_BYTES = 64_000_000
@@ -20,7 +21,7 @@ UNITS = {
     "irradiance": {"mW/mm2": 1.0, "mW/cm2": 1e-2, "uW/cm2": 1e-5, "W/cm2": 10.0, "W/m2": 1e-3},
     "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
 }
-"""Kind of a column → units in its header, in mm, mJ/mm², mW/mm² and s."""
+"""Kind of a column → units in its header, in mm, mJ/mm², mW/mm² and s; all in small letters too, never in capitals."""
 WORDS = {
     "height": ("height", "depth", "thick"), "exposure": ("exposure", "dose", "energy"),
     "irradiance": ("irradiance", "intensity", "power"), "time": ("time", "exposure", "duration"),
@@ -54,6 +55,10 @@ class Table:
     def find(self, kind: str) -> np.ndarray | None:
         """The numbers of the column whose header ends in a unit of a kind, in ours. Raises `BadInput`."""
         found = {name: factor for name in self.cells if (factor := _factor(name, UNITS[kind])) is not None}
+        close = (name for name in self.cells if _factor(name, UNITS[kind], re.IGNORECASE) is not None)
+        if not found and (name := next(close, None)) is not None:
+            raise BadInput(f"{self.name} has the column {name!r}; expected a unit of {', '.join(UNITS[kind])}: write "
+                           "it in these letters: capitals mean other units")  # fmt: skip
         for named in (lambda name: not SPREADS.search(name), lambda name: any(w in name.lower() for w in WORDS[kind])):
             kept = {name: factor for name, factor in found.items() if named(name)}
             found = kept if kept and len(found) > 1 else found
@@ -67,18 +72,10 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a table in text: commas, semicolons, tabs, bars or blanks between cells, a header above them.
+    """Read a table in UTF-8, UTF-16 or Latin-1: commas, semicolons, tabs, bars or blanks between cells, a header above.
 
-    Args:
-        path: The file in UTF-8, UTF-16 or Latin-1; lines that begin with ``#`` are left out. Decimals may have commas
-            if no comma is between cells.
-
-    Returns:
-        The table.
-
-    Raises:
-        StorageError: The file cannot be read.
-        BadInput: The file is no table of lines that have as many cells as the header; the message names the line.
+    Lines that begin with # are left out. Decimals may have commas if no comma is between cells. Raises `StorageError`,
+    and `BadInput` with the line that has not as many cells as the header.
     """
     file = Path(path)
     try:
@@ -122,7 +119,7 @@ def _text(data: bytes) -> str:
         except UnicodeDecodeError:
             text = data.decode("latin-1")
     if "\0" in text:
-        raise csv.Error("it is no text")
+        raise csv.Error("it is not text")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -141,12 +138,13 @@ def _mark(lines: list[str], header: int) -> str:
     return " " if len(line.split()) == len(below.split()) > 1 else ","
 
 
-def _factor(name: str, units: dict[str, float]) -> float | None:
-    """The size of the unit that a header ends in; None if it is another."""
-    plain = name.translate(str.maketrans({"µ": "u", "μ": "u", "²": "2", "^": None, "·": "*"}))
+def _factor(name: str, units: dict[str, float], flags: int = 0) -> float | None:
+    """The size of the unit that a header ends in; None if it is another. Minutes have brackets: min is also least."""
+    plain = name.translate(RAISED).replace("µ", "u").replace("·", "*")
     for unit, factor in units.items():
         over, _, under = unit.partition("/")
         ending = f"{over}[ _/*]?(?:per )?{under[:-1]}-?2" if under else over
-        if re.fullmatch(rf"(?:.*[\s_\[(/,])?{ending}\s*[\])]?", plain, re.IGNORECASE):
+        before = r".*[\[(/]" if unit == "min" else r"(?:.*[\s_\[(/,])?"
+        if re.fullmatch(rf"{before}(?:{ending}|{ending.lower()})\s*[\])]?", plain, flags):
             return factor
     return None

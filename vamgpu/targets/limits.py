@@ -43,7 +43,7 @@ class Limits:
             raise ShapeMismatch(f"limits have shapes {sorted(shapes)}; expected one shape [x, y, z] of all three")
         for name, values in (("dose", self.dose), ("weight", self.weight)):
             if not (np.isfinite(values).all() and np.min(values) >= 0.0):
-                raise BadInput(f"limits hold a {name} below 0 or no number; expected finite values ≥ 0")
+                raise BadInput(f"limits hold a {name} that is negative or not a number; expected finite values ≥ 0")
         if not 0.0 < self.void < np.inf:
             raise BadInput(f"void is {self.void!r}; expected a limit above 0, as a share of the dose that prints")
         if np.min(self.body) < -1 or np.max(self.body) >= len(self.bodies):

@@ -80,10 +80,7 @@ def solid_of(source: Any, name: str = "solid") -> Solid | None:
 
 
 def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = True) -> Solid:
-    """Turn a trimesh.Trimesh into a watertight Solid [mm]; its unit, mm by default, is converted.
-
-    Raises EmptyMesh, NotWatertight, MeshError as load_mesh does.
-    """
+    """A trimesh.Trimesh as a watertight Solid [mm], its unit converted; raises as `load_mesh`."""
     faces = np.asarray(mesh.faces)
     if len(faces) == 0:
         raise EmptyMesh(f"{name}: the mesh has no triangles; export the part again as a triangle mesh")

@@ -72,8 +72,8 @@ def _header(data: bytes, name: str) -> tuple[list[tuple[str, int, list[Property]
             ]
             elements[-1][2].append((words[-1], kinds[-1], kinds[0] if words[1] == "list" else ""))
     if (most := sum(count for _, count, _ in elements)) > len(data):
-        raise MeshError(f"{name!r} counts {most:,} rows in {len(data):,} bytes; it is cut off or no PLY: copy or "
-                        "export it again")  # fmt: skip
+        raise MeshError(f"{name!r} declares {most:,} rows, but has {len(data):,} bytes; it is cut off or no PLY: copy "
+                        "or export it again")  # fmt: skip
     end = data.find(b"\n", len(head))
     return elements, len(data) if end < 0 else end + 1, form == b"ascii"
 

@@ -151,7 +151,7 @@ class Spiral:
         return WebGrid((n_l, n_rho, n_z), edges)
 
     def film(self, shape: Implicit) -> Implicit:
-        """A solid cut into the film.
+        """A solid in the coordinates of the flat film.
 
         Args:
             shape: The solid, a function of (x, y, z).

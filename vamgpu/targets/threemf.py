@@ -40,11 +40,11 @@ def members_of(data: bytes, name: str, beside: Collection[str] = ()) -> dict[str
                 if member.file_size > max(SMALL, DENSEST * member.compress_size):
                     raise MeshError(
                         f"{name!r} holds {member.filename!r}, which unpacks from {size(member.compress_size)} to "
-                        f"{size(member.file_size)}; no mesh does: export the part again"
+                        f"{size(member.file_size)}; no mesh compresses so far: export the part again"
                     )
                 text = unpacked(package, member)
                 if any(mark in text for mark in DOCTYPES):
-                    raise MeshError(f"{name!r} declares a DOCTYPE, which no 3MF may: export the part again")
+                    raise MeshError(f"{name!r} declares a DOCTYPE, which 3MF forbids: export the part again")
                 found[_path(member)] = text
     except MeshError:
         raise

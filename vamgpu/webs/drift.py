@@ -57,5 +57,5 @@ def clouded(wrap: Wrap, absorption: float) -> Wrap:
         return wrap
     film: Any = getattr(wrap, "film", None)
     if not getattr(film, "absorption", 0.0):
-        raise BadInput(f"{wrap!r} has no film that absorbs; expected an absorption of 1 over planned")
+        raise BadInput(f"{wrap!r} has no film that absorbs; expected absorption=1")
     return replace(wrap, film=replace(film, absorption=absorption * film.absorption))  # type: ignore[type-var]

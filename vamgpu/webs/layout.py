@@ -29,7 +29,7 @@ class SegmentLayout:
         if exact <= 0 or abs(float(exact) / step - 1.0) > 1e-9:
             near = float(exact) or 1.0 / DENOMINATOR
             raise BadInput(
-                f"the web moves {step:.9g} columns an angle; expected a ratio of whole numbers up to {DENOMINATOR}, "
+                f"the web moves {step:.9g} columns per angle; expected a ratio of whole numbers up to {DENOMINATOR}, "
                 f"so that segments begin at whole columns: use a pitch along l of {step / near:.14g} times this one"
             )
         overlap = positive("overlap [windows]", overlap, zero=True)

@@ -27,7 +27,7 @@ def _expected(limits: WebLimits) -> tuple[Line, ...]:
         Line("slot", f"{1e3 * limits.slot:.1f} ms",
              f"light can be on {100 * limits.duty:.0f} % of it; the web moves {1e3 * limits.smear:.0f} µm"),
         Line("data", f"{limits.data_rate / 1e6:.1f} MB/s",
-             f"{limits.nbytes / 1e9:.1f} GB over the length, {shown.bits} bits a pixel"),
+             f"{limits.nbytes / 1e9:.1f} GB over the length, {shown.bits} bits per pixel"),
     )  # fmt: skip
 
 

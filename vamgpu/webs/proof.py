@@ -114,7 +114,7 @@ class _Simulation:
         one = float(wrap.advance / section.edges[0])
         layout = SegmentLayout.of(self.light.shape[2], one, core * one / self.light.shape[2] * (1 - 1e-12), 1.0)
         if (layout.window, layout.core) != (window, core):
-            raise StorageError(f"{str(folder.path)!r} has a light that its wrap does not give; write the web again")
+            raise StorageError(f"{str(folder.path)!r} stores light that does not match its wrap; write the web again")
         self.layout = layout
         self.grid = WebGrid((layout.columns, rho, z), section.pitch)
         self.operator = WebProjection.from_light(
@@ -177,7 +177,7 @@ def prove_web(
         spans.append((piece.number, piece.columns))
     if not counts:
         raise BadInput(
-            f"{str(folder.path)!r} has {folder.frames} frames, and no column that all its angles have lit; resume it"
+            f"{str(folder.path)!r} has {folder.frames} frames, and no column is lit at all angles yet; resume it"
         )
     total = np.sum(counts, axis=0)
     at = _best(total) if threshold is None else int(np.clip(np.searchsorted(edges, threshold), 0, BINS - 1))

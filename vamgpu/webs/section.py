@@ -49,7 +49,7 @@ def focus_masks(lens: TunableLens | FocusMasks | None, wrap: Wrap, beam: Beam) -
         raise BadInput(f"got {lens!r} as lens; expected a TunableLens, FocusMasks, or None for one focus")
     if not isinstance(wrap, Roller):
         raise BadInput(
-            f"a lens follows the film about a Roller, and {type(wrap).__name__} is none; expected FocusMasks(columns, "
+            f"a lens follows the film of a Roller, but {type(wrap).__name__} is not one; expected FocusMasks(columns, "
             "pitch, midline, planes) as lens"
         )
     masks = FocusMasks.around(beam, wrap.radius, wrap.film.thickness, lens.bins)

@@ -238,8 +238,8 @@ def local_loss(method: Method) -> Loss:
     loss = getattr(method, "loss", None)
     if not isinstance(loss, Loss):
         raise BadInput(
-            f"{method!r} lowers no loss: its light is scaled by the dose of the whole web, of which a segment knows "
-            'nothing; expected "best", or a loss that is a sum over voxels, its own or that of BCLP.paper_002()'
+            f"{method!r} scales its light by the dose of the whole web, but a web is solved segment by segment; "
+            'expected "best", or a loss that is a sum over voxels, such as that of BCLP.paper_002()'
         )
     coupling = getattr(method, "coupling", "") or loss.coupling
     if coupling:

@@ -15,7 +15,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.storage.arrays import Layout, create, undamaged
-from vamgpu.storage.atomic import explained, replacing, settle
+from vamgpu.storage.atomic import explained, explaining, replacing, settle
 from vamgpu.storage.folder import digest
 from vamgpu.storage.manifest import plain
 from vamgpu.storage.reading import is_file, parse_json, read_text
@@ -58,11 +58,11 @@ class WebFolder:
             segments = tuple(_segment(entry) for entry in data["segments"])
             return cls(Path(path), dict(data["details"]), segments, bool(data["complete"]))
         except FileNotFoundError as error:
-            raise StorageError(f"{str(path)!r} is no web: it has no {RECORD}; check the path") from error
+            raise StorageError(f"{str(path)!r} is not a web: it has no {RECORD}; check the path") from error
         except OSError as error:
             raise explained("read", file, error) from error
         except (KeyError, TypeError, ValueError) as error:
-            raise StorageError(f"{str(file)!r} is no record of a web: {error}; check the path") from error
+            raise StorageError(f"{str(file)!r} is not a record of a web: {error}; check the path") from error
 
     @classmethod
     def create(
@@ -99,17 +99,15 @@ class WebFolder:
         spans = ((self.frames, self.frames + len(frames)), (self.columns, self.columns + len(target)))
         record = SegmentRecord(*spans, loss, saturated, (digest(frames), digest(target)))
         longer = replace(self, segments=(*self.segments, record), complete=complete)
-        try:
+        with explaining("write", self.path):
             _write(self.path, "frames", spans[0], frames)
             _write(self.path, "target", spans[1], target)
             longer._save()
-        except OSError as error:
-            raise explained("write", self.path, error) from error
         return longer
 
     def swept(self) -> WebFolder:
         """The same folder without the uncounted data that an interrupted run left. Raises `StorageError`."""
-        try:
+        with explaining("clean", self.path):
             for name, length in (("frames", self.frames), ("target", self.columns)):
                 for file in (self.path / name).rglob(f"*{PARTIAL}"):
                     file.unlink()
@@ -121,8 +119,6 @@ class WebFolder:
                     if file.name.isdigit() and int(file.name) >= kept:
                         shutil.rmtree(file)
             (self.path / (RECORD + PARTIAL)).unlink(missing_ok=True)
-        except OSError as error:
-            raise explained("clean", self.path, error) from error
         return self
 
     def read(self, name: str, start: int, stop: int) -> np.ndarray:

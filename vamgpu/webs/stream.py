@@ -70,8 +70,8 @@ class Stream:
             them, and the folder records the plane of each column.
         method: A method whose loss is a sum over voxels (`BCLP`, CAL, penalty minimization, two thresholds), its name,
             or such a loss. The `Solver` sets the length of steps and their momentum. For a norm with q ≠ p, the first
-            segment is solved twice and gives the number that couples the web. Alternatively "best" for the widest
-            window, which takes more memory and time per segment.
+            segment is solved twice; it gives the number by which all segments depend on each other. Alternatively
+            "best" for the widest window, which takes more memory and time per segment.
         section: Voxels along rho and z; by default one slice per row, and the number of layers that fill the film of
             ``wrap`` with a pitch nearest to the beam's.
         pitch: Voxel edges along l, rho, z [mm]; by default one step along l and the beam's pitch.

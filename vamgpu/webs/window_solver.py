@@ -55,8 +55,8 @@ class WindowSolver:
     ) -> None:
         if layout.overlap * layout.step < layout.window:
             raise BadInput(
-                f"an overlap of {layout.overlap} angles is less than a window of light; a method that maximizes the "
-                "window solves a segment over all frames that light it: expected overlap ≥ 1"
+                f"an overlap of {layout.overlap} angles is less than a window of light; expected overlap ≥ 1, "
+                "because this method solves a segment with all frames that light it"
             )
         self.layout, self.device, self.method = layout, device, method
         self.thresholds: Solver = Solver(layout, grid, beam, light, LBFGS(outside=OUTSIDE), device)

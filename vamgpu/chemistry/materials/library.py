@@ -24,17 +24,7 @@ class Material(Sourced):
 
     @classmethod
     def load(cls, name: str | Path) -> Self:
-        """Read a bundled material by its name, or the file at a path.
-
-        Args:
-            name: The name, or a path that ends in .toml.
-
-        Returns:
-            The material.
-
-        Raises:
-            MaterialError: No such material is known, or its file is wrong; the message names every wrong value.
-        """
+        """Read a bundled material by its name, or a file whose path ends in .toml. Raises `MaterialError`."""
         if isinstance(name, Path) or str(name).endswith(".toml"):
             return cls._read(Path(name))
         if name not in cls.names():
@@ -63,17 +53,7 @@ class Absorbing(Material):
     extinction: Extinction | None = None
 
     def absorption(self, wavelength: float) -> float:
-        """Absorption at a wavelength.
-
-        Args:
-            wavelength: In vacuum [mm].
-
-        Returns:
-            Absorption [1/mm], natural logarithm.
-
-        Raises:
-            OutsideData: No source covers that wavelength.
-        """
+        """Absorption [1/mm], natural logarithm, at a wavelength in vacuum [mm]. Raises `OutsideData`."""
         if self.extinction is None:
             raise OutsideData(
                 f"no source gives the absorption of {self.name}; add an [extinction] table in a file of your own"

@@ -80,7 +80,7 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
         place = patterns if patterns is not None else _beside(path, said)
         light = _patterns(place) if place.is_file() else images_of(place)[0]
     if setup.inserts:
-        raise BadInput(f"{str(path)!r} has occlusions, which patterns alone cannot be judged with; make a job of "
+        raise BadInput(f"{str(path)!r} has occlusions, without which its patterns cannot be judged; make a job of "
                        "it with --out job.toml, then import its folder of EXR images with --job job.toml")  # fmt: skip
     if light.ndim != 3:
         raise BadInput(f"its patterns have shape {light.shape}; expected [pattern, row, column]")
@@ -98,10 +98,7 @@ def read_drtvam(path: Path, patterns: Path | None = None) -> ForeignPatterns:
 
 
 def read_task(path: Path) -> tuple[dict[str, Any], list[tuple[dict[str, Any], Solid]], tuple[str, ...]]:
-    """Job of a configuration, to be solved by `vam solve`, and its bodies: the part, then inserts.
-
-    Raises `StorageError`, `BadInput`, `MeshError`.
-    """
+    """Job of a configuration, and its bodies, the part first. Raises `StorageError`, `BadInput`, `MeshError`."""
     with _explaining(path):
         said = parse_json(read_text(path))
         setup, projector = _set_up(path, said), said["projector"]

@@ -134,8 +134,8 @@ def _ours(levels: np.ndarray, remark: str, path: Path) -> ForeignPatterns:
     try:
         said = parse_json(remark)
         if "flat_field" in said:
-            raise BadInput(f"{str(path)!r} was made for a projector's flat field, which it does not contain; expected "
-                           "plain frames: prove the job from which it was exported")  # fmt: skip
+            raise BadInput(f"{str(path)!r} corrects a projector's flat field, but does not contain it; expected frames "
+                           "without this correction: prove the job from which it was exported")  # fmt: skip
         settings = Placement(**{**said["settings"], "shift": tuple(said["settings"]["shift"])})
         bits, columns = int(said["bits"]), int(said["columns"])
         angles, rows = int(said["angles"]), int(said["rows"])

@@ -1,4 +1,4 @@
-"""Light of two signs or two colors: exact dose subtraction, the rules SC, SC2 and DC, and least squares."""
+"""Light of two colors: the rules SC, SC2 and DC, and least squares."""
 
 from __future__ import annotations
 

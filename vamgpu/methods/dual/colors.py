@@ -41,8 +41,8 @@ class Colors:
     Args:
         visible, uv: Operators of the two colors on one grid, one set of angles and one device, each with the absorption
             of its color. ``.T`` maps light of the color to dose and is the exact transpose.
-        projector: Operator that turns a pattern of dose into light in the rules with passes, for example one without
-            absorption; None for each color's own.
+        projector: Operator with which rules with passes project doses to light, for example one without absorption;
+            None for each color's own.
         strength: Visible dose that one unit of UV dose cancels.
         whole: Every voxel of the grid counts, for example in a square slice whose diagonal is the diameter. Otherwise,
             methods that use it count only the inscribed cylinder.
@@ -96,13 +96,13 @@ class Colors:
         return subtracted((self.visible, self.uv), (1.0, -self.strength), light)
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Compute derivatives by the light from those by the dose.
+        """Compute derivatives with respect to the light from those with respect to the dose.
 
         Args:
-            slope: Derivatives by the dose [x, y, z].
+            slope: Derivatives with respect to the dose [x, y, z].
 
         Returns:
-            Derivatives by the light [angle, r, z] of both colors.
+            Derivatives with respect to the light [angle, r, z] of both colors.
         """
         return subtracted_gradient((self.visible, self.uv), (1.0, -self.strength), slope)
 

@@ -100,13 +100,13 @@ class Model(Protocol):
         ...
 
     def gradient(self, slope: DeviceArray) -> Pair:
-        """Compute derivatives by the light last exposed from those by its effective dose.
+        """Compute derivatives with respect to the last exposed light from those with respect to its effective dose.
 
         Args:
-            slope: Derivatives by the effective dose [x, y, z].
+            slope: Derivatives with respect to the effective dose [x, y, z].
 
         Returns:
-            Derivatives by the light [angle, r, z] of both colors.
+            Derivatives with respect to the light [angle, r, z] of both colors.
 
         Raises:
             BadInput: No light was exposed before.
@@ -131,7 +131,7 @@ class LinearModel(Model):
     Args:
         visible, ultraviolet: Operators of both colors.
         resin: Response of the resin to light.
-        turns: Number of times that the light of a turn is shown.
+        turns: Number of turns, all with the same light.
     """
 
     resin: TwoColorResin
@@ -154,8 +154,8 @@ class KineticModel(Model):
     """The state of every voxel through all turns; light arrives in the order of rotation.
 
     Effective dose = 1 + X − [A] − [B]/α, relative to the induction: the visible exposure so far, minus the exposure
-    that consumes the inhibitors made by ultraviolet. Below 1, only the share given by ε polymerizes; above 1, the
-    exposure X.
+    that consumes the inhibitors made by ultraviolet. Below an effective dose of 1, only a share set by ε polymerizes;
+    above 1, the exposure X does.
 
     Memory, in volumes: 4·runs for light and gradients, 3·turns for the states at the beginnings of turns, 3·runs·steps
     for those of the turn that is recomputed, and about 10.
@@ -164,7 +164,7 @@ class KineticModel(Model):
         visible, ultraviolet: Operators of both colors on one grid, turntable and device; absorbing vessels attenuate
             each color separately.
         resin: Response of the resin to light.
-        turns: Number of times that the light of a turn is shown.
+        turns: Number of turns, all with the same light.
         period: Time of a turn [s], needed for pairing.
         runs: Number of runs of angles per turn; the light of a run arrives at once.
         steps: Depletion substeps within a run.
@@ -187,9 +187,9 @@ class KineticModel(Model):
         self.resin, self.turns, self.device = resin, _checked(visible, ultraviolet, turns), visible.device
         self.period: float = positive("period [s]", period, zero=True)
         if resin.pairing and not self.period:
-            raise BadInput("the resin's B pairs up, which makes the period of a turn [s] matter; expected period > 0")
+            raise BadInput("B recombines in pairs, which takes time; expected period > 0, the time of a turn [s]")
         if resin.pairing and visible.motion.dwell is not None:
-            raise BadInput(f"the resin's B pairs up, but {visible.motion} angles are lit for unequal times; expected "
+            raise BadInput(f"B recombines in pairs, but {visible.motion} angles are lit for unequal times; expected "
                            "equal times: leave dwell out of Turntable")  # fmt: skip
         self.steps: int = counts("steps", (steps,), 1)[0]
         self.runs: tuple[PoseRuns, ...] = tuple(PoseRuns(A, runs) for A in self.operators)
@@ -205,7 +205,7 @@ class KineticModel(Model):
         """The same resin for other turns; the lamps may have changed.
 
         Args:
-            turns: Number of times that the light of a turn is shown.
+            turns: Number of turns, all with the same light.
             start: The state before; None for fresh resin.
             visible, ultraviolet: Light of each lamp, relative to this model's lamp.
             operators: Operators of both colors, if they have changed; None for this model's.
@@ -252,7 +252,7 @@ class KineticModel(Model):
 
     def gradient(self, slope: DeviceArray) -> Pair:
         if not self._starts:
-            raise BadInput("there is no light to differentiate at; expose some first")
+            raise BadInput("no light was exposed before the gradient; call expose() first")
         count = len(self._doses) * self.steps
         slopes = [Pair(*(self._constant(0.0) for _ in range(2))) for _ in self._doses]
         a, b, c = self._volumes(3)

@@ -19,7 +19,8 @@ class TwoColorResin:
 
     Args:
         visible: Share of the induction that a unit of visible dose consumes (k_A/[A]₀).
-        ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, of first order (k_C/[C]₀).
+        ultraviolet: Exponent: a unit of ultraviolet dose splits 1 − exp(−ultraviolet) of C, a reaction of first order
+            (k_C/[C]₀).
         supply: [C]₀/[A]₀.
         alpha: Ratio k_B/k_A, visible light's preference for B.
         pairing: Rate k₂·[A]₀ [1/s] at which B recombines to C.
@@ -41,7 +42,7 @@ class TwoColorResin:
     def __post_init__(self) -> None:
         check(self)
         if self.floor > 0.5:
-            raise BadInput(f"floor is {self.floor:g}; expected at most 0.5: A and B would hardly inhibit")
+            raise BadInput(f"floor is {self.floor:g}; expected at most 0.5: above it, A and B hardly inhibit")
 
     @classmethod
     def of(
@@ -60,13 +61,12 @@ class TwoColorResin:
             The resin.
 
         Raises:
-            BadInput: The rates are of order 0 in [C], which would need the supply to end within a step, or C is
-                missing.
+            BadInput: The rates are of order 0 in [C], where the supply may end within a step, or C is missing.
         """
         if not rates.supply:
             raise BadInput("the resin has a supply of 0; expected [C] > 0, on which ultraviolet light acts")
         if rates.order != 1:
-            raise BadInput("the rates are of order 0 in [C]; expected order 1, which equals it while [C] is the supply")
+            raise BadInput("the rates are of order 0 in [C]; expected order 1, the same while [C] is the supply")
         a, seen = rates.oxygen, (_fluence(visible), _fluence(ultraviolet))
         return cls(rates.k_a * seen[0] / a, rates.k_c * seen[1] / rates.supply, rates.supply / a, rates.alpha,
                    rates.k_2 * a, cross * rates.k_a * seen[1] / a, floor)  # fmt: skip
