@@ -25,7 +25,7 @@ from vamgpu.printing.machine_films import MACHINES, export_for
 PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text("utf-8").partition("## Films for machines")[2]
 CARD = re.compile(
     r"turn at +(?P<rpm>\S+) rpm = (?P<speed>\S+) deg/s, one turn in (?P<turn>\S+) s\n"
-    r"light +(?P<turns>\d+) turns of (?P<frames>\d+) frames, (?P<rate>\S+) frames a second, (?P<light>\S+) s\n"
+    r"light +(?P<turns>\d+) turns of (?P<frames>\d+) frames, (?P<rate>\S+) frames per second, (?P<light>\S+) s\n"
     r"dark +(?:(?P<before>\d+) turns \(\S+ s\) before, (?P<after>\d+) turns \(\S+ s\) after|none in the files)\n"
     r"image +(?P<columns>\d+) x (?P<rows>\d+) pixels"
 )
@@ -87,7 +87,7 @@ def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
     )
     said = card.read_text()
     assert "turn at     9 rpm = 54 deg/s, one turn in 6.66667 s" in said
-    assert "2 turns of 12 images, 1.8 images per second, 13.3333 s" in said
+    assert "2 turns of 12 frames, 1.8 frames per second, 13.3333 s" in said
     assert "1 turns (6.66667 s) before, 2 turns (13.3333 s) after" in said
 
 
@@ -134,7 +134,7 @@ def test_a_lightcrafter_gets_three_frames_an_image(tmp_path: Path) -> None:
     planes = images[:, 559 : 559 + 21, 449 : 449 + 13][..., [1, 0, 2]].transpose(0, 3, 1, 2).reshape(-1, 21, 13)
     assert np.array_equal(planes, frames.gray_levels())
     assert "in this order, 5 times" in card.read_text() and "dark        none in the files" in card.read_text()
-    with pytest.raises(BadInput, match="got 13 frames a turn; expected a multiple of 3.*solve with 15 angles"):
+    with pytest.raises(BadInput, match="got 13 frames per turn; expected a multiple of 3.*solve with 15 angles"):
         export_for("lightcrafter", plain_frames(13), tmp_path, "b", rpm=30)
     assert not (tmp_path / "b-lightcrafter").exists()
 

@@ -106,7 +106,7 @@ def export(
             --rpm, and --repeats sets the number of turns
         out: the folder for this film and card
         rpm: speed of that machine's turntable; in videos it replaces --fps
-        dark: seconds without light before and after the turns of its film, rounded to whole turns; 5 and 10 by default
+        dark: seconds without light before and after the turns of its film, as whole turns; by default 5 and 10
         channel: the only channel of a video that is lit: red, green or blue
         keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
             canvas are drawn

@@ -27,7 +27,10 @@ DARK = (5.0, 10.0)
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and notes for its operator."""
+    """A machine: size, rate and stage speed [rpm] of its films, what writes them, and what its operator has to know."""
+
+    # dark: default seconds before and after the turns; None if its files hold one turn of light alone. write: also says
+    # what the levels are.
 
     size: tuple[int, int]
     fastest: float
@@ -61,9 +64,9 @@ def export_for(
     """Write frames of even angles as the files of one of `MACHINES`, and a card beside them; returns both paths.
 
     name: of the part, with which files begin. rpm: of the turntable. canvas: by default of the machine's size. dark:
-    seconds without light before the first turn and after the last, made whole turns: a film that is played in a loop
-    then begins at the same angle again. channel: the only one that is lit: "red", "green" or "blue". Raises `BadInput`
-    if the machine cannot show or turn so fast, `StorageError`.
+    seconds without light before the first turn of a film and after the last, by default 5 and 10, made whole turns: a
+    film that is played in a loop then begins at the same angle again. channel: the only one that is lit: "red", "green"
+    or "blue". Raises `BadInput` if the machine cannot show, turn or hold them, `StorageError`.
     """
     if machine not in MACHINES:
         raise BadInput(f"no machine {machine!r}; expected one of {', '.join(MACHINES)}")
@@ -101,7 +104,7 @@ def _card(film: Film, machine: str, made: Path, levels: str) -> str:
     lines = [
         f"{made.name} for {machine}",
         f"turn at     {film.rpm:g} rpm = {6.0 * film.rpm:g} deg/s, one turn in {turn:.6g} s",
-        f"light       {light}, {film.fps:.6g} images per second, {seconds}",
+        f"light       {light}, {film.fps:.6g} frames per second, {seconds}",
         f"dark        {before} turns ({before * turn:.6g} s) before, {after} turns ({after * turn:.6g} s) after"
         if after else "dark        none in the files",
         f"image       {canvas.size[0]} x {canvas.size[1]} pixels, light in {film.channel or 'all channels'}"
