@@ -58,7 +58,7 @@ def test_without_a_mark_or_turns_there_is_no_number() -> None:
         turn(machines, turns=2)
     stepped = '[rig]\nname = "lab"\nmachine = "vial"\n[controller]\nport = "/dev/x"\n'
     stepped += '[motion]\ndriver = "controller"\nmicrosteps = 80\n[display]\ndriver = "alp"\n'
-    with pytest.raises(BadInput, match="index and encoder"):
+    with pytest.raises(BadInput, match="index or encoder"):
         opened_turn(parse_rig(f'{stepped}library = "x"\n{CAMERA}'))
     with pytest.raises(JobError, match="has no camera"):
         opened_turn(parse_rig(OPENCAL.replace(CAMERA, "")))
