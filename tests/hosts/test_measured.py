@@ -161,7 +161,8 @@ def test_cameras_are_opened_with_their_settings(monkeypatch: pytest.MonkeyPatch)
     found = rig(MOTOR, ALP, feedback("camera", **keys)).setup.camera
     assert found is not None
     found.open()
-    assert seen.pop() == (("a.cti", None), {"exposure_us": 5000.0, "gain": 3.0, "pixels": "Mono12", "trigger": "Line0"})
+    settings = {"exposure_us": 5000.0, "gain": 3.0, "pixels": "Mono12", "trigger": "Line0"}
+    assert seen.pop() == (("a.cti", None), {**settings, "binning": 1, "crop": None})
     monkeypatch.setattr(micromanager.MicroManagerCamera, "open", lambda *names: SimpleNamespace(
         expose=lambda microseconds: seen.append((names, microseconds))))  # fmt: skip
     found = rig(MOTOR, ALP, feedback("camera", config='"a.cfg"', label='"Cam"')).setup.camera

@@ -320,7 +320,7 @@ def test_rigs_that_cannot_be_are_told() -> None:
         (HDMI.replace('machine = "vial"', 'machine = "slices"'), "prints vials and webs"),
         (HDMI[: HDMI.index("[motion]")] + "[motion]\nmicrosteps = 80\n", "a stage, whose angle chooses"),
         (HDMI + LENS, "prints with one focus, which the host sets"),
-        (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each once"),
+        (HDMI.replace("size = [8, 12]", 'order = ["green", "green"]'), "each of them once"),
         (HDMI.replace("[display]", '[[display]]\ndriver = "video"\n[[display]]'), "one projector"),
         (ALP.replace("[[display]]", "[other]"), "display is missing"),
     ):

@@ -30,7 +30,7 @@ DECODERS = {
     "vamgpu/cli/doctor.py": {"json.loads"},
     # machines are devices, and a run's record is opened to write
     "hosts/drivers/wire.py": {"os.open"},
-    "hosts/records/record.py": {"os.open"},
+    "hosts/records/record.py": {"os.open", "open"},
     "hosts/process/messages.py": {"os.open"},  # the system's sink
     "hosts/panel/routes.py": {"read_bytes"},  # what comes with the library
     "hosts/firmware/bench/bench.py": {"open"},  # a script of its own
