@@ -94,7 +94,8 @@ def _found(times: np.ndarray, places: np.ndarray, images: np.ndarray, microsteps
         ratio += float(np.clip(0.5 * step * (low - high) / bend, -step, step)) if bend > 0 else 0.0
         curvature, step = bend / step**2, step / 2
     rest = _left(places, signals, ratio)
-    explained = 1.0 - rest / float(np.sum(signals**2))
+    seen = float(np.sum(signals**2))
+    explained = 1.0 - rest / seen if seen > 0.0 else 0.0
     if explained < LEAST:
         raise BadInput(
             f"the turn explains {100 * explained:.0f} % of the images' change; expected {100 * LEAST:.0f} % or more: "
@@ -106,7 +107,6 @@ def _found(times: np.ndarray, places: np.ndarray, images: np.ndarray, microsteps
     lines = (
         ("a degree that is reported", f"{ratio:.6f} ± {error:.1g} deg of the vial"),
         ("speed", f"{rpm:.4f} rpm, {6.0 * rpm:.4f} deg/s"),
-        ("for the rig's file", f"[motion] microsteps = {microsteps / ratio:.10g}"),
         ("the mark explains", f"{100 * explained:.1f} % of the images' change"),
     )
     readings = {"times": times, "places": places, "images": images, "ratios": ratios, "left": left}

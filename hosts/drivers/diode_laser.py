@@ -68,12 +68,12 @@ class DiodeLaser(ClosedOnce):
         if (said := self._tell(query, r"\S")) != closed:
             raise DeviceRefused(f"{self._wire.name} has an open interlock (it says {said}); close it", "interlock")
         self._tell(self._says.power.format(watts=power * self.watts))
+        self._lit = True  # it may be on even if it does not answer
         self._tell(self._says.on)
-        self._lit = True
 
     def off(self) -> None:
         """Turn the light off, and check that it is; DeviceLost if it may be on."""
-        with suppress(DeviceRefused):
+        with suppress(DeviceRefused, DeviceLost):
             self._tell(self._says.off)
         self._lit = False
         query, dark = self._says.dark

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from vamgpu.errors import BadInput, DeviceError, DeviceNotFound, DeviceRefused
@@ -24,18 +24,25 @@ class IccLens(Closing):
     least: float
     greatest: float
 
-    def __init__(self, board: Any, channel: int = 0) -> None:
-        self._board, self._number = board, channel
+    def __init__(self, connect: Callable[[], Any], channel: int = 0) -> None:
+        self._connect, self._number = connect, channel
         self._set: float | None = None
+        self._start()
+        log.info("ICC: lens of %.3g to %.3g dpt on channel %d", self.least, self.greatest, channel)
+
+    def _start(self) -> None:
+        """Connect, and choose the lens and its input."""
+        self._board = self._connect()
         with closed_on_error(self):
             if self._missing():
-                raise DeviceNotFound(f"channel {channel} of the ICC has no lens; check its plug and channel in [lens]")
-            self._channel = self._call(lambda: board.channel[channel], "the channel")
+                raise DeviceNotFound(
+                    f"channel {self._number} of the ICC has no lens; check its plug and channel in [lens]"
+                )
+            self._channel = self._call(lambda: self._board.channel[self._number], "the channel")
             self._call(self._channel.StaticInput.SetAsInput, "the choice of its input")
             limits = self._channel.LensCompensation
             self.least = _number(self._call(limits.GetMinDiopter, "the least power"))
             self.greatest = _number(self._call(limits.GetMaxDiopter, "the greatest power"))
-        log.info("ICC: lens of %.3g to %.3g dpt on channel %d", self.least, self.greatest, channel)
 
     @classmethod
     def open(cls, port: str, channel: int = 0) -> Self:
@@ -47,11 +54,14 @@ class IccLens(Closing):
                 "lenses on an ICC need optoICC, which the maker gives away: install the wheels optoICC and "
                 "optoKummenberg of Optotune's SDK with pip"
             ) from error
-        try:
-            board = optoICC.connect(port=port)
-        except Exception as error:  # it raises errors of several packages
-            raise DeviceNotFound(f"there is no ICC at {port} ({error}); check port, plug and power") from error
-        return cls(board, channel)
+
+        def connect() -> Any:
+            try:
+                return optoICC.connect(port=port)
+            except Exception as error:  # it raises errors of several packages
+                raise DeviceNotFound(f"there is no ICC at {port} ({error}); check port, plug and power") from error
+
+        return cls(connect, channel)
 
     def _call(self, act: Any, what: str, *arguments: Any) -> Any:
         try:
@@ -90,8 +100,9 @@ class IccLens(Closing):
         return power
 
     def revive(self) -> None:
-        """Choose its input and its last power again."""
-        self._call(self._channel.StaticInput.SetAsInput, "the choice of its input")
+        """Connect again, and choose its input and its last power."""
+        self.close()
+        self._start()
         if self._set is not None:
             self.set_power(self._set)
         self.inspect()

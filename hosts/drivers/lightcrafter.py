@@ -13,6 +13,7 @@ from vamgpu.hosts.drivers import dlpc350_protocol as dlpc350
 from vamgpu.hosts.drivers.cleanup import ClosedOnce, close_all, closed_on_error, extra
 from vamgpu.hosts.drivers.projector import HdmiProjector, SlotLayout, Window
 
+LATE = 16  # most answers to earlier commands, which came after their time-out
 PATIENCE = 15.0  # longest wait for a state of the projector [s]
 
 
@@ -57,7 +58,10 @@ class LightCrafter(ClosedOnce):
             for start in range(0, len(raw), dlpc350.REPORT):
                 if self._device.write(b"\0" + raw[start : start + dlpc350.REPORT]) < 0:
                     raise OSError("the report was not accepted")
-            answer = bytes(self._device.read(dlpc350.REPORT, self._timeout))
+            for _ in range(LATE):
+                answer = bytes(self._device.read(dlpc350.REPORT, self._timeout))
+                if not answer or answer[1] == self._number:
+                    break
         except (OSError, ValueError) as error:
             raise DeviceLost(f"the projector is lost ({error}); check its plug and its power") from error
         if not answer:

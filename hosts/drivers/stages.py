@@ -83,13 +83,16 @@ class PolledStage(ClosedOnce):
     def _move(self, position: float, speed: float) -> None:
         """Run until the axis has passed a position, then stop it."""
         way, waited = position - self.position(), 0.0
-        self.run(copysign(speed, way))
-        while (position - self.position()) * way > 0.0:
-            if waited > abs(way) / speed + self._patience:
-                raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
-            self._pause(POLL)
-            waited += POLL
-        self.run(0.0)
+        try:
+            if way:
+                self.run(copysign(speed, way))
+            while (position - self.position()) * way > 0.0:
+                if waited > abs(way) / speed + self._patience:
+                    raise DeviceError(f"{self._name} does not reach {position:g} {self.unit}; check motor and load")
+                self._pause(POLL)
+                waited += POLL
+        finally:
+            self.run(0.0)
 
     def wait(self) -> None:
         """Return when the axis is at rest; DeviceError if that exceeds the stage's patience."""
@@ -229,6 +232,8 @@ class ZaberStage(PolledStage):
         try:
             self.position()
         except DeviceRefused as error:
+            if "encoder" not in self._place:
+                raise
             raise WrongDevice(f"{self._link.name} has no encoder ({error}); set encoder = false in [motion]") from error
         if (turn := self.turn()) and self.unit == "deg" and abs(turn / 360 / self.microsteps - 1) > SAME:
             raise WrongDevice(

@@ -164,16 +164,20 @@ class GrblStage(TextStage):
     def run(self, speed: float) -> None:
         """Start moving at a constant speed; a moving axis stops first."""
         self._bounded(speed)
-        if self._speed:
-            self.stop()
-            self.wait()
+        self._rest()
         if speed:
             self._goal, self._speed = self.position(), speed
             self._jog()
 
+    def _rest(self) -> None:
+        """Stop a motion at a speed, whose jogs would be made first."""
+        if self._speed:
+            self.stop()
+            self.wait()
+
     def _move(self, position: float, speed: float) -> None:
         self._bounded(speed)
-        self._speed = 0.0
+        self._rest()
         super()._move(position, speed)
 
     def stop(self) -> None:

@@ -19,6 +19,7 @@ TURN = 1024  # values of its counter: four full steps
 INTERNAL_HZ = 12e6  # its own clock, some percent off: the counter shows by how much
 SHORTEST, LONGEST = SECOND // 2, 16 * SECOND  # times over which that is measured [ns]
 FASTEST = 2**23 - 1
+LEAST, MOST = 0.8, 1.25  # rate of its clock over the expected one; another is a motor that lost steps or power
 
 
 def crc8(data: bytes) -> int:
@@ -86,11 +87,15 @@ class Tmc2209Stage(PolledStage):
     def _write(self, register: int, value: int) -> None:
         """Set a register; DeviceRefused if the chip did not count the datagram."""
         before = self._read(WRITES)
-        self._wire.send(datagram(self._node, register, value))
-        if self._echoes:
-            self._wire.receive(8)
+        self._send(register, value)
         if self._read(WRITES) != (before + 1) % 256:
             raise DeviceRefused(f"{self._name} did not take register {register:#x}; check the line", "write")
+
+    def _send(self, register: int, value: int) -> None:
+        with self._wire.lock:
+            self._wire.send(datagram(self._node, register, value))
+            if self._echoes:
+                self._wire.receive(8)
 
     def position(self) -> float:
         """The microsteps made: the counter, and its turns by the speed, which it corrects."""
@@ -104,7 +109,9 @@ class Tmc2209Stage(PolledStage):
             self._begin = self._steps, now
         elif self._rate and now - self._begin[1] > self._tune:
             way = self._rate * (now - self._begin[1]) / SECOND
-            self._hz *= (self._steps - self._begin[0]) / way
+            if not LEAST < (ratio := (self._steps - self._begin[0]) / way) < MOST:
+                raise DeviceLost(f"{self._name} made {ratio:.2f} of its steps; expected 1: check its power")
+            self._hz *= ratio
             self._tune = min(2 * self._tune, LONGEST)
             self._set(self._wanted)
         return self._steps / self.microsteps
@@ -119,8 +126,20 @@ class Tmc2209Stage(PolledStage):
 
     def run(self, speed: float) -> None:
         """Change to a constant speed at once."""
-        self.position()
-        self._set(speed * self.microsteps)
+        if speed == 0:
+            self.stop()
+        else:
+            self.position()
+            self._set(speed * self.microsteps)
 
     def busy(self) -> bool:
         return self._rate != 0.0
+
+    def stop(self) -> None:
+        """Stop at once, before anything is asked that might not be answered."""
+        self._send(VACTUAL, 0)
+        self._begin = None  # from here on the steps do not show its clock
+        try:
+            self.position()
+        finally:
+            self._set(0.0)

@@ -40,20 +40,19 @@ class MachineWatch:
         self._power = None
         return self._done(told)
 
-    def due(self, slot: int, schedule: Schedule, seen: int) -> bool:
-        """Whether to ask now: now and then, until all vouch, and at the end. seen: time of the last poll [ns]."""
+    def due(self, slot: int, schedule: Schedule, seen: int, end: int) -> bool:
+        """Whether to ask now: now and then, until all vouch, and before the slot ``end``. seen: time of a poll [ns]."""
         if slot != self._slot:
             self._slot, self._before = slot, self._seen
         self._seen = seen
-        near = (len(schedule) - slot) * schedule.gap < PERIOD and self._power is not None
-        return self._clock.now() >= self._due or near
+        return self._clock.now() >= self._due or (end - slot) * schedule.gap < PERIOD
 
     def ask(self, slot: int, schedule: Schedule, over: bool = False) -> Mapping[str, object]:
         """Ask at a slot. over: the light is off after its frames."""
         told = self._asked()
         power = told.get("focus")
         if slot <= self._first or not isinstance(power, float) or np.isnan(schedule.focus[slot - 1]):
-            self.vouched = slot
+            self.vouched = self.vouched if over else slot  # a lamp that is off no longer tells of its light
             return self._done(told)
         window = int(schedule.light[slot - 1]) + self._clock.now() - self._before + SLACK
         coming = np.flatnonzero((schedule.command != NONE) & (schedule.command <= window))

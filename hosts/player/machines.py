@@ -188,10 +188,8 @@ def within_travel(schedule: Schedule, machines: Machines) -> None:
 
 def inspect(machines: Machines) -> dict[str, float]:
     """Ask the machines that no status poll reads; their answers, as a `Snapshot` names them. Raises `DeviceError`."""
-    if isinstance(machines, VideoMachines):
-        if isinstance(machines.lamp, Inspected):
-            machines.lamp.inspect()
-        return {}
+    if isinstance(lamp := getattr(machines, "lamp", None), Inspected):
+        lamp.inspect()
     return {} if machines.lens is None else {"focus": machines.lens.inspect()}
 
 

@@ -23,6 +23,7 @@ from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState, PrintStates, StateChange, WrongState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH, Budget, InterlockOpen, Lease, OverDose
 from vamgpu.hosts.safety.light import LightGuard
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.hosts.schedules.timing import SECOND, whole
 from vamgpu.printing.given_dose import GivenDose
 
@@ -214,7 +215,8 @@ class Print:
         self._why = self._why or self._enough() or ""
         if not seen.running or (self._sooner and self.next > self._end_slot):  # at a black slot: no light is cut
             return self._over()
-        if self._watch.due(self.next, self.player.schedule, self._seen):
+        end = self.next if self._finishing else self._end_slot
+        if self._watch.due(self.next, self.player.schedule, self._seen, end):
             self.board.show(**self._watch.ask(self.next, self.player.schedule))
         self.player.feed()
         self._alive()
@@ -305,8 +307,9 @@ class Print:
         schedule = self.player.schedule
         if self._mending is None or schedule.unit != "deg" or self._cancelled or self.guard.signalled:
             return
-        light = float((schedule.on[:, None] * schedule.power)[slots].sum()) * 1e-9 * self.power
-        why, facts = self._mending.refused(schedule.frame[slots].tolist(), light), {"first": slots.start}
+        lit = np.array(slots)[schedule.frame[slots] != NONE]
+        light = float((schedule.on[:, None] * schedule.power)[lit].sum()) * 1e-9 * self.power
+        why, facts = self._mending.refused(schedule.frame[lit].tolist(), light), {"first": slots.start}
         if why is None:
             self.player.repeat(slots)
         told = ("mended", {}) if why is None else ("not mended", {"why": why})

@@ -403,7 +403,7 @@ class SpinningPlayer:
         return True
 
     def repeat(self, slots: range) -> None:
-        for slot in range(slots.start * self._repeats, slots.stop * self._repeats):
+        for slot in (each for pose in slots for each in self._wanted(pose)):  # none is dark
             self._missed.policy.drop(slot % self._turn)
             self._missed.miss(slot % self._turn, self._version(slot))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -28,6 +29,7 @@ from vamgpu.storage.reading import MOST_TOML, parse_json, read_text
 ANSWER = 0.3  # longest wait for an answer before a stop becomes a signal, or a process counts as ended [s]
 LONGEST = 1 << 28  # most bytes of a message or array
 NUMBERS = "biuf"  # kinds of arrays in messages
+PIPE = re.compile(r"\\\\\.\\pipe\\[^\\/]+")  # a named pipe of this computer
 LIVE = "live.json"  # in a run's folder: address of the process that prints it
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (PrintState, ScatterReading, Estimated, ImageCheck)}
 """Enumerations and dataclasses of a snapshot, by name."""
@@ -121,12 +123,17 @@ def ordered() -> tuple[Any, Callable[[str], None]]:
     return parse_json(sys.stdin.buffer.readline()), answer
 
 
+def local(place: str) -> bool:
+    """Whether an address is of this computer; other names with two backslashes would contact another one."""
+    return not place.startswith("\\\\") or PIPE.fullmatch(place) is not None
+
+
 def running(folder: Path) -> bool:
     """Whether the process named in a run's folder takes connections."""
     try:
         place = parse_json(read_text(folder / LIVE, MOST_TOML))["address"]
-        if place.startswith(r"\\"):
-            return os.path.exists(place)  # a named pipe
+        if place.startswith("\\\\"):
+            return local(place) and os.path.exists(place)
         with socket.socket(socket.AF_UNIX) as line:
             line.settimeout(ANSWER)
             line.connect(place)

@@ -178,7 +178,7 @@ def may_go_on(planned: PrintPlan, folder: str | Path) -> None:
     if different := [name for name in names if name in asked and asked[name] != wanted[name]]:
         told = ", ".join(f"{name} {asked.get(name)!r} in place of {wanted[name]!r}" for name in different)
         raise BadInput(f"{str(folder)!r} is another print, with {told}; give its jobs and speed")
-    _same_rig(planned.rig, before)
+    _same_rig(planned, before)
     left_in(before, limits(planned.rig))
 
 
@@ -189,17 +189,18 @@ def left_by_a_host(planned: PrintPlan, machines: Machines, folder: str | Path) -
     return interrupted(folder, machines.controller, planned.schedule, limits(planned.rig))
 
 
-def _same_rig(rig: RigConfig, run: RunRecord) -> None:
-    """Raise `BadInput` for a rig whose light or motion differs from that of the print."""
+def _same_rig(planned: PrintPlan, run: RunRecord) -> None:
+    """Raise `BadInput` for a rig whose light or motion differs from that of the print, both calibrated alike."""
     file, given = run.path / "rig.toml", run.asked.get("settings", ())
     with explaining("read", file):
-        first = parse_rig(read_text(file, MOST_TOML), given, source=str(file))
-    began, now = (_light(read.setup) for read in (first, rig))
+        first = planned.calibration.motion(parse_rig(read_text(file, MOST_TOML), given, source=str(file)))
+    began, now = (_light(read.setup) for read in (first, planned.rig))
     if different := [name for name in now if now[name] != began[name]]:
         settings = "".join(f" --set {setting!r}" for setting in given)
+        settings = f" and print with{settings}" if given else ""
         raise BadInput(
             f"the rig has other values in [{'], ['.join(different)}] than that of {str(run.path)!r}: the "
-            f"rest of the print would get other light; print with --rig {str(file)!r}{settings}"
+            f"rest of the print would get other light; copy them from {str(file)!r}{settings}"
         )
 
 

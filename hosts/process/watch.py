@@ -20,7 +20,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, StorageError, VamError
 from vamgpu.hosts.player.operator import Viewer
-from vamgpu.hosts.process.messages import ANSWER, LIVE, answered, receive, send, spawned
+from vamgpu.hosts.process.messages import ANSWER, LIVE, answered, local, receive, send, spawned
 from vamgpu.hosts.process.order import PrintOrder
 from vamgpu.hosts.process.resume import may_go_on
 from vamgpu.hosts.records.state import Board, PrintState
@@ -49,7 +49,7 @@ class Watch:
         self._over, self._lock = threading.Event(), threading.Lock()
         try:
             self._address, self._key, self.pid = str(live["address"]), bytes.fromhex(live["key"]), int(live["pid"])
-            if not isinstance(live["address"], str) or self.pid < 2:
+            if not isinstance(live["address"], str) or not local(live["address"]) or self.pid < 2:
                 raise ValueError("expected the name of a socket, and a process")
             self._stopping, watching = self._line(), self._line()
         except (OSError, EOFError, AuthenticationError, ValueError, KeyError, TypeError) as error:

@@ -271,10 +271,10 @@ def _light(setup: RigFile) -> Guarantee:
     if setup.light.gate == "controller":
         return Guarantee("light", "guaranteed", "the controller gates it", sensor="controller")
     if setup.light.gate == "line":
-        return Guarantee("light", "believed", "a line of the host and the projector switch it, and none answers")
+        return Guarantee("light", "believed", "a line of the host and the projector switch it; no sensor sees it")
     if setup.display[0].lamps:
-        why = "the host switches the projector's LEDs, which tell whether they are on"
-        return Guarantee("light", "watched", why, sensor="lamp")
+        why = "the host switches the projector's LEDs and asks whether they stay enabled; no sensor sees their light"
+        return Guarantee("light", "believed", why)
     return Guarantee("light", "believed", "black frames switch it off, as dark as the projector's black")
 
 
@@ -301,4 +301,4 @@ def _interlock(setup: RigFile) -> Guarantee:
 LAMP = Guarantee(
     "lamp", "believed", "nobody measures its brightness during the print", "measure it with vam calibrate gray or flat"
 )
-LENS = Guarantee("lens", "watched", "its driver tells its power and its faults during the print", sensor="lens")
+LENS = Guarantee("lens", "watched", "its driver tells its faults and the power that is set", sensor="lens")

@@ -208,11 +208,12 @@ class EmulatedGrbl(LineDevice):
         if self.locked:
             return "error:9"
         speed = min(float(jog[4]), self.settings[110 + self.axis]) / 60.0
-        if jog[1] == "G53":
+        if jog[1] == "G53" and not self.queued:
             self.track.go(now, float(jog[3]), speed)
             return "ok"
         begin = self.queued[-1][0] if self.queued else self.track.position(now)
-        self.queued.append((begin + float(jog[3]), speed if float(jog[3]) > 0 else -speed))
+        end = float(jog[3]) + (begin if jog[1] == "G91" else 0.0)
+        self.queued.append((end, speed if end > begin else -speed))
         if len(self.queued) == 1:
             self.track.run(now, self.queued[0][1])
         return "ok"

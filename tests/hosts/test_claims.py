@@ -6,14 +6,16 @@ import json
 import re
 import time
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import needs
 import pytest
 from chances import NAMES, RIGS, RigStand
 
-from vamgpu.errors import BadInput, DeviceError, WrongDevice
+from vamgpu.errors import BadInput, DeviceError, DeviceRefused, WrongDevice
 from vamgpu.hosts.drivers.lightcrafter import LightCrafter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
@@ -22,7 +24,7 @@ from vamgpu.hosts.emulators.line import plug
 from vamgpu.hosts.emulators.stage import EmulatedStage
 from vamgpu.hosts.panel import Panel
 from vamgpu.hosts.panel import server as panels
-from vamgpu.hosts.player.machines import within_travel
+from vamgpu.hosts.player.machines import MirrorMachines, StageMachines, VideoMachines, inspect, within_travel
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState, Snapshot
 from vamgpu.hosts.rig import carry_out
@@ -166,6 +168,14 @@ def test_an_encoder_of_the_file_that_is_not_there_is_refused() -> None:
     assert found.position() == pytest.approx(9.0), "where the encoder is, not the steps"
 
 
+def test_a_stage_that_tells_no_position_is_not_blamed_for_an_encoder() -> None:
+    machine = turning(360_000)
+    act = machine._act
+    machine._act = lambda words, now: (False, "BADDATA") if words == ["get", "pos"] else act(words, now)
+    with pytest.raises(DeviceRefused, match="BADDATA"):
+        stage(machine, 1000.0)
+
+
 def test_a_web_stays_within_the_travel_that_its_stage_tells(tmp_path: Path) -> None:
     from test_planning import web
     from test_stage_mirrors import RIG
@@ -203,6 +213,40 @@ def test_a_projector_that_lost_its_video_or_its_light_is_told() -> None:
     machine.locked = False
     with pytest.raises(DeviceError, match="patterns do not run"):
         box.inspect()
+
+
+def test_lamp_and_lens_are_asked_on_every_kind_of_rig() -> None:
+    lens = SimpleNamespace(inspect=lambda: 1.25)
+    kinds: tuple[Any, ...] = MirrorMachines, StageMachines, VideoMachines
+    for kind in kinds:
+        asked = list[str]()
+        lamp = SimpleNamespace(inspect=lambda asked=asked: asked.append("lamp"))
+        has = {field.name: None for field in fields(kind)} | {"lens": lens}
+        machines = kind(**has | ({"lamp": lamp} if "lamp" in has else {}))
+        assert inspect(machines) == {"focus": 1.25} and (asked == ["lamp"]) is ("lamp" in has)
+
+
+def test_a_lamp_that_goes_out_in_the_last_half_second_is_in_the_record(tmp_path: Path) -> None:
+    from test_mending import CABLE
+    from test_planning import vial
+
+    from vamgpu.hosts.rig import plan, rehearsal
+    from vamgpu.hosts.rigs.config import parse_rig
+
+    planned = plan(vial(tmp_path / "job.vam", images=36), parse_rig(CABLE), turns=2, rehearsed=True)
+    machines: Any = rehearsal(planned).machines
+    board, slots, lit, asked = Board(), len(planned.schedule), list[bool](), list[int]()
+
+    def look() -> None:
+        asked.append(board.now.slot)
+        if lit[-1] and asked.count(slots - 2) > 1:  # it answered well half a second ago at most
+            raise DeviceError("the LEDs are off, and should be on")
+
+    machines.lamp = SimpleNamespace(on=lambda power: lit.append(True), off=lambda: lit.append(False), inspect=look)
+    assert carry_out(planned, machines, tmp_path / "run", board)[0] is PrintState.INCOMPLETE
+    assert "LEDs are off" in board.now.message
+    (unseen,) = [event for event in read_run(tmp_path / "run").events if event["event"] == "unseen"]
+    assert slots - 4 < unseen["first"] < slots == unseen["stop"]
 
 
 def test_a_stage_that_is_wrong_by_two_gets_no_light(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ class EmulatedLaser(LineDevice):
     kind: str = "cobolt"
     locked: bool = True  # the interlock is closed
     stuck: bool = False
+    mute: str = ""  # command that it does not answer
 
     def __post_init__(self) -> None:
         super().__init__(300.0)
@@ -37,7 +38,9 @@ class EmulatedLaser(LineDevice):
         """Take bytes."""
         for line in self.lines(data.replace(b"\r", b"\n")):
             self.received.append(line.decode("ascii"))
-            self._out.put("".join(f"{said}\r\n" for said in self._act(self.received[-1])).encode("ascii"), now)
+            said = self._act(self.received[-1])
+            if self.received[-1] != self.mute:
+                self._out.put("".join(f"{each}\r\n" for each in said).encode("ascii"), now)
 
     def _act(self, line: str) -> list[str]:
         cobolt, (word, _, value) = self.kind == "cobolt", line.partition(" ")
@@ -116,6 +119,20 @@ def test_a_light_that_does_not_go_off_is_told() -> None:
         laser_of(EmulatedLaser(), "obis")
     with pytest.raises(BadInput, match="expected one of cobolt, obis"):
         laser_of(EmulatedLaser(), "lamp")
+
+
+def test_a_lost_answer_does_not_hide_whether_it_is_on() -> None:
+    machine = EmulatedLaser(mute="l1")
+    laser = laser_of(machine)
+    with pytest.raises(DeviceLost, match="does not answer 'l1'"):
+        laser.on()
+    laser.inspect()
+    machine.lit = False
+    with pytest.raises(DeviceError, match="is off, and should be on"):
+        laser.inspect()
+    machine.lit, machine.mute = True, "l0"
+    laser.off()
+    assert not machine.lit, "its state answers for the command"
 
 
 def test_a_rig_file_drives_it_at_its_power() -> None:

@@ -63,6 +63,20 @@ def test_what_cannot_be_shown_is_refused() -> None:
     assert device.settings[dlpc350.DISPLAY] == b"\0"
 
 
+def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
+    device = EmulatedLightCrafter()
+    projector = LightCrafter(device, pause=lambda seconds: None)
+    device.late = 2
+    for _ in range(2):
+        with pytest.raises(DeviceLost, match="does not answer light on"):
+            projector.on()
+    projector.show_video((1,), 8, 8333, 8333, "blue")
+    assert device.lit
+    projector.inspect()
+    projector.off()
+    assert not device.lit and not device._out
+
+
 def test_a_projector_that_is_gone_is_told() -> None:
     device = EmulatedLightCrafter(polls=10**6)
     projector = LightCrafter(device, pause=lambda seconds: None)

@@ -50,7 +50,7 @@ class Lens:
         """Poll every 20 ms until a slot."""
         self.watch.begin(0)
         while (slot := int(np.searchsorted(self.schedule.light, self.clock.now(), "right"))) < stop:
-            if self.watch.due(slot, self.schedule, self.clock.now()):
+            if self.watch.due(slot, self.schedule, self.clock.now(), len(self.schedule)):
                 self.watch.ask(slot, self.schedule)
             self.clock.sleep(SECOND // 50)
 
@@ -83,6 +83,20 @@ def test_it_is_asked_now_and_then_and_at_each_poll_before_the_end() -> None:
     lens.run(59)
     early = [at for at in lens.asked if at < 50 * STEP]
     assert np.diff(early).min() >= PERIOD and len(lens.asked) - len(early) > 10
+
+
+def test_a_lamp_is_asked_at_each_poll_before_the_end_and_vouches_for_nothing_once_it_is_off() -> None:
+    lamp = Lens(Table())
+    lamp.watch._ask = lambda: lamp.asked.append(lamp.clock.now()) or {}
+    lamp.run(59)
+    early = [at for at in lamp.asked if at < 50 * STEP]
+    assert np.diff(early).min() >= PERIOD and len(lamp.asked) - len(early) > 10 and lamp.watch.vouched == 58
+    lamp.watch.ask(60, lamp.schedule, over=True)
+    assert lamp.watch.vouched == 58
+    lamp.clock.sleep(SECOND // 10)
+    lamp.watch.begin(0)
+    assert not lamp.watch.due(20, lamp.schedule, lamp.clock.now(), 60)
+    assert lamp.watch.due(20, lamp.schedule, lamp.clock.now(), 20), "a pause is asked for"
 
 
 def test_after_the_last_light_the_lens_is_where_the_last_frame_needed_it() -> None:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from chances import light_of
 from test_planning import vial
 
 from vamgpu.hosts.player.mending import Mending
+from vamgpu.hosts.player.run import Print
 from vamgpu.hosts.records.account import account
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState
-from vamgpu.hosts.rig import carry_out, plan, rehearsal
+from vamgpu.hosts.rig import carry_out, plan, player, rehearsal
 from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
+from vamgpu.hosts.schedules.schedule import NONE
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 
 IMAGES = 36
@@ -85,6 +89,25 @@ def test_nothing_is_shown_again_unasked(tmp_path: Path) -> None:
     state, _, _ = printed(tmp_path, PROVED, False)
     assert state is PrintState.INCOMPLETE
     assert not any("mended" in event["event"] for event in read_run(tmp_path / "run").events)
+
+
+def test_dark_slots_are_no_frame_that_is_shown_again(tmp_path: Path) -> None:
+    frame, repeated, told = np.array([0, NONE, NONE, NONE, 1]), list[range](), list[Any]()
+    schedule = SimpleNamespace(unit="deg", frame=frame, on=np.full(5, 10**9), power=np.ones((5, 1)))
+    job: Any = SimpleNamespace(
+        player=SimpleNamespace(schedule=schedule, repeat=repeated.append), guard=SimpleNamespace(signalled=False),
+        _mending=Mending(GivenDose(PROVED, share=1.0, turns=4, seconds=12.0), 2.5), _cancelled=False, power=1.0,
+        _unwritten=told, _event=dict,
+    )  # fmt: skip
+    Print._repeat(job, range(5))
+    assert repeated == [range(5)], told
+    planned = plan(vial(tmp_path / "job.vam", images=IMAGES), parse_rig(CABLE), speed=120.0, turns=2, rehearsed=True)
+    playing: Any = player(planned, rehearsal(planned).machines)
+    playing._turns = 2
+    playing.repeat(range(4, 6))
+    assert playing.add_repeats() and len(playing.schedule) == 3 * IMAGES
+    playing.repeat(range(2 * IMAGES, 3 * IMAGES))
+    assert playing.add_repeats() and np.count_nonzero(playing.schedule.frame[3 * IMAGES :] != NONE) == 2
 
 
 def test_dose_and_budget_limit_what_is_shown_again() -> None:

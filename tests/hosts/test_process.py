@@ -46,6 +46,18 @@ def job(tmp_path: Path) -> Path:
     return save_frames(tmp_path / "part.vam", frames).path
 
 
+def test_a_folder_from_elsewhere_contacts_no_other_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(messages.os.path, "exists", lambda place: asked.append(place) or True)
+    own = r"\\.\pipe\pyc-1-0-a"
+    for place in (r"\\host\pipe\a", r"\\.\pipe\..\UNC\host\a", r"\\.\UNC\host\a", own):
+        (tmp_path / LIVE).write_text(json.dumps({"address": place}))
+        assert messages.running(tmp_path) is (place == own)
+    assert asked == [own]
+    with pytest.raises(StorageError, match="expected the name of a socket"):
+        Watch({"address": r"\\host\pipe\a", "key": "00", "pid": 5}, Board())
+
+
 def order(job: Path, turns: int = 1, **rest: Any) -> PrintOrder:
     """A rehearsal that keeps pace, patient with a busy machine."""
     rig = read_rig("emulated", ["safety.lease=1 s"])

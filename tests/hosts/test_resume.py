@@ -22,7 +22,7 @@ from vamgpu.hosts.process.resume import asked_for, left_by_a_host
 from vamgpu.hosts.records.record import FrameRecord, RunFolder, read_run
 from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, check, limits, may_go_on, plan, player, rehearsal
-from vamgpu.hosts.rigs.config import EMULATED, parse_rig
+from vamgpu.hosts.rigs.config import EMULATED, parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.hosts.schedules.timing import SECOND
 
@@ -342,3 +342,17 @@ def test_the_command_asks_before_it_opens_machines(
     assert main(["print", str(job), "--rig", str(rig), "--resume", str(tmp_path / "run")]) == 1
     told = capsys.readouterr().err
     assert "the rig has other values in [controller], [motion], [display]" in told and not opened
+    assert f"copy them from {str(tmp_path / 'run' / 'rig.toml')!r}" in told
+
+
+def test_a_measured_turn_does_not_make_another_rig(job: Path, tmp_path: Path) -> None:
+    rig, measured = tmp_path / "lab.toml", tmp_path / "lab.calibration" / "turn-2026-11-20T120000"
+    rig.write_text(EMULATED)
+    measured.mkdir(parents=True)
+    (measured / "result.toml").write_text('calibration = "turn"\n[measured]\nratio = 1.01\nerror = 1e-5\n')
+    wanted = plan(job, read_rig(rig), speed=40.0, turns=1)
+    assert wanted.rig.setup.motion.microsteps != read_rig(rig).setup.motion.microsteps
+    gone(*begun(wanted, tmp_path / "run", 12))
+    may_go_on(wanted, tmp_path / "run")
+    with pytest.raises(BadInput, match=r"other values in \[lens\]"):
+        may_go_on(plan(job, read_rig(rig, ["lens.axis=0.1"]), speed=40.0, turns=1), tmp_path / "run")

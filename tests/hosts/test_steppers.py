@@ -184,6 +184,58 @@ def test_what_a_tmc2209_does_not_take_is_told() -> None:
         flipped.position()
 
 
+def test_a_tmc2209_that_lost_its_power_is_told_and_stops() -> None:
+    clock, machine = VirtualClock(), EmulatedTmc2209()
+    stage = tmc_of(machine, clock)
+    stage.run(60.0)
+    machine.track.run(clock.now(), 0.0)
+    with pytest.raises(DeviceLost, match=r"made -?0\.\d\d of its steps; expected 1: check its power"):
+        for _ in range(60):
+            clock.sleep(SECOND // 60)
+            stage.position()
+    machine.received.clear()
+    stage.stop()
+    assert machine.received[0][2:7] == bytes([0x80 | 0x22, 0, 0, 0, 0]) and not stage.busy()
+
+
+def test_a_tmc2209_stops_without_an_answer() -> None:
+    clock, machine = VirtualClock(), EmulatedTmc2209()
+    stage = tmc_of(machine, clock)
+    stage.run(60.0)
+    stage._wire.port.faults.flip_out = frozenset(range(10_000))  # type: ignore[attr-defined]
+    with pytest.raises((ProtocolError, DeviceLost)):
+        stage.stop()
+    assert not machine.track.moving(clock.now() + SECOND)
+
+
+@pytest.mark.parametrize("name", ["tmc2209", "own"])
+def test_a_move_that_fails_leaves_no_motor_running(name: str) -> None:
+    board, opened, _ = ALL[name]
+    clock = VirtualClock()
+    machine = board()
+    stage = opened(machine, clock)
+    stage.run(20.0)
+    clock.sleep(SECOND // 4)
+    place, asked = stage.position, list[float]()
+
+    def lost() -> float:
+        if len(asked) == 3:
+            raise DeviceLost("no answer")
+        asked.append(place())
+        return asked[-1]
+
+    stage.position = lost
+    with pytest.raises(DeviceLost, match="no answer"):
+        stage.move(90.0, 20.0)
+    stage.position = place
+    clock.sleep(SECOND)
+    assert asked and not machine.track.moving(clock.now())
+    speeds, run = list[float](), stage.run
+    stage.run = lambda speed: speeds.append(speed) or run(speed)
+    stage.move(stage.position(), 20.0)
+    assert speeds == [0.0], "it is there already"
+
+
 def test_grbl_to_the_byte() -> None:
     clock, machine = VirtualClock(), EmulatedGrbl(axis=1)
     stage = grbl_of(machine, clock)
@@ -208,6 +260,16 @@ def test_grbl_turns_on_beyond_a_jog() -> None:
     assert stage.position() == pytest.approx(60.0 * 90, rel=0.01)
     clock.sleep(200 * SECOND)
     assert not machine.track.moving(clock.now()), "it does not turn forever without its host"
+
+
+def test_grbl_moves_from_a_run_without_its_jogs() -> None:
+    clock, machine = VirtualClock(), EmulatedGrbl()
+    stage = grbl_of(machine, clock)
+    stage.run(20.0)
+    clock.sleep(SECOND)
+    stage.move(90.0, 20.0)
+    stage.wait()
+    assert stage.position() == 90.0 and not machine.queued
 
 
 def test_what_grbl_would_do_otherwise_is_told() -> None:

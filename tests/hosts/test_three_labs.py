@@ -302,7 +302,12 @@ class IccBoard:
 def test_a_lens_on_an_icc() -> None:
     for listed in (False, True):
         board = IccBoard(listed=listed)
-        with IccLens(board) as lens:
+
+        def connect(board: IccBoard = board) -> IccBoard:
+            board.open = True
+            return board
+
+        with IccLens(connect) as lens:
             assert board.input == "static" and (lens.least, lens.greatest) == (-2.0, 4.0) and not lens.status()
             lens.set_power(1.25)
             assert board.power == lens.power() == 1.25 and lens.temperature() == 31.5
@@ -314,6 +319,9 @@ def test_a_lens_on_an_icc() -> None:
                 lens.inspect()
             lens.revive()
             assert board.power == 1.25 and board.input == "static"
+            board.power, board.open = 0.0, False  # it was unplugged
+            lens.revive()
+            assert board.open and board.power == 1.25
             board.device = 0
             with pytest.raises(DeviceRefused, match="sensor missing"):
                 lens.inspect()
@@ -323,7 +331,7 @@ def test_a_lens_on_an_icc() -> None:
                 lens.set_power(1.0)
         assert not board.open
     with pytest.raises(DeviceNotFound, match="channel 1 of the ICC has no lens"):
-        IccLens(IccBoard(), 1)
+        IccLens(IccBoard, 1)
 
 
 def hid_of(device: Any, asked: list[Any]) -> Any:

@@ -51,11 +51,14 @@ def test_without_a_mark_or_turns_there_is_no_number() -> None:
     machines.camera.scene = lambda now: still  # type: ignore[attr-defined]
     with pytest.raises(BadInput, match="draw a mark"):
         turn(machines, turns=3)
+    machines.camera.grab = lambda: np.zeros((32, 32))  # type: ignore[method-assign]
+    with pytest.raises(BadInput, match="explains 0 % .* draw a mark"):
+        turn(machines, turns=3)
     with pytest.raises(BadInput, match="3 turns or more"):
         turn(machines, turns=2)
     stepped = '[rig]\nname = "lab"\nmachine = "vial"\n[controller]\nport = "/dev/x"\n'
     stepped += '[motion]\ndriver = "controller"\nmicrosteps = 80\n[display]\ndriver = "alp"\n'
-    with pytest.raises(BadInput, match="index and encoder"):
+    with pytest.raises(BadInput, match="index or encoder"):
         opened_turn(parse_rig(f'{stepped}library = "x"\n{CAMERA}'))
     with pytest.raises(JobError, match="has no camera"):
         opened_turn(parse_rig(OPENCAL.replace(CAMERA, "")))
@@ -99,5 +102,8 @@ def test_prints_apply_it(tmp_path: Path) -> None:
 def test_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "turn", "--rig", "emulated", "--turns", "3", "--out", str(tmp_path / "turn")]) == 0
     told = capsys.readouterr().out
-    assert "rpm" in told and "emulated" in told and (tmp_path / "turn" / "figure.png").stat().st_size
+    assert "rpm" in told and "emulated" in told and "microsteps" not in told, (
+        "prints apply it: not once more in the file"
+    )
+    assert (tmp_path / "turn" / "figure.png").stat().st_size
     assert isinstance(opened_turn(read_rig("emulated"))[0], TurnMachines)
