@@ -91,7 +91,7 @@ def test_only_what_was_written_here_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "precious").mkdir()
     with pytest.raises(StorageError, match="holds no corrected slices"):
         check_place(tmp_path / "precious", overwrite=True)
-    with pytest.raises(StorageError, match="lack what an SL1 says of its printer"):
+    with pytest.raises(StorageError, match="lack the printer settings of an SL1"):
         check_place(tmp_path / "new.sl1")
 
 

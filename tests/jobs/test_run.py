@@ -182,7 +182,7 @@ def test_bits_of_a_job_are_chosen_by_their_dose(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_job_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="no finished job"):
+    with pytest.raises(StorageError, match="not a finished job"):
         prove(tmp_path)
 
 

@@ -174,7 +174,7 @@ def test_jobs_are_loaded_and_what_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "boat.toml").write_text(JOB, encoding="utf-8")
     job: Any = vam.load(tmp_path / "boat.toml")
     assert job.file.turntable.angles == 360
-    with pytest.raises(StorageError, match="no finished job"):
+    with pytest.raises(StorageError, match="not a finished job"):
         vam.load(tmp_path)
 
 
@@ -213,7 +213,7 @@ def test_old_light_meets_new_conditions(
         solve(Job.parse(JOB, [*SMALL, *pixels, setting]), tmp_path / "new.vam", start=tmp_path / "old.vam")
     assert {"resume", "start"} & set(seen) == {how}
     assert same(seen["start"] if how == "start" else seen["resume"].sinogram, plan.sinogram)
-    with pytest.raises(StorageError, match="no finished job"):
+    with pytest.raises(StorageError, match="not a finished job"):
         solve(Job.parse(JOB, SMALL), tmp_path / "new.vam", start=tmp_path / "none.vam")
 
 

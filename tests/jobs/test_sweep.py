@@ -66,9 +66,9 @@ def test_values_are_read_and_mistakes_told(job: Path, tmp_path: Path) -> None:
     for wrong in ("a", "=1", "a=", "a=1,", "a=,"):
         with pytest.raises(BadInput, match="expected a key and its values"):
             values_of(wrong)
-    with pytest.raises(BadInput, match="0 points"):
+    with pytest.raises(BadInput, match="0 combinations"):
         sweep(job, {}, tmp_path / "out")
-    with pytest.raises(BadInput, match="1000000 points"):
+    with pytest.raises(BadInput, match="1000000 combinations"):
         sweep(job, {"a": range(1000), "b": range(1000)}, tmp_path / "out")
     with pytest.raises(JobError):
         sweep(tmp_path / "none.toml", {"solve.iterations": [1]}, tmp_path / "out")

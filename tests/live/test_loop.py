@@ -213,5 +213,5 @@ def test_a_record_keeps_how_long_stages_took_beside_what_a_replay_repeats(tmp_pa
 def test_a_setup_that_is_none_is_refused() -> None:
     with pytest.raises(BadInput, match="LiveSetup"):
         LiveSetup.of({"shape": [1, 2, 3]})
-    with pytest.raises(BadInput, match="induction to end before"):
+    with pytest.raises(BadInput, match="induction to end at a lower dose"):
         CuringResin(induction=0.9)

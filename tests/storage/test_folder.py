@@ -118,7 +118,7 @@ def test_a_job_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
     assert np.array_equal(Folder.open(tmp_path / "a.vam").array("frames"), FRAMES + 1)
     precious = tmp_path / "precious"
     precious.mkdir()
-    with pytest.raises(StorageError, match="no job folder"):
+    with pytest.raises(StorageError, match="not a job folder"):
         write(precious, overwrite=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.vam", "precious"]
 
@@ -153,7 +153,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 def test_what_is_no_job_is_named(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="no finished job"):
+    with pytest.raises(StorageError, match="not a finished job"):
         Folder.open(tmp_path / "nowhere.vam")
     write(tmp_path / "a.vam")
     with pytest.raises(StorageError, match="it has frames"):
@@ -165,11 +165,11 @@ def test_what_is_no_job_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('"format": "vamgpu job"', '"format": "cake"', "no manifest"),
+        ('"format": "vamgpu job"', '"format": "cake"', "not a manifest"),
         ('"version": 2', '"version": 99', "reads 1 to 2"),
         ('"sha256"', '"md5"', "sha256"),
         ('"inputs"', '"outputs"', "inputs"),
-        ("{", "", "no valid JSON"),
+        ("{", "", "not valid JSON"),
     ],
 )
 def test_damaged_manifests_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:

@@ -159,7 +159,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes_and_can_be_replanned_again(plan:
     again = replanner().write(tmp_path / "killed.vam", plan, HORIZON)
     again.verify()
     assert again.complete and again.segments == alone.segments
-    with pytest.raises(StorageError, match="replanned otherwise"):
+    with pytest.raises(StorageError, match="replanned with other settings"):
         WebReplanner(stream(), WebDrift(0.9, SINCE), iterations=6).write(tmp_path / "killed.vam", plan, HORIZON)
     # the lamp is replaced: what was planned for 0.8 starts the light of 1.0 where it was, not a quarter brighter
     later = HORIZON + 2

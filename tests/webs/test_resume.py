@@ -131,7 +131,7 @@ def test_damage_is_found(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="missing"):
         folder.verify()
     (folder.path / RECORD).write_text(json.dumps({"format": "other"}))
-    with pytest.raises(StorageError, match="no record of a web"):
+    with pytest.raises(StorageError, match="not a record of a web"):
         WebFolder.open(folder.path)
     with pytest.raises(StorageError, match="no web"):
         WebFolder.open(tmp_path)
