@@ -92,7 +92,8 @@ class Screen:
 def test_a_rig_is_opened_measured_and_let_go_of(lab: Lab) -> None:
     machines = opened(lab.rig(firmware="A"))
     assert isinstance(machines, MirrorMachines) and len(machines.mirrors) == 2 and machines.lens is not None
-    assert machines.lens.firmware == "A" and all(each.allocated for each in lab.alps)
+    lens: Any = machines.lens
+    assert lens.firmware == "A" and all(each.allocated for each in lab.alps)
     table = turned(40, speed=40, engines=(MirrorTiming(pixels=(64, 12), row_bytes=8, dark=3e-3),) * 2)
     found = judged(table, machines.mirrors, machines.clock, seconds=0.05)
     assert len(found.found) == 2 and np.isfinite(found.found[0].measured), "both wires at once"
@@ -140,7 +141,7 @@ def test_one_that_does_not_close_keeps_none_open() -> None:
         raise DeviceLost("its plug is out")
 
     nothing: Any = None
-    stand = CalibrationMachines(nothing, nothing, nothing, (), ())
+    stand = CalibrationMachines(nothing, nothing, nothing, (), nothing)
     stand.closers += [lambda: closed.append("controller"), fail, lambda: closed.append("lens")]
     with pytest.raises(DeviceLost, match="plug"):
         stand.close()

@@ -23,6 +23,13 @@ MOST = 0xFFFFFFF
 class Goo:
     """The settings and the packed layers of a file. Raises `SliceError`."""
 
+    place: str
+    data: bytes
+    count: int
+    shape: tuple[int, int]
+    height: float
+    layers: tuple[tuple[bytes, int, int], ...]
+
     def __init__(self, data: bytes, place: str) -> None:
         self.place, self.data = place, data
         if len(data) < HEAD or data[4:12] != MAGIC:

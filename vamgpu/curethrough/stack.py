@@ -198,6 +198,8 @@ class ZipStack(FileStack):
 class GooStack(FileStack):
     """The layers of a .goo file. Raises `SliceError`."""
 
+    goo: Goo
+
     def __init__(self, path: str | Path) -> None:
         place = Path(path)
         try:
