@@ -190,8 +190,9 @@ class RigStand:
                 alp.disconnect()
 
     def shines(self) -> bool:
-        """Whether light falls within the next second."""
-        now = self.clock.now()
+        """Whether light falls within the next second, after the refresh that a screen was showing."""
+        shown = round(float(self.planned.schedule.cadence.period)) + 1000 if self.planned.display is not None else 0
+        now = self.clock.now() + shown
         self.clock.sleep(SECOND)
         return self.last > now
 

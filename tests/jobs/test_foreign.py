@@ -143,7 +143,7 @@ def test_a_configuration_without_patterns_becomes_a_job_to_be_solved(tmp_path: P
     ("changes", "said"),
     [
         ({"vial": VIAL | {"type": "square", "w_int": 10, "w_ext": 12}}, "expected index_matched or cylindrical"),
-        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions, which patterns alone cannot"),
+        ({"vial": VIAL | {"occlusions": [{"filename": "a.ply"}]}}, "occlusions, without which"),
         ({"vial": VIAL | {"occlusions": [{"filename": "a.ply", "bsdf": {"type": "dull"}}]}}, "expected a black one"),
         ({"vial": VIAL | {"r_inn": 7}}, r"its key vial\.r_inn is unknown; did you mean r_int\?"),
         ({"vial": VIAL | {"medium": MEDIUM | {"absorption": 1}}}, r"medium\.absorption is unknown; expected one of"),

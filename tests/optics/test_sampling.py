@@ -50,14 +50,14 @@ def test_angles_do_where_no_point_moves_farther_than_four_pixels(lit_share: floa
     assert enough == 60 * int(np.ceil(least / 60.0)) == vam.enough_angles(BEAM, VIAL, "4 mm", lit_share)
     assert turned(enough, lit_share) == ()
     (note,) = turned(int(0.9 * least), lit_share)
-    assert f"{int(0.9 * least)} angles are few for a part of 4 mm" in note and f"{enough} angles do" in note
+    assert f"{int(0.9 * least)} angles are few for a part of 4 mm" in note and f"use {enough} angles" in note
     assert "pixels are 40 µm wide in the resin" in note
 
 
 def test_angles_of_a_part_of_a_turn_are_told_by_their_steps() -> None:
     half = np.linspace(0.0, np.pi, 400, endpoint=False)
     assert turned(half, 1.0) == ()
-    assert turned(half[::8], 0.0) == () and "60 angles do" in turned(half[::16], 0.0)[0]
+    assert turned(half[::8], 0.0) == () and "use 60 angles" in turned(half[::16], 0.0)[0]
 
 
 def test_voxels_wider_than_a_pixel_are_told() -> None:

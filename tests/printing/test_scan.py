@@ -83,7 +83,9 @@ def test_errors_diffuse_among_poses_that_are_lit_as_long() -> None:
     sums = [vam.pack(plans[0], bits=1, dither=dither, quantile=1.0).irradiance().numpy().sum(axis=0) - light.sum(axis=0)
             for dither in ("round", "error-diffusion")]  # fmt: skip
     assert np.abs(sums[1]).max() < 0.5 * np.abs(sums[0]).max()
-    with pytest.raises(BadInput, match=r'error-diffusion got 40 over a full turn, each lit .* use dither="round"'):
+    with pytest.raises(
+        BadInput, match=r'error-diffusion got angles of 40 over a full turn, each lit .* use dither="round"'
+    ):
         vam.pack(plans[1], bits=1, dither="error-diffusion")
 
 

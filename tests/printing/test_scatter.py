@@ -66,7 +66,7 @@ def test_frames_that_end_first_stop_nothing() -> None:
         (lambda: ScatterStop(10.0, steady=0), "steady"),
         (lambda: ScatterStop(10.0).see(0.0, np.zeros(4)), "shape"),
         (lambda: ScatterStop(10.0).see(0.0, np.full((2, 2), np.nan)), "finite"),
-        (lambda: ScatterStop(10.0).watch([(0.0, np.zeros((2, 2))), (0.0, np.zeros((2, 2)))]), "later"),
+        (lambda: ScatterStop(10.0).watch([(0.0, np.zeros((2, 2))), (0.0, np.zeros((2, 2)))]), "rising times"),
         (lambda: ScatterStop(10.0).watch([(0.0, np.zeros((2, 2))), (1.0, np.zeros((3, 2)))]), "shape"),
     ],
 )

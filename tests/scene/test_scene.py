@@ -397,7 +397,7 @@ def test_a_loss_without_weights_says_so() -> None:
             return 0.0
 
     target = target_of(vam.Body(rod(1.2), weight=2.0), KEPT)
-    with pytest.raises(BadInput, match="Own takes no weights of voxels"):
+    with pytest.raises(BadInput, match="Own does not support voxel weights"):
         solved(target, Own(), 1)
 
 
