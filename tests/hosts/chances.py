@@ -85,10 +85,11 @@ class Life:
         return [moment for moment, act in enumerate(self.moments, 1) if not OFTEN.search(act)]
 
 
-def on_its_days(patch: pytest.MonkeyPatch, clock: Any) -> None:
-    """The time of day is that of a rig's clock."""
+def on_its_days(patch: pytest.MonkeyPatch, clock: Any, changed: Callable[[], float] = lambda: 0.0) -> None:
+    """The time of day is that of a rig's clock, changed by so many seconds."""
+    days = SimpleNamespace(time=lambda: 1e9 + changed() + clock.now() * 1e-9)
     for module in ("process.resume", "records.record"):
-        patch.setattr(f"vamgpu.hosts.{module}.time", SimpleNamespace(time=lambda: 1e9 + clock.now() * 1e-9))
+        patch.setattr(f"vamgpu.hosts.{module}.time", days)
 
 
 def levels_of(planned: PrintPlan) -> np.ndarray:
@@ -130,6 +131,7 @@ class RigStand:
         held = 0 if self.found is None else self.found.depth * self.found.sequences
         self.ahead = round(held * float(table.cadence.period))  # for so long the mirrors have frames [ns]
         self.last = 0
+        self.time_change = 0.0  # of the time of day [s]
         self.seen: list[tuple[int, float, int]] = []
         if self.planned.display is not None:
             self._look_at_the_screen()
@@ -166,7 +168,7 @@ class RigStand:
     @contextmanager
     def _living(self, life: Life, machines: Any, patch: pytest.MonkeyPatch) -> Iterator[None]:
         """All that a host does is mortal."""
-        on_its_days(patch, self.clock)
+        on_its_days(patch, self.clock, lambda: self.time_change)
         acts = [(getattr(machines, name, None), "ask") for name in ("controller", "stage")]
         acts += [(getattr(machines, "stage", None), "_set"), (getattr(machines, "lamp", None), "_set")]
         acts += [(getattr(machines, "projector", None), name) for name in ("show", "black")]

@@ -13,7 +13,6 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -144,10 +143,7 @@ def broken_disk(trial: Trial) -> None:
 
 
 def clock_set(trial: Trial) -> None:
-    hours = trial.chance.uniform(-2.0, 2.0)
-    now = SimpleNamespace(time=lambda: 1e9 + 3600 * hours + trial.emulated.clock.now() * 1e-9)
-    for module in ("process.resume", "records.record"):
-        trial.patch.setattr(f"vamgpu.hosts.{module}.time", now)
+    trial.stand.time_change = 3600 * trial.chance.uniform(-2.0, 2.0)
 
 
 def lens_dies(trial: Trial) -> None:

@@ -306,7 +306,6 @@ def test_another_host_knows_whether_a_segment_had_begun(run: Path, begun: bool) 
 
 
 def test_a_clock_that_was_set_back_is_told(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vamgpu.hosts.records.record.time", time)  # of this host, whatever other tests left there
     scene = Scene(run, roll())
     scene.paused()
     now = time.time()
