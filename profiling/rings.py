@@ -155,7 +155,7 @@ def _poses(rings: PolarGrid, beam: Beam, vial: Vial) -> list[np.ndarray]:
         tiles = []
         for _ in range(band.rings // ROWS):
             out = open_device("numpy").empty((rings.angles, band.samples * ROWS, beam.pixels[0]))
-            next(given).pose(beam, 0, 1.0, out)
+            next(given).pose(beam, out.shape[:2], out.device)(0, 1.0, out)
             tiles.append(out.numpy().reshape(rings.angles * band.samples, ROWS, -1).swapaxes(0, 1))
         found.append(np.concatenate(tiles))
     return found

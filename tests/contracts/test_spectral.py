@@ -50,7 +50,7 @@ def summed(A: SpectralProjection, slices: np.ndarray) -> np.ndarray:
         own = own.reshape(grid.angles, band.samples, band.rings // ROWS, ROWS, -1)
         for number in range(band.rings // ROWS):
             pose = vam.open_device("numpy").empty((grid.angles, band.samples * ROWS, A.beam.pixels[0]))
-            next(given).pose(A.beam, 0, 1.0, pose)
+            next(given).pose(A.beam, pose.shape[:2], pose.device)(0, 1.0, pose)
             turned = [np.roll(pose.numpy(), angle, axis=0) for angle in range(grid.angles)]
             cells = np.einsum("atqc,acz->tqz", turned, slices)
             own[:, :, number] = cells.reshape(grid.angles, band.samples, ROWS, -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -12,6 +13,7 @@ import numpy as np
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.cores import FEW, ahead
+from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import FULL_TURN, Beam, Grid, Vessel, centers, columns_of, counts
 from vamgpu.kernels.footprint import half_support, sides
@@ -178,9 +180,13 @@ class PoseTile(Protocol):
         """The last column that may light a cell; −1 if there is none."""
         ...
 
-    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
-        """Write light of columns from ``first`` on in the cells, [angle, cell, column]; of the first × ``factor``."""
+    def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
+        """What writes the light of some columns in the (angles, cells) of the rings, on a device."""
         ...
+
+
+WritesPose = Callable[[int, float, DeviceArray], None]
+"""Writes light of columns from a first one on to a field [angle, cell, column], that of the first times a factor."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +205,6 @@ class _Footprints:
 
     @property
     def arcs(self) -> np.ndarray:
-        """Turns [rad] over which each ring has a mean, (2, `ROWS`)."""
         return np.repeat([[self.arc], [0.0]], ROWS, axis=1)
 
     def rings(self, begin: int, stop: int) -> _Footprints:
@@ -225,22 +230,15 @@ class _Footprints:
         reach = half_support(*sides(self.a, self.b, beam.sigma), beam.fill**0.5, beam.sigma)
         return min(int(np.floor(self.column + reach)[self.strength > 0.0].max(initial=-1)), beam.pixels[0] - 1)
 
-    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
-        """Write light of columns from ``first`` on in the cells, [angle, cell, column]; of the first × ``factor``."""
-        angles, cells, parts = out.shape[0], out.shape[1] // ROWS, self.parts
+    def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
+        (angles, cells), parts = shape, self.parts
         whole = np.round(self.column)
-        feet = np.stack([whole, self.column - whole, self.strength, self.a, self.b], axis=-1)
-        feet = feet.reshape(ROWS, parts, angles, cells, parts, 5).transpose(2, 3, 0, 1, 4, 5)
-        device = out.device
-        device.launch(
-            ring_pose,
-            feet=device.table(feet.reshape(angles, cells * ROWS, parts**2, 5)),
-            first=first,
-            columns=beam.pixels[0] - first,
-            factor=factor,
-            fill=beam.fill**0.5,
-            sigma=beam.sigma,
-            pose=out,
+        given = np.stack([whole, self.column - whole, self.strength, self.a, self.b], axis=-1)
+        given = given.reshape(ROWS, parts, angles, cells // ROWS, parts, 5).transpose(2, 3, 0, 1, 4, 5)
+        feet = device.table(given.reshape(angles, cells, parts**2, 5))
+        pixel = {"fill": beam.fill**0.5, "sigma": beam.sigma}
+        return lambda first, factor, out: device.launch(
+            ring_pose, feet=feet, first=first, columns=beam.pixels[0] - first, factor=factor, **pixel, pose=out
         )
 
 

@@ -15,7 +15,7 @@ from vamgpu.kernels.ring_table import ring_coefficients, ring_entries
 from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.polar import PolarGrid, PoseTile
 from vamgpu.operators.ring_splines import NEXT, OWN, pivots, tracks
-from vamgpu.operators.transforms import tile_passes
+from vamgpu.operators.transforms import Passes, ring_band, ring_radices
 
 MANY = 1 << 20
 """Columns that fill whole slabs of every device."""
@@ -48,18 +48,21 @@ def ring_table(grid: PolarGrid, beam: Beam, given: Sequence[PoseTile], device: D
     device = getattr(device, "members", (device,))[0]  # no slices are shared
     entries = device.reserve(((grid.angles // 2 + 1) * size,))
     strip = min(device.lanes_for(MANY) or all_pairs, all_pairs)
-    passes = {band.samples: tile_passes(device, grid.angles, band.samples) for band in grid.bands}
+    bands = {n: [ring_band(grid.angles, n, ROWS, 0, n * ROWS)] for n in {band.samples for band in grid.bands}}
+    passes = {n: Passes(device, own, ring_radices(device, grid.angles, [n])) for n, own in bands.items()}
     for tile, width, numbers in zip(given, wide, own, strict=True):
         begins = np.array([tiles[number][0] for number in numbers])
-        fields = [device.empty((grid.angles, len(numbers) * ROWS, strip)) for _ in range(3)]
+        shape = (grid.angles, len(numbers) * ROWS)
+        fields = [device.empty((*shape, strip)) for _ in range(3)]
+        write, arcs = tile.pose(beam, shape, device), device.table(tile.arcs)
         for first in range(0, width, strip):
             halved = first == 0 and mirrored and columns % 2  # a column in the middle is a pair with itself
-            tile.pose(beam, half + first, 0.5 if halved else 1.0, fields[0])
+            write(half + first, 0.5 if halved else 1.0, fields[0])
             device.launch(
                 ring_entries,
                 spectrum=passes[len(numbers)].run(-1.0, fields[0], fields[1:].__getitem__),
                 begins=device.table(begins + 2 * ROWS * first, "int32"),
-                arcs=device.table(tile.arcs),
+                arcs=arcs,
                 columns=width - first,
                 entries=entries,
             )

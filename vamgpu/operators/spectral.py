@@ -19,7 +19,7 @@ from vamgpu.operators.ray_table import OpenAir
 from vamgpu.operators.ring_table import ring_table
 from vamgpu.operators.row_resampler import RowResampler
 from vamgpu.operators.space import PolarSpace, SinogramSpace, require_kinds
-from vamgpu.operators.transforms import Passes, Place, ring_radices, straight_passes
+from vamgpu.operators.transforms import Passes, Place, ring_band, ring_radices, straight_passes
 from vamgpu.schema.quantities import finite
 
 
@@ -143,10 +143,7 @@ class SpectralProjection(LinearOperator):
     @property
     def _bands(self) -> list[tuple[int, int, Place, Place]]:
         angles, width, _ = self.grid.shape
-        return [
-            (angles * b.samples, b.rings, (b.cell, b.samples, b.rings, width), (b.cell, angles, width, b.rings))
-            for b in self.grid.bands
-        ]
+        return [ring_band(angles, band.samples, band.rings, band.cell, width) for band in self.grid.bands]
 
     def forward(self, x: DeviceArray, out: DeviceArray) -> None:
         with self._rows.filling(out, lambda shape: self._work("rows", shape)) as rows:

@@ -11,7 +11,7 @@ import numpy as np
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.geometry import FULL_TURN
-from vamgpu.kernels.spectrum import AT_ONCE, FACTOR, ONE_SUM, ROWS, factors, fourier, in_groups, is_even
+from vamgpu.kernels.spectrum import AT_ONCE, FACTOR, ONE_SUM, factors, fourier, in_groups, is_even
 
 MOST = 4
 """Passes that there may be."""
@@ -69,11 +69,9 @@ def straight_passes(device: Device, angles: int, width: int, given: int | None =
     return Passes(device, [(angles, width, (0, angles, given or width, 0), (0, angles, width, 0))])
 
 
-def tile_passes(device: Device, angles: int, samples: int) -> Passes:
-    """Transforms of `ROWS` rings of so many samples between two angles."""
-    width = samples * ROWS
-    band = (angles * samples, ROWS, (0, samples, ROWS, width), (0, angles, width, ROWS))
-    return Passes(device, [band], ring_radices(device, angles, [samples]))
+def ring_band(angles: int, samples: int, rings: int, cell: int, width: int) -> tuple[int, int, Place, Place]:
+    """Samples and rings of a band, and where they lie in cells of a width, and by frequency."""
+    return angles * samples, rings, (cell, samples, rings, width), (cell, angles, width, rings)
 
 
 def ring_radices(device: Device, angles: int, samples: list[int]) -> list[tuple[int, ...]] | None:

@@ -26,7 +26,7 @@ from vamgpu.kernels.spectrum import ROWS
 from vamgpu.operators.compose import combine
 from vamgpu.operators.defocus import direct
 from vamgpu.operators.linear import LinearOperator
-from vamgpu.operators.polar import PolarGrid
+from vamgpu.operators.polar import PolarGrid, WritesPose
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
 from vamgpu.operators.row_resampler import RowResampler, mean_light
@@ -265,13 +265,17 @@ class _Tile:
         ray = int(self.paths.indices.max(initial=-1))
         return -1 if ray < 0 else int(self.columns.indices[: self.columns.indptr[ray + 1]].max(initial=-1))
 
-    def pose(self, beam: Beam, first: int, factor: float, out: DeviceArray) -> None:
-        angles, cells, width = out.shape
-        light = (self.paths @ self.columns[:, first : first + width]).toarray()
-        pose = np.zeros((angles, cells // ROWS, ROWS, width))
-        pose[..., : light.shape[1]] = light.reshape(ROWS, angles, cells // ROWS, -1).transpose(1, 2, 0, 3)
-        pose[..., 0] *= factor
-        out.device.put(pose.reshape(out.shape), out)
+    def pose(self, beam: Beam, shape: tuple[int, ...], device: Device) -> WritesPose:
+        light = (self.paths @ self.columns).toarray().reshape(ROWS, shape[0], shape[1] // ROWS, -1)
+        light = light.transpose(1, 2, 0, 3).reshape(*shape, -1)
+
+        def write(first: int, factor: float, out: DeviceArray) -> None:
+            some = light[..., first : first + out.shape[2]]
+            pose = np.pad(some, ((0, 0), (0, 0), (0, out.shape[2] - some.shape[2])))
+            pose[..., 0] *= factor
+            device.put(pose, out)
+
+        return write
 
 
 def _tiles(A: Projection | RingProjection, cells: OuterRings) -> list[_Tile]:
