@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import vamgpu
-from vamgpu.backend import cache
+from vamgpu.backend import kernel_cache
 from vamgpu.cli import doctor
 from vamgpu.errors import StorageError
 
@@ -70,16 +70,16 @@ def test_an_unwritable_cache_without_a_temporary_folder_is_a_typed_error(
     def refused(*_: object, **__: object) -> None:
         raise OSError("Read-only file system")
 
-    cache.refusal.cache_clear()
+    kernel_cache.refusal.cache_clear()
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("HOME", fresh(tmp_path)["HOME"])
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr("vamgpu.backend.cache.tempfile.TemporaryDirectory", refused)
+    monkeypatch.setattr("vamgpu.backend.kernel_cache.tempfile.TemporaryDirectory", refused)
     try:
         with pytest.raises(StorageError, match="Not a directory.*Read-only.*set XDG_CACHE_HOME or TMPDIR"):
-            cache.writable.__wrapped__()
+            kernel_cache.writable.__wrapped__()
     finally:
-        cache.refusal.cache_clear()
+        kernel_cache.refusal.cache_clear()
 
 
 def test_the_doctor_blames_no_driver_for_folders(monkeypatch: pytest.MonkeyPatch) -> None:

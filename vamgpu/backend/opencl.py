@@ -7,17 +7,22 @@ import os
 import tempfile
 import weakref
 from collections import deque
+from contextlib import suppress
 from functools import lru_cache
+from hashlib import sha256
 from math import prod
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
+from pyopencl.characterize import has_src_build_cache
 
 from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
+from vamgpu.backend.kernel_cache import keep, kept
 from vamgpu.backend.opencl_platforms import all_devices, quiet_build
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel, Scalar, Table, Tiling
@@ -217,13 +222,28 @@ class OpenclDevice(Device):
             options.append(f"-cl-nv-maxrregcount={registers}")
         try:
             with quiet_build():
-                program = cl.Program(self.context, kernel.source.read_text())
-                cache: Any = None if cached else False
-                function = cl.Kernel(program.build(options, devices=[self._device], cache_dir=cache), kernel.name)
+                function = cl.Kernel(self._built(kernel.source, options, cached), kernel.name)
                 function.set_scalar_arg_dtypes(_numbers(kernel))
                 return function
         except (cl.Error, RuntimeError) as error:
             raise KernelError(f"{kernel.source.name} does not build on {self.name}: {error}") from error
+
+    def _built(self, source: Path, options: list[str], cached: bool) -> cl.Program:
+        """A program of a file, by the binary of an earlier process if the driver does not keep binaries itself."""
+        program, device, none = cl.Program(self.context, source.read_text()), self._device, cast("str", False)
+        if not cached or has_src_build_cache(device):
+            return program.build(options, devices=[device], cache_dir=none)
+        files = (path.read_bytes() for path in (source, *sorted(source.parent.glob("*.h"))))
+        key = sha256(repr((device.platform.version, device.name, device.driver_version, options, *files)).encode())
+        binary = kept(key.hexdigest())
+        if binary is not None:
+            with suppress(cl.Error, RuntimeError):  # a binary that the driver refuses is made again
+                return cl.Program(self.context, [device], [binary]).build(options)
+        built = program.build(options, devices=[device], cache_dir=none)
+        devices: Any = built.get_info(cl.program_info.DEVICES)
+        binaries: Any = built.get_info(cl.program_info.BINARIES)
+        keep(key.hexdigest(), binaries[devices.index(device)])
+        return built
 
     def _constants(self, kernel: Kernel, lanes: int) -> dict[str, int]:
         width = 4 if self.is_gpu else 16

@@ -13,9 +13,9 @@ import numpy as np
 import warp as wp
 
 from vamgpu.backend.array import DeviceArray
-from vamgpu.backend.cache import writable
 from vamgpu.backend.device import Device
 from vamgpu.backend.host_memory import from_host
+from vamgpu.backend.kernel_cache import writable
 from vamgpu.errors import DeviceError, KernelError, OutOfMemory
 from vamgpu.kernels.signature import Field, Kernel
 

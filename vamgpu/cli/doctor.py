@@ -12,7 +12,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from vamgpu.backend.cache import VARIABLE, refusal, writable
+from vamgpu.backend.kernel_cache import VARIABLE, refusal, writable
 from vamgpu.cli.remedies import for_graphics, for_processor
 from vamgpu.errors import VamError
 

@@ -1,12 +1,15 @@
-"""The folder of compiled kernels, for drivers that fail if the user's own cache folder cannot be written."""
+"""The folder of compiled kernels, also for drivers that fail if the user's own cache folder cannot be written."""
 
 from __future__ import annotations
 
 import os
 import sys
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+
+from platformdirs import user_cache_path
 
 from vamgpu.errors import StorageError
 
@@ -42,3 +45,19 @@ def writable() -> tempfile.TemporaryDirectory[str] | None:
         ) from error
     os.environ[VARIABLE] = folder.name
     return folder
+
+
+def kept(key: str) -> bytes | None:
+    """What `keep` has stored under a key."""
+    with suppress(OSError):
+        return (user_cache_path("vamgpu", False) / key).read_bytes()
+    return None
+
+
+def keep(key: str, content: bytes) -> None:
+    """Store bytes in the user's cache if it can be written, whole or not at all: a process may be killed meanwhile."""
+    with suppress(OSError):
+        folder = user_cache_path("vamgpu", False, ensure_exists=True)
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+            file.write(content)
+        os.replace(file.name, folder / key)
