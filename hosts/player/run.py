@@ -237,8 +237,11 @@ class Print:
 
     def _end(self, error: BaseException, wanted: bool, why: str) -> None:
         """The state after an error."""
+        excess = self.guard.budget.excess if self.guard.budget is not None else ""
         if wanted:
             self.states.end(PrintState.CANCELLED, why)
+        elif excess:  # perhaps of frames that were counted after the error
+            self.states.end(PrintState.ERROR, excess if why == excess else f"{why}; {excess}")
         elif self._final or not self._begun or isinstance(error, FINAL) or not isinstance(error, (VamError, OSError)):
             self.states.end(PrintState.ERROR, why)
         elif not self._ended_short(why):

@@ -53,6 +53,7 @@ class SlotCounter:
         self._frames: deque[tuple[int, tuple[int, ...]]] = deque([(0, ()), (0, ())], maxlen=2)
         self._times: dict[int, int] = {}
         self._late: dict[int, int] = {}
+        self._counted = 0  # refreshes since the last frame's that are counted
         self.begins: int | None = None
 
     def saw(self, slots: float, since: int) -> None:
@@ -62,7 +63,8 @@ class SlotCounter:
         self.begins = expected if abs(slots - expected) <= self._aside else nearest
         slipped = max((self.begins - expected) // self._patterns, 0)
         (_, before), (first, last) = self._frames
-        for sent, repeated in ((before, max(slipped - since, 0)), (last, since)):
+        counted, self._counted = self._counted, since
+        for sent, repeated in ((before, max(slipped - since, 0)), (last, since - counted)):
             for slot in sent:  # a screen repeats a frame until a new one arrives
                 if slot in self._times:
                     self._times[slot] += repeated
@@ -74,9 +76,16 @@ class SlotCounter:
         first = (self.begins or 0) + self._patterns + self._ahead
         return range(first, first + self._patterns)
 
+    @property
+    def past(self) -> int:
+        """Slots before this one can be lit no more; a frame that was sent late is on show after its angle."""
+        first, last = self._frames[-1]
+        return min(self.begins or 0, first) if last else self.begins or 0
+
     def sent(self, first: int, slots: Sequence[int]) -> None:
         """A video frame for slots from ``first`` on has frames for ``slots``, and black for the others."""
         self._frames.append((first, tuple(slots)))
+        self._counted = 0
         self._times |= dict.fromkeys(slots, 1)
 
     def take(self, slots: Sequence[int]) -> SlotLight:
@@ -274,7 +283,7 @@ class SpinningPlayer:
         frames, done = self._passed(), self._kept - self._first
         margin = self.display.latency * self.display.patterns / float(self.display.slot_rate)
         running = self._kept < self._limit
-        if fault is None:
+        if fault is None and not self._blackout.dark:
             self._sure = self._kept
         return StatusPoll(running, seen.error, done, done, frames, seen.degrees, 1.0, margin, fault)
 
@@ -294,8 +303,8 @@ class SpinningPlayer:
 
     def _passed(self) -> tuple[FrameRecord, ...]:
         """Records of the poses behind the stage."""
-        found = []
-        while self._kept < self._limit and (self._kept + 1) * self._repeats <= (self._lit.begins or 0):
+        found, past = [], (self._lit.begins or 0) if self._blackout.dark else self._lit.past
+        while self._kept < self._limit and (self._kept + 1) * self._repeats <= past:
             found.append(self._shown(self._kept))
             self._kept += 1
         return tuple(found)

@@ -71,10 +71,17 @@ class Budget:
         fits = self.allows(power, on_time)
         self.spent += _light(power, on_time)
         if not fits:
-            raise OverDose(
-                f"the print has used {self.spent:.6g} of {self.limit:.6g} of light; expected no more than the plan: "
-                "check the powers and on-times of the schedule"
-            )
+            raise OverDose(self.excess)
+
+    @property
+    def excess(self) -> str:
+        """What is wrong if more than the limit is used; empty otherwise."""
+        if self.allows(0.0, 0):
+            return ""
+        return (
+            f"the print has used {self.spent:.6g} of {self.limit:.6g} of light; expected no more than the plan: "
+            "check the powers and on-times of the schedule"
+        )
 
 
 def _light(power: float, on_time: int) -> float:

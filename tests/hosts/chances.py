@@ -162,7 +162,8 @@ class RigStand:
             machines = self.emulated.machines(machines.microsteps)
         with pytest.MonkeyPatch.context() as patch, self._living(life, machines, patch):
             options |= {"found": self.found, "resume": again, "unattended": unattended}
-            return carry_out(self.planned, machines, self.run, **options)[0]
+            state = carry_out(self.planned, machines, self.run, **options)[0]
+            return None if life.dead else state
         return None
 
     @contextmanager

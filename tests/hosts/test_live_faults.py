@@ -233,7 +233,7 @@ def test_a_camera_that_hangs_is_told() -> None:
 @pytest.mark.slow
 def test_an_order_takes_it_into_the_process_that_holds_the_light(job: Path, run: Path) -> None:
     rig = read_rig("emulated", ["safety.lease=1 s"])
-    order = PrintOrder.of((job,), rig, run, turns=9, speed=180.0, rehearsed=True, live="live_workers:steady")
+    order = PrintOrder.of((job,), rig, run, turns=9, speed=180.0, rehearsed=True, live=LiveOrder("live_workers:steady"))
     board = Board()
     with started(order, board) as watch:
         assert watch.wait(90)

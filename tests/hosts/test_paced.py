@@ -112,7 +112,7 @@ def test_threads_make_and_upload_while_one_prints(tmp_path: Path) -> None:
 def test_a_source_that_hangs_in_its_thread_ends_the_print_dark(tmp_path: Path) -> None:
     frames = White(most=30)
     job, emulated = printed(tmp_path / "run", frames, 120)
-    with pytest.raises(Underrun, match="more than 2 of 360 poses"):
+    with pytest.raises(Underrun, match="more than 2 of 360 angles"):
         job.run()
     assert not emulated.controller.light and not any(t.name == "frames upload" for t in threading.enumerate())
     frames.go.set()
