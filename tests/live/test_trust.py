@@ -131,7 +131,7 @@ def test_a_sinking_part_goes_on_by_its_plan() -> None:
 def test_a_claim_carries_the_error_of_the_gel_point() -> None:
     made, part, light = setup()
     claims = []
-    for error in (0.0, 0.1, 0.2):
+    for error in (0.0, 0.15, 0.2):
         loop, live = replace(made, resin=replace(made.resin, gel_error=error)).loop(part, light), printer(Truth())
         state, decision = loop.start(), None
         for _ in range(PLANNED):

@@ -7,6 +7,9 @@ import numpy as np
 BLOCK = 8
 """Edge of the blocks of voxels in which errors are compared [voxels]: wider than errors are alike."""
 
+NEIGHBORS = 30.0
+"""Fewest voxels of a reconstruction that count as one: its resolution is about three voxels."""
+
 
 def alike(voxels: np.ndarray, residuals: np.ndarray) -> float:
     """Voxels that err alike, and count as one: how much their blocks err, over what independent ones would.
