@@ -58,9 +58,9 @@ class LightAccount:
 
     @property
     def excess(self) -> np.ndarray:
-        """Views whose uncertain light may be more than plan and dose allow, bool (engines, frames)."""
+        """Views that may have more light than plan and dose allow, bool (engines, frames)."""
         allowed = 1 + WITHIN if self.dose is None else max(1 + WITHIN, self.dose.proved.most / self.dose.share)
-        return (self.unsure > 0) & (self.sure + self.unsure > self.wanted * allowed)
+        return self.sure + self.unsure > self.wanted * allowed
 
     def share(self, unsure: float) -> np.ndarray:
         """Light relative to the plan, (engines, frames); 1 without planned light. unsure: share of unknown light."""
@@ -87,6 +87,8 @@ class LightAccount:
             shares = self.share(0.0)[self.wanted > 0]
             low, high = (100 * float(each) for each in (shares.min(initial=1.0), shares.max(initial=0.0)))
             return f"each of {self.views} frames has {low:.0f} to {high:.0f} % of the light of all turns{doubt}"
+        if over := np.count_nonzero(self.excess):
+            doubt += f"; {over} may be overexposed: the brightest by {100 * float(self.share(1.0).max()) - 100:.0f} %"
         if not told["short"]:
             dose = "" if self.dose is None else f"; dose {self.dose}"
             return f"all {self.views} frames have their light{doubt}{dose}"

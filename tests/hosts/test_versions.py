@@ -380,12 +380,14 @@ def test_light_is_counted_and_proved_by_version(job: Path, run: Path) -> None:
     for number in (0, 1):
         each = light.versions[number]
         assert (each.wanted == on).all() and (each.sure == on).all() and not each.unsure.any()
-    # a frame of version 1 that was never shown is missed, though the job's was shown twice
+    # a frame of version 1 that was never shown is missed, and the job's, shown twice, is too bright
     twice = told.shown.copy()
     twice["version"][twice["frame"] == 7] = 0
     missed = account(replace(told, shown=twice))
     assert missed is not None and np.flatnonzero(missed.short[0]).tolist() == [7]
-    assert missed.facts()["versions"]["1"]["short"] == 1 and missed.facts()["versions"]["0"]["complete"]
+    assert missed.facts()["versions"]["1"]["short"] == 1 and not missed.facts()["versions"]["0"]["short"]
+    assert np.flatnonzero(missed.versions[0].excess[0]).tolist() == [7] and not missed.versions[1].excess.any()
+    assert "1 may be overexposed: the brightest by 100 %" in str(missed.versions[0])
     frames = made.planned.jobs[0].frames
     assert frames is not None
     shown = _shown(told, light, frames, 0, 0.0).irradiance(frames.device).numpy()

@@ -149,8 +149,9 @@ def test_a_watched_print_reaches_the_resin_and_repeats_bit_by_bit(nut: Path, run
     for drawn in board.now.maps.values():
         assert drawn.dtype == np.uint8 and drawn.ndim == 3 and (drawn == 255).all(axis=2).any(), "the part is outlined"
     firsts = {int(told.shown["slot"][told.shown["version"] == number][0]) // 40 for number in versions(told)}
-    swapped = [each for each in ended.decisions if each["action"] == "swap"]
-    assert {each["effective"] for each in swapped} <= firsts and swapped, "each as the print showed it"
+    changed = next(each for each in ended.decisions if each["version"])
+    swapped = [changed, *(each for each in ended.decisions if each["action"] == "swap")]
+    assert {each["effective"] for each in swapped} <= firsts, "each as the print showed it"
     assert all(each["stages"]["sense"] == pytest.approx(0.6 * 9.0, abs=0.3) for each in ended.decisions)
     assert all({"see", "estimate", "replan", "pack", "upload"} <= set(each["stages"]) for each in swapped)
     unwatched = live(nut, turns=TURNS, truth=OFF, watched=False)
