@@ -13,7 +13,7 @@ from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.safety.interlock import DEFAULT_LENGTH
 from vamgpu.hosts.schedules.timing import SECOND
 
-SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 30))]
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 30))]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
