@@ -1,4 +1,4 @@
-"""The public names for type checkers; tests compare them with those that load when first used."""
+"""The public names: type checkers read them here, and `vamgpu` loads each when it is first used."""
 
 from vamgpu.backend import devices as devices
 from vamgpu.backend import open_device as open_device
@@ -16,39 +16,17 @@ from vamgpu.geometry import Grid as Grid
 from vamgpu.geometry import Turntable as Turntable
 from vamgpu.hosts.live.live_print import live as live
 from vamgpu.jobs.load import load as load
-from vamgpu.methods import (
-    BCLP as BCLP,
-)
-from vamgpu.methods import (
-    LBFGS as LBFGS,
-)
-from vamgpu.methods import (
-    OSMO as OSMO,
-)
-from vamgpu.methods import (
-    FilteredBackProjection as FilteredBackProjection,
-)
-from vamgpu.methods import (
-    GradientDescent as GradientDescent,
-)
-from vamgpu.methods import (
-    PenaltyMinimization as PenaltyMinimization,
-)
-from vamgpu.methods import (
-    Plan as Plan,
-)
-from vamgpu.methods import (
-    Recipe as Recipe,
-)
-from vamgpu.methods import (
-    SurfaceRamp as SurfaceRamp,
-)
-from vamgpu.methods import (
-    Tolerances as Tolerances,
-)
-from vamgpu.methods import (
-    optimize as optimize,
-)
+from vamgpu.methods import BCLP as BCLP
+from vamgpu.methods import LBFGS as LBFGS
+from vamgpu.methods import OSMO as OSMO
+from vamgpu.methods import FilteredBackProjection as FilteredBackProjection
+from vamgpu.methods import GradientDescent as GradientDescent
+from vamgpu.methods import PenaltyMinimization as PenaltyMinimization
+from vamgpu.methods import Plan as Plan
+from vamgpu.methods import Recipe as Recipe
+from vamgpu.methods import SurfaceRamp as SurfaceRamp
+from vamgpu.methods import Tolerances as Tolerances
+from vamgpu.methods import optimize as optimize
 from vamgpu.methods.compare import compared as compared
 from vamgpu.methods.dual import Colors as Colors
 from vamgpu.methods.dual import superpose as superpose

@@ -76,7 +76,7 @@ class PolledStage(ClosedOnce):
         raise NotImplementedError
 
     def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed; a motor that only knows speeds is there on return."""
+        """Start moving to a position, at most at a speed; a motor without such a command arrives before this returns."""
         above_zero(speed)
         self._move(position, speed)
 

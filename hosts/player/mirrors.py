@@ -170,7 +170,7 @@ class MirrorPlayer(ABC, Generic[M]):
 
     # ---- after the light -------------------------------------------------------------------------------------
     def doubtful(self) -> range:
-        """The present frame; those since rows were late; with a dead line those that may have been triggered."""
+        """The present frame, frames since rows were late, and with a dead line all that may have been triggered."""
         sure = min(self._kept, self._punctual)
         self._kept = max(self._kept, min(self._first + self._triggered() - self._preroll, len(self.schedule)))
         return range(max(sure - 1, self._first), self._kept)

@@ -41,7 +41,7 @@ class SlotLight:
 
 
 class SlotCounter:
-    """Counts slots by the stage, evenly if it is near enough, and stores the sent frames until they are read.
+    """Counts slots evenly while the stage is near its slot, else by the stage; keeps sent frames until they are read.
 
     step: slots in which the stage makes a microstep, to which it rounds its position.
     """

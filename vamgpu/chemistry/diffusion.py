@@ -105,7 +105,6 @@ class Spread(LinearOperator):
 
     domain: VolumeSpace | WebSpace
     range: VolumeSpace | WebSpace
-    device: Device
     grid: Grid | WebGrid
     diffusion: Diffusion
 

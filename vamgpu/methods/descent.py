@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from math import inf
 from typing import ClassVar
@@ -13,7 +13,7 @@ from vamgpu.errors import BadInput
 from vamgpu.losses.band import Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import lower
-from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.method import Method, Steps
 from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.state import OptimizerState
 
@@ -45,9 +45,6 @@ class Descent(Method):
     growth: float = 1.1
     momentum: float = 0.0
     history: int = 0
-    papers: ClassVar[tuple[str, ...]] = ()
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
     takes_start: ClassVar[bool] = True
     iterations: ClassVar[int] = 40
 
@@ -63,14 +60,12 @@ class Descent(Method):
         yield from lower(state, self.loss, rule)
 
 
-class ByDescent(ABC):
+class ByDescent(Method):
     """Base of methods that minimize a loss: `Descent` does it with their share, growth and momentum."""
 
     share: float
     growth: float
     momentum: float
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
     takes_start: ClassVar[bool] = True
 
     @property

@@ -24,7 +24,6 @@ class FilteredBackProjection(Method):
 
     papers: ClassVar[tuple[str, ...]] = (RAMP,)
     iterations: ClassVar[int] = 1
-    cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
     takes_weights: ClassVar[bool] = False
 

@@ -11,7 +11,7 @@ from vamgpu.geometry import positive
 from vamgpu.losses.band import GREATEST_POWER, MOST, Band
 from vamgpu.losses.loss import Loss
 from vamgpu.methods.exposure import lower
-from vamgpu.methods.method import Criterion, Method, Steps
+from vamgpu.methods.method import Method, Steps
 from vamgpu.methods.minimize import StepRule, check_pairs
 from vamgpu.methods.papers import LIMITED_MEMORY, THRESHOLDS
 from vamgpu.methods.state import OptimizerState
@@ -27,8 +27,6 @@ class ByPairs(Method):
     history_bytes: int | None
     papers: ClassVar[tuple[str, ...]] = (LIMITED_MEMORY, THRESHOLDS)
     iterations: ClassVar[int] = 40
-    cost: ClassVar[float] = 1.0
-    criterion: ClassVar[Criterion] = "loss"
     takes_start: ClassVar[bool] = True
 
     @property

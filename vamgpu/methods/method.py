@@ -17,7 +17,7 @@ Criterion = Literal["window", "loss"]
 
 
 class Method(Protocol):
-    """A way to find light for a target.
+    """A way to find light for a target; the values here are those of a method that minimizes a loss.
 
     Attributes:
         papers: Citations of its sources.
@@ -25,16 +25,18 @@ class Method(Protocol):
         cost: Least projector evaluations of an iteration.
         criterion: Criterion of its best light: the strict window for methods of thresholds, the loss for methods that
             minimize a loss. With weights or gray bodies it is the loss for all methods.
-        takes_start: Whether the method starts from ``light`` in the memory, if there is any. Without the attribute it
-            does not, and `optimize` rejects a ``start``.
-        takes_weights: Whether weights of bodies change the result, as in all methods that minimize ``state.loss``.
-            Without the attribute they do; if it is False, `optimize` rejects them.
+        takes_start: Whether the method starts from ``light`` in the memory, if there is any. If it is False, or there
+            is no such attribute, `optimize` rejects a ``start``.
+        takes_weights: Whether weights of bodies change the result, as in all methods that minimize ``state.loss``. If
+            it is False, `optimize` rejects them.
     """
 
-    papers: ClassVar[tuple[str, ...]]
+    papers: ClassVar[tuple[str, ...]] = ()
     iterations: ClassVar[int]
-    cost: ClassVar[float]
-    criterion: ClassVar[Criterion]
+    cost: ClassVar[float] = 1.0
+    criterion: ClassVar[Criterion] = "loss"
+    takes_start: ClassVar[bool] = False
+    takes_weights: ClassVar[bool] = True
 
     def steps(self, state: OptimizerState) -> Steps:
         """Improve ``light`` in the memory without end, or until no gain is left.

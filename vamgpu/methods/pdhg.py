@@ -56,7 +56,6 @@ class PDHG(Method):
 
     papers: ClassVar[tuple[str, ...]] = (PRIMAL_DUAL, DIAGONAL, ANCHORED, SAFE_STEPS)
     iterations: ClassVar[int] = 400
-    cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
     takes_start: ClassVar[bool] = True
     takes_weights: ClassVar[bool] = False

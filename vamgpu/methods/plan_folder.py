@@ -16,7 +16,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, OpticsWarning, OutOfMemory, StorageError
 from vamgpu.geometry import Grid
-from vamgpu.methods.method import Criterion, Steps
+from vamgpu.methods.method import Criterion, Method, Steps
 from vamgpu.methods.plan import Plan, Step
 from vamgpu.methods.tolerances import CornerDose, CornerDoses, Tolerances
 from vamgpu.operators.defocus import Defocused
@@ -304,43 +304,27 @@ def save_plan(
 ) -> Path:  # fmt: skip
     """Write a plan, see `Plan.save`; ``inputs`` are further ones of its manifest."""
     own, entries = inputs_of(plan)
-    kept: dict[str, Entry] = {}
     motion = getattr(plan.operator, "motion", None)
-    noun, arrays = method_described(plan.method)
-    kept |= arrays
-    details = {
-        "saved": "plan",
-        "frames": {} if motion is None else {"turntable": described(motion)},
-        "plan": {
-            "method": noun,
-            "evaluations": plan.evaluations,
-            "best_iteration": plan.best_iteration,
-            "target_name": plan.target_name,
-            "state": _packed(plan.state, kept, {}) if state else None,
-        },
-    }
+    record, kept = plan_described(plan)
+    record["state"] = _packed(plan.state, kept, {}) if state else None
+    details = {"saved": "plan", "frames": {} if motion is None else {"turntable": described(motion)}, "plan": record}
     light = Entry(light_of(plan.sinogram), ("angle", "row", "column"), spacing=pixel_pitch(plan))
-    every = {"frames": light, **entries, **kept}
+    every, said = {"frames": light, **entries, **kept}, {**own, **(inputs or {})}
     device = plan.sinogram.device
-    write_folder(
-        path,
-        every,
-        inputs={**own, **(inputs or {})},
-        details=details,
-        device=f"{device.name} ({device.description})",
-        overwrite=overwrite,
-    )
-    return Path(path)
+    ran = f"{device.name} ({device.description})"
+    return write_folder(path, every, inputs=said, details=details, device=ran, overwrite=overwrite).path
 
 
-def method_described(method: Any) -> tuple[dict[str, Any] | None, dict[str, Entry]]:
-    """A method for the details of a manifest, and its arrays; None for a user's own method."""
+def plan_described(plan: Plan) -> tuple[dict[str, Any], dict[str, Entry]]:
+    """A plan for the details of a manifest, and arrays of its method, which is None if it is a user's own."""
     arrays: dict[str, np.ndarray] = {}
     try:
-        noun = {**write(method, arrays=arrays)}
+        method = {**write(plan.method, arrays=arrays)}
     except BadInput:
-        return None, {}
-    return noun, {f"method_{name}": entry for name, entry in entries_of(arrays).items()}
+        method, arrays = None, {}
+    facts = ("evaluations", "best_iteration", "target_name")
+    record = {"method": method, **{name: getattr(plan, name) for name in facts}}
+    return record, {f"method_{name}": entry for name, entry in entries_of(arrays).items()}
 
 
 def load_plan(path: str | Path, device: str | Device | None = None) -> Plan:
@@ -399,13 +383,11 @@ IMPORTED: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class RecordedMethod:
+class RecordedMethod(Method):
     """A method of which only its text is known; it cannot be resumed."""
 
     text: str
-    papers: ClassVar[tuple[str, ...]] = ()
     iterations: ClassVar[int] = 0
-    cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
 
     @property

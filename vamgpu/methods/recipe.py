@@ -41,7 +41,6 @@ class Recipe(Method):
     diffusion: Diffusion | None = None
     papers: ClassVar[tuple[str, ...]] = (AUTOMATIC_EXPOSURE, RAMP)
     iterations: ClassVar[int] = 2
-    cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "window"
     takes_weights: ClassVar[bool] = False
 

@@ -433,17 +433,13 @@ def by_rays(operator: Any) -> Any:
 
 def _limit(method: Method, iterations: int | None, evaluations: float | None) -> int:
     """Iterations at most."""
+    if isinstance(iterations, bool):
+        raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 0")
     if iterations is not None:
-        return _count(iterations)
+        return 0 if iterations == 0 else counts("iterations", (iterations,), 1)[0]
     if evaluations is None:
         return method.iterations
     return ceil(positive("evaluations", evaluations))  # an iteration takes at least one
-
-
-def _count(iterations: int) -> int:
-    if isinstance(iterations, bool):
-        raise BadInput(f"iterations is {iterations!r}; expected a whole number ≥ 0")
-    return 0 if iterations == 0 else counts("iterations", (iterations,), 1)[0]
 
 
 def _where(operator: Operator) -> str:

@@ -44,11 +44,7 @@ class Merit:
 
 
 def merit(
-    printed: npt.ArrayLike,
-    pitch: float,
-    diameter: float = 12.0,
-    pixel: float = 0.067,
-    half_disk_radius: float = 1.0,
+    printed: npt.ArrayLike, pitch: float, diameter: float = 12.0, pixel: float = 0.067, half_disk_radius: float = 1.0
 ) -> Merit:
     """Judge a print of `exposure_disk` by connected components of solid voxels; the disk is the component at the axis.
 

@@ -19,10 +19,7 @@ from vamgpu.reports.style import INK
 HALF = 5.6
 """Width [inch] of a chart in a card beside another."""
 
-ABSCISSA = {
-    "evaluations": "projector evaluations",
-    "iteration": "iteration",
-}
+ABSCISSA = {"evaluations": "projector evaluations", "iteration": "iteration"}
 """Fields of a history that can be the horizontal axis, best first, and their labels."""
 ORDINATE = {"loss": "loss", "window": "strict window"}
 

@@ -41,10 +41,7 @@ class ExposureTimes:
         return f"{self.irradiance / mW_cm2:g} mW/cm² full-on and {self.critical_dose / mJ_cm3:g} mJ/cm³"
 
 
-UNITS = {
-    "irradiance": (Irradiance, "mW_cm2", mW_cm2, "mW/mm²"),
-    "critical_dose": (Dose, "mJ_cm3", mJ_cm3, "mJ/mm³"),
-}
+UNITS = {"irradiance": (Irradiance, "mW_cm2", mW_cm2, "mW/mm²"), "critical_dose": (Dose, "mJ_cm3", mJ_cm3, "mJ/mm³")}
 """Kind, usual unit, its value in mW, mJ and mm, and the unit of plain numbers."""
 DAY = 86_400.0
 """Longest exposure [s] that is accepted: tomographic prints take seconds to minutes."""

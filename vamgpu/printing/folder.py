@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from vamgpu.backend import open_device
 from vamgpu.backend.device import Device
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.methods.plan import Plan
-from vamgpu.methods.plan_folder import inputs_of, light_of, method_described, pixel_pitch, sinogram_from
+from vamgpu.methods.plan_folder import inputs_of, light_of, pixel_pitch, plan_described, sinogram_from
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.pack import Solved, pack
@@ -47,12 +47,8 @@ def save_frames(
             except BadInput as error:  # they can be printed, but not proved
                 known = {"undescribed": str(error)}
         if isinstance(plan, Plan):
-            noun, own_arrays = method_described(plan.method)
+            record["plan"], own_arrays = plan_described(plan)
             entries |= own_arrays
-            record["plan"] = {
-                "method": noun, "evaluations": plan.evaluations, "best_iteration": plan.best_iteration,
-                "target_name": plan.target_name,
-            }  # fmt: skip
     if frames.flat_field is not None:
         entries["flat_field"] = Entry(frames.flat_field, ("row", "column"))
     taken = set(entries) & set(arrays or {})
@@ -99,7 +95,7 @@ def frames_of(folder: Folder, place: Device, plan: Any = None) -> Frames:
             return Frames(images, gray=gray, settings=settings, flat_field=flat, motion=motion,
                           columns=details.get("columns"), **known)  # fmt: skip
         source = plan or Solved(sinogram_from(folder, place), None)
-        how = {key: getattr(settings, key) for key in ("flip_r", "flip_z", "shift", "quantile", "dither")} | known
+        how = asdict(settings) | known
         if settings.dither == FIT:
             how["dither"] = "round"  # the patterns round to the chosen pixels
         made = pack(Solved(source.sinogram, None), gray=gray, flat_field=flat, **how)
@@ -120,12 +116,6 @@ def describe(frames: Frames) -> dict[str, Any]:
         "columns": columns,
         "scale": frames.scale,
         "gray": frames.gray.describe(),
-        "settings": {
-            "flip_r": frames.settings.flip_r,
-            "flip_z": frames.settings.flip_z,
-            "shift": list(frames.settings.shift),
-            "quantile": frames.settings.quantile,
-            "dither": frames.settings.dither,
-        },
+        "settings": {**asdict(frames.settings), "shift": list(frames.settings.shift)},
         "orientation": "row 0 is the largest z, column 0 the smallest r, before flips; 1-bit: highest bit leftmost",
     }

@@ -13,10 +13,7 @@ from vamgpu.web import WebGrid, Wrap
 
 
 def one_column(
-    wrap: Wrap,
-    beam: Beam,
-    section: tuple[int, int] | None = None,
-    pitch: tuple[float, float, float] | None = None,
+    wrap: Wrap, beam: Beam, section: tuple[int, int] | None = None, pitch: tuple[float, float, float] | None = None
 ) -> WebGrid:
     """One column of the web; values that are not given follow from film and beam. Raises `BadInput` without a film."""
     edges = (wrap.advance, beam.pitch, beam.pitch) if pitch is None else pitch
