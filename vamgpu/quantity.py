@@ -16,6 +16,7 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
     "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
+    "an angular speed": ("deg/s", "°/s", "rpm", "rad/s"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min", "h", "d"),
     "a rate": ("Hz", "kHz"),
@@ -36,7 +37,8 @@ FOREIGN = {"in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4, "mil": 0.0254, "
 """Units of length that files do not accept, in mm: the error converts them."""
 EXAMPLES = {
     "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "65 mW/cm2", "a dose": "100 mJ/cm3",
-    "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
+    "a speed": "48 mm/min", "an angular speed": "40 deg/s", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz",
+    "a density": "1100 kg/m3",
     "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s", "a diffusivity": "3.27e-7 mm2/s",
     "a molar mass": "32 g/mol", "a concentration": "1 mol/m3", "a temperature": "293.15 K",
     "a share of mass": "0.4 wt%", "a wavelength": "405 nm",

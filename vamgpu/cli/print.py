@@ -55,8 +55,8 @@ def print_(
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: speed of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], by default that of the job;
-            or with a unit, such as "48 mm/min"
+        speed: speed of vials [deg/s], by default 40 or the fastest below that fits a video cable; of webs [mm/s] and of
+            slices [mm/h], by default that of the job; or with a unit, such as "9 rpm" or "48 mm/min"
         turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
             exposure needs, with the light dimmed to give the proved dose
         stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
