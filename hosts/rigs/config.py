@@ -14,7 +14,7 @@ from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.drivers.controller_protocol import LONGEST_LEASE_MS
 from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
 from vamgpu.hosts.rigs.guarantees import refusal
-from vamgpu.hosts.rigs.roles import Baud, DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
+from vamgpu.hosts.rigs.roles import Baud, DisplayPart, FeedbackPart, LensPart, LightPart, Microsteps, MotionPart, Part
 from vamgpu.jobs.read import checked
 from vamgpu.schema.quantities import Count, NonNegative, Speed, Thickness, Time
 from vamgpu.schema.read import noun
@@ -102,7 +102,7 @@ class CameraStageSection(Section):
     port: str | None = None
     device: Count = 1
     axis: Count = 1
-    microsteps: Annotated[float, Field(gt=0)] = 1000.0
+    microsteps: Microsteps
     speed: Speed = 5.0
     middle: Thickness = 0.0
 

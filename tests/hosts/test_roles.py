@@ -81,10 +81,41 @@ def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> No
 
 def test_drift_must_be_accepted(job: Path) -> None:
     with pytest.raises(BadInput, match=r"drifts 0.24 deg per minute .* accepts 0.2; give .* or set drift = 0.24"):
-        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1)
+        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1, speed=40)
     planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True, turns=1)
     told = dict(planned.lines())["step"]
     assert "believed: " in told and "drifts" in told and "[safety] accepts 0.25" in told and "set drift" not in told
+
+
+def test_the_remedy_of_a_position_that_is_not_measured_is_accepted() -> None:
+    remedies = {
+        'add [[feedback]] with driver = "index" and its pin': '[[feedback]]\ndriver = "index"\npin = 17\n',
+        'add [[feedback]] with driver = "encoder" or "index"': '[[feedback]]\ndriver = "index"\n',
+        "set encoder = true if the stage has one, or use one that has": "encoder = true\n",
+    }
+    tic = '[motion]\ndriver = "tic"\nmicrosteps = 9.0\n'
+    for tables in ((STEPPER, VIDEO), (BOX, MOTOR, ALP), (ZABER, ALP), (tic, VIDEO)):
+        free = (FREE, "[safety]\ndrift = 1.0\n") if STEPPER in tables else ()
+        (position,) = (one for one in guarantees(rig(*tables, *free).setup, 40.0) if one.about == "position")
+        assert position.kind == "believed"
+        if tic in tables:
+            assert "feedback" not in position.remedy, "no sensor at a Tic is read"
+            continue
+        more = remedies[position.remedy]
+        better = rig(*tables, *free, more) if more[0] == "[" else rig(tables[0] + more, *tables[1:])
+        assert [one.kind for one in guarantees(better.setup, 40.0) if one.about == "position"] == ["watched"]
+
+
+@pytest.mark.parametrize("power", [50.0, 500.0, -2.0, 4.0])
+def test_a_lens_focuses_at_a_power_that_it_has(power: float) -> None:
+    tables = BOX, MOTOR, ALP
+    lens = '[lens]\ndriver = "optotune"\nport = "/dev/x"\n'
+    with pytest.raises(JobError, match=rf"lens.axis: got {power:g}.*; .*expected") as refused:
+        rig(*tables, f"{lens}axis = {power}\n")
+    assert ("-1.5 to 3.5 dpt" in str(refused.value)) == (abs(power) <= 50)
+    with pytest.raises(JobError, match=r"lens.highest: got 80"):
+        rig(*tables, f"{lens}highest = 80.0\n")
+    assert rig(*tables, f"{lens}axis = 3.5\n").setup.lens.axis == 3.5  # type: ignore[union-attr]
 
 
 def test_combinations_that_cannot_be_are_told() -> None:
@@ -108,7 +139,7 @@ def test_combinations_that_cannot_be_are_told() -> None:
 
 
 def test_poses_must_be_whole_microsteps(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps of the stage.*: use 32 images per turn"):
+    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps .*: solve the job with angles = 32 in"):
         plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True, turns=1)
 
 
