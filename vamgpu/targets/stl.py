@@ -32,6 +32,9 @@ def _binary(data: bytes, name: str) -> tuple[Corners, tuple[str, ...]]:
     count, room = int.from_bytes(data[80:HEAD], "little"), max(0, len(data) - HEAD) // RECORD.itemsize
     corners = np.frombuffer(data, RECORD, room, HEAD)["corners"].astype(float) if room else np.zeros((0, 3, 3))
     kept = min(count, room)
+    rest = len(data) - HEAD - room * RECORD.itemsize
+    if count == room + 1 and rest > 0 and room:
+        return corners, (f"it ends inside triangle {count:,}, its last, which was left out",)
     if count != room and not _is_closed(corners[:kept]):
         if _is_closed(corners):
             kept = room
