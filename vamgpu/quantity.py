@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from math import isfinite
+from math import isfinite, log
 from typing import Any
 
 from vamgpu.errors import BadInput
@@ -46,6 +46,8 @@ EXAMPLES = {
 }  # fmt: skip
 
 
+FAR = 100.0
+"""Ratio to an example from which a number without a unit is shown in another unit than the example's."""
 RAISED = str.maketrans("⁻¹²³μ", "-123µ", "^")
 """Superscript digits as plain ones, Greek mu as the micro sign, no caret."""
 PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
@@ -79,26 +81,35 @@ def unit_of(kind: str) -> str:
     return next((unit for unit in SPELLINGS[kind] if NAMES[unit] == 1.0), SPELLINGS[kind][0])
 
 
-def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
+def like(example: str, kind: str, number: float | None = None) -> str:
+    """How to write a quantity: the example, or a number in the unit that brings it nearest to the example."""
+    read = QUANTITY.fullmatch(example)
+    if number is None or read is None:
+        return f'write it like "{example}"'
+    units, typical = (spelled(read[2]), *SPELLINGS[kind]), float(read[1]) * NAMES[spelled(read[2])]
+    far = [abs(log(abs(number) * NAMES[unit] / typical)) if number else 0.0 for unit in units]
+    return f'write it like "{number:g} {units[0 if far[0] < log(FAR) else far.index(min(far))]}"'
+
+
+def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False, example: str = "") -> float:
     """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` with what it expects."""
-    example = f'write it like "{EXAMPLES[kind]}"'
+    example = example or EXAMPLES[kind]
     if not isinstance(text, str):
-        if isinstance(text, int | float) and not isinstance(text, bool):
-            example = f'write it like "{text:g} {unit_of(kind)}"'
-        raise ValueError(f"expected {kind} with its unit in quotes: {example}")
+        plain = isinstance(text, int | float) and not isinstance(text, bool)
+        raise ValueError(f"expected {kind} with its unit in quotes: {like(example, kind, text if plain else None)}")
     match = QUANTITY.fullmatch(text)
     if match is None:
-        raise ValueError(f"expected {kind}, a number and a unit: {example}")
+        raise ValueError(f"expected {kind}, a number and a unit: {like(example, kind)}")
     number, unit = float(match[1].replace("_", "")), spelled(match[2] or "")
     if unit not in SPELLINGS[kind]:
-        got = f"unit {match[2]!r}" if unit else "no unit"
+        got, hint = f"unit {match[2]!r}" if unit else "no unit", like(example, kind, None if unit else number)
         if kind == "a length" and unit in FOREIGN:
             mm = f"{number * FOREIGN[unit]:.6g} mm"
-            got, example = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", f'write it like "{mm}"'
-        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {example}")
+            got, hint = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", like(mm, kind)
+        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {hint}")
     value = number * NAMES[unit]
     if not isfinite(value) or (not signed and (value < 0 or (value == 0 and not zero))):
-        raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {example}")
+        raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {like(example, kind)}")
     return value
 
 

@@ -171,7 +171,7 @@ class GrblMotion(MotionPart):
 
 
 class TextMotion(MotionPart):
-    """A stepper on a board whose firmware, such as a lab's own on an Arduino, takes lines of text.
+    """A stepper on a board whose firmware, such as a lab's own on an Arduino or ESP32, takes lines of text.
 
     Lines may hold {speed} in deg/s or mm/s, {rate} per minute, {steps_per_s}, {position} and {steps}.
 

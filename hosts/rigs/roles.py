@@ -14,7 +14,7 @@ from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.safety.light import Lamp
 from vamgpu.optics.lens import TunableLens
-from vamgpu.schema.quantities import Count, ExposureTime, Irradiance, Length, Rate, Time
+from vamgpu.schema.quantities import Count, FrameTime, Irradiance, Length, Rate, Time
 from vamgpu.schema.section import Listed, Misplaced, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -99,7 +99,7 @@ class MirrorPart(DisplayPart):
     frame_time: shortest time of a frame of 8 bits.  duty: greatest share of its time slot for which a frame is lit.
     """
 
-    frame_time: ExposureTime = 1.0 / 266.0
+    frame_time: FrameTime = 1.0 / 266.0
     duty: Share = 1.0
 
 

@@ -87,6 +87,63 @@ def test_drift_must_be_accepted(job: Path) -> None:
     assert "believed: " in told and "drifts" in told and "[safety] accepts 0.25" in told and "set drift" not in told
 
 
+@pytest.mark.parametrize(
+    ("kind", "meant"),
+    [
+        ("Arduino", "text"),
+        ("esp32", "text"),
+        ("pololu", "tic"),
+        ("raspberry pi", "stepper"),
+        ("zabr", "zaber"),
+        ("cnc", ""),
+    ],
+)
+def test_a_driver_that_does_not_exist_names_those_that_do(kind: str, meant: str) -> None:
+    ended = rf"did you mean '{meant}'" if meant else "correct the name"
+    with pytest.raises(JobError, match=rf"motion: no driver '{kind}'; expected one of controller, zaber.*: {ended}"):
+        rig(MOTOR.replace("controller", kind), VIDEO)
+    with pytest.raises(JobError, match=r"display: no driver 'hdmi'; .*did you mean 'video' \(A projector on a video"):
+        rig(MOTOR, VIDEO.replace("video", "hdmi"))
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "number", "hint"),
+    [
+        ("display", "frame_time", "5", "5 ms"),
+        ("display", "frame_time", "0.004", "0.004 s"),
+        ("lens", "settle", "5", "5 ms"),
+        ("safety", "lease", "0.25", "0.25 s"),
+        ("safety", "lease", "250", "250 ms"),
+        ("safety", "resume", "30", "30 s"),
+        ("calibration", "warn_after", "90", "90 d"),
+        ("feedback", "exposure", "5", "5 ms"),
+        ("light", "irradiance", "65", "65 mW/cm2"),
+    ],
+)
+def test_a_number_without_a_unit_is_shown_with_one_that_its_key_may_have(
+    table: str, key: str, number: str, hint: str
+) -> None:
+    drivers = {"lens": 'driver = "optotune"\nport = "/dev/x"\n', "feedback": 'driver = "camera"\nproducer = "x.cti"\n'}
+    tables = {table: f"[{table}]\n{drivers.get(table, '')}"} | {"display": ALP}
+    for given, unit in ((number, "with its unit in quotes"), (f'"{number}"', "no unit")):
+        with pytest.raises(JobError, match=rf'{key}: got .*{unit}.*: write it like "{hint}"'):
+            rig(BOX, MOTOR, *(text + f"{key} = {given}\n" if name == table else text for name, text in tables.items()))
+
+
+def test_keys_of_lists_are_counted_from_one() -> None:
+    double = VIDEO.replace("[display]", "[[display]]")
+    with pytest.raises(
+        JobError, match=r"\[\[display\]\] 2, size, value 1: .*\n.*line 14: \[\[display\]\] 2, refresh: "
+    ):
+        rig(BOX, ZABER, double, double, "refresh = 60\nsize = [-1, 2]\n")
+    with pytest.raises(JobError, match=r"display.size, value 2: got 'a'"):
+        rig(BOX, ZABER, VIDEO, 'size = [1, "a"]\n')
+    with pytest.raises(JobError, match=r"\[\[display\]\] 1, library is missing; add library = … to \[\[display\]\] 1"):
+        rig(BOX, ZABER, '[[display]]\ndriver = "alp"\n')
+    with pytest.raises(JobError, match=r"display.library is missing; add library = … to \[display\]$"):
+        rig(BOX, ZABER, '[display]\ndriver = "alp"\n')
+
+
 def test_the_remedy_of_a_position_that_is_not_measured_is_accepted() -> None:
     remedies = {
         'add [[feedback]] with driver = "index" and its pin': '[[feedback]]\ndriver = "index"\npin = 17\n',
