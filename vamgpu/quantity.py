@@ -113,6 +113,12 @@ def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False, exa
     return value
 
 
+def counted(number: float, noun: str, form: str = "") -> str:
+    """A number of things in words: ``1 turn``, ``0.5 turns``."""
+    text = f"{number:{form}}"
+    return f"{text} {noun}{'s' * (text != '1')}"
+
+
 SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
          "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}  # fmt: skip
 

@@ -30,8 +30,8 @@ from vamgpu.hosts.schedules.video import vial, web_on_cable
 from vamgpu.jobs.run import Proven
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.exposure import USUAL
-from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
-from vamgpu.quantity import parse
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.quantity import counted, parse
 from vamgpu.units import deg
 
 HOUR = 3600.0
@@ -120,7 +120,7 @@ class PrintPlan:
         """Turns of a vial, and their dose."""
         if self.kind != "vial":
             return ()
-        turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
+        turns, dose = counted(len(self.schedule) // self.schedule.frames, "turn"), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
         if self.stop is not None:
             return (("exposure", f"at most {shown}"),)
@@ -235,8 +235,8 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
         raise BadInput("there is no job; expected a folder for each projector")
     if len(loaded) != len(setup.display) and not setup.emulated:
         raise BadInput(
-            f"got {len(loaded)} jobs for the {len(setup.display)} projectors of the rig {setup.rig.name!r}; "
-            "expected one for each, in their order"
+            f"got {counted(len(loaded), 'job')} for the {counted(len(setup.display), 'projector')} of the rig "
+            f"{setup.rig.name!r}; expected one for each, in their order"
         )
     for each in loaded:
         if setup.rig.machine not in ("any", each.kind):

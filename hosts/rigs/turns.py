@@ -16,7 +16,8 @@ from vamgpu.hosts.rigs.roles import LightPart
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.jobs.run import Proven, prove
-from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.quantity import counted
 from vamgpu.storage.folder import Folder
 
 SLOTS = 10**7  # Most frames of a print; more are a typing error
@@ -142,14 +143,15 @@ class Turning:
     def _check(self, turns: int, once: Schedule, why: str) -> None:
         """Raise `BadInput` for more frames than a print may have."""
         if turns * once.frames > SLOTS:
-            raise BadInput(f"{turns} turns of {once.frames} frames{why}; expected at most {SLOTS} frames: use fewer "
-                           "turns, or more light")  # fmt: skip
+            raise BadInput(f"{counted(turns, 'turn')} of {once.frames} frames{why}; expected at most {SLOTS} frames: "
+                           "use fewer turns, or more light")  # fmt: skip
 
     def _off(self, dose: GivenDose, exact: float, once: Schedule) -> None:
         """Reject a dose outside the verdict, or warn if the user chose it."""
-        takes = f"the exposure takes {exact:.4g} turns of {float(360 / once.speed):.4g} s"
+        turns = counted(dose.turns, "turn")
+        takes = f"the exposure takes {counted(exact, 'turn', '.4g')} of {float(360 / once.speed):.4g} s"
         if dose.asked:
-            warnings.warn(f"{counted(dose.turns)} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
+            warnings.warn(f"{turns} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
             return
         remedy = f"accept this dose with --turns {dose.turns} (turns= in Python)"
         if self.least is not None:
@@ -157,6 +159,6 @@ class Turning:
         elif (fitting := self._fitting(dose.proved, self.speeds)) is not None:
             remedy = f"print with --speed {fitting:.6g}"
         raise BadInput(
-            f"{takes}; with {counted(dose.turns)} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
+            f"{takes}; with {turns} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
             f"×{dose.proved.most:.3f}: {remedy}"
         )

@@ -318,7 +318,7 @@ TEXT = f"{PLATE.export(file_type='stl_ascii')}".encode()
     [
         (BINARY, None),
         (b"solid of a program".ljust(80) + BINARY[80:], None),
-        (BINARY + bytes(60), "60 bytes after the last triangle were left out"),
+        (BINARY + bytes(60), "left out: 60 bytes after the last triangle"),
         (BINARY + b"\r\n", "2 bytes after"),
         (BINARY[:80] + bytes(4) + BINARY[84:], "counts 0 triangles, and 12 were read"),
         (BINARY[:80] + b"\xff" * 4 + BINARY[84:], "counts 4,294,967,295 triangles, and 12 were read"),

@@ -39,8 +39,8 @@ def console() -> Console:
 def solved_folder(job: Path, command: str) -> Path:
     """The folder of a job or a run, for a command. Raises `BadInput` for a job file or a mesh."""
     if job.suffix.lower() in (".stl", ".ply", ".obj", ".3mf"):
-        raise BadInput(f"{str(job)!r} is a mesh, which has no frames; expected the folder that `vam solve` writes for a "
-                       "job file that names this mesh: vam init job.toml writes one")  # fmt: skip
+        raise BadInput(f"{str(job)!r} is a mesh, which has no frames; expected the folder that `vam solve` writes for "
+                       "a job file that names this mesh: vam init job.toml writes one")  # fmt: skip
     if job.suffix.lower() == ".toml":
         folder = job.with_suffix(".vam")
         raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "

@@ -18,6 +18,7 @@ from rich.markup import escape
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
 from vamgpu.errors import BadInput, DoseWarning, VamError
+from vamgpu.quantity import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -382,7 +383,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
     lateness = f"at the mirrors at least {-late:.1f} ms early" if late < 0 else f"at most {late:.1f} ms late"
-    screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
+    screen.print(f"{state.value}: {counted(len(run.shown), 'frame')}" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
     if state is PrintState.HELD:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import MeshError
+from vamgpu.quantity import counted
 from vamgpu.targets.solid import unmatched_edges
 
 Corners = npt.NDArray[np.float64]
@@ -43,7 +44,7 @@ def _binary(data: bytes, name: str) -> tuple[Corners, tuple[str, ...]]:
                             "STL: copy or export it again")  # fmt: skip
     notes = (f"its header counts {count:,} triangles, and {kept:,} were read",) if kept != count else ()
     if rest := len(data) - HEAD - kept * RECORD.itemsize:
-        notes += (f"{rest:,} bytes after the last triangle were left out",)
+        notes += (f"left out: {counted(rest, 'byte', ',')} after the last triangle",)
     return corners[:kept], notes
 
 
