@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
 from vamgpu.hosts.player.exposure import StopRule
 from vamgpu.hosts.player.rows import steppable
@@ -27,7 +28,7 @@ from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable
-from vamgpu.jobs.run import Proven
+from vamgpu.jobs.run import Proven, prove
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.exposure import USUAL
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
@@ -92,6 +93,15 @@ class PrintPlan:
     def sources(self) -> tuple[FrameSource, ...]:
         """The frames of each projector."""
         return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
+
+    def faults(self) -> str:
+        """What is wrong with a vial's print according to its proof; empty if it prints, or there is no proof."""
+        if self.dose is not None:
+            return "" if self.dose.proved.right else self.dose.proved.faults
+        if self.kind == "vial" and len(self.jobs) == 1:
+            with suppress(StorageError):  # frames without a part
+                return "; ".join(fault.said for fault in prove(self.jobs[0].path).proof.verdict.faults)
+        return ""
 
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Name and value of each line shown before a print."""

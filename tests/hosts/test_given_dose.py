@@ -28,6 +28,7 @@ from vamgpu.jobs.run import prove, solve
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.verdict import Fault
 
 PART = """
 [target]
@@ -310,6 +311,28 @@ def test_a_part_that_does_not_print_is_printed_only_on_purpose(
     assert "1 hole of the part is closed" in asked[0] and "[y/N]" in asked[0]
     assert status("--anyway") == status(right=True) == status(emulated=True) == 0
     assert len(prints) == 4 and len(asked) == 2, "only a real print of a part that fails asks"
+
+
+def test_a_job_without_an_exposure_is_proved_before_a_real_print(
+    part: Path, job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prints: list[Any] = []
+    monkeypatch.setattr("vamgpu.hosts.rigs.planning.proved", lambda *_: "it has no [print]")
+    monkeypatch.setattr("vamgpu.cli.print._printed", lambda *given: prints.append(given) or 0)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    file = tmp_path / "pi.toml"
+    file.write_text(PI)
+
+    def status(folder: Path, *words: str) -> int:
+        return main(["print", str(folder), "--rig", str(file), "--turns", "1", "--out", str(tmp_path / "run"), *words])
+
+    assert status(part) == status(job) == 0 and len(prints) == 2, "it prints; frames without a part have no proof"
+    verdict = SimpleNamespace(faults=(Fault("1 hole of the part is closed", "use finer voxels"),))
+    wrong = SimpleNamespace(proof=SimpleNamespace(verdict=verdict))
+    monkeypatch.setattr("vamgpu.hosts.rigs.planning.prove", lambda path: wrong)
+    assert status(part) == 1 and len(prints) == 2
+    assert f"the proof of {str(part)!r} does not print: 1 hole of the part is closed; " in capsys.readouterr().err
+    assert status(part, "--anyway") == 0 and len(prints) == 3
 
 
 def test_a_run_keeps_its_dose_and_the_rest_gets_the_same_light(part: Path, proof: Proof, tmp_path: Path) -> None:

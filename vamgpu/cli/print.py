@@ -153,9 +153,9 @@ def _check_options(
 
 def _consented(planned: PrintPlan, asks: bool) -> None:
     """Ask before a real print whose proof does not print. Raises `BadInput` unless someone agrees."""
-    if planned.dose is None or planned.dose.proved.right:
+    job, faults = planned.jobs[0].path, planned.faults()
+    if not faults:
         return
-    job, faults = planned.jobs[0].path, planned.dose.proved.faults
     if not (asks and _agreed(f"the proof of {job} does not print: {faults}\nprint it anyway? [y/N] ")):
         raise BadInput(f"the proof of {job!r} does not print: {faults}; expected a job that prints: correct it as `vam "
                        f"prove {job}` says, or print it with --anyway")  # fmt: skip
