@@ -153,7 +153,7 @@ class Turning:
         if dose.asked:
             warnings.warn(f"{turns} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
             return
-        remedy = f"accept this dose with --turns {dose.turns} (turns= in Python)"
+        remedy = f"dim the projector and set power = {self.light.power * exact / ceil(exact):.3g} in [light]"
         if self.least is not None:
             remedy = f"frames cannot be shorter, so set power = {self.light.power / dose.share:.3g} in [light]"
         elif (fitting := self._fitting(dose.proved, self.speeds)) is not None:
