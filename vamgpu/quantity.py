@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from math import isfinite
+from math import isfinite, log
 from typing import Any
 
 from vamgpu.errors import BadInput
@@ -16,6 +16,7 @@ SPELLINGS: dict[str, tuple[str, ...]] = {
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
     "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
+    "an angular speed": ("deg/s", "°/s", "rpm", "rad/s"),
     "an angle": ("deg", "°", "rad"),
     "a time": ("ms", "s", "us", "µs", "min", "h", "d"),
     "a rate": ("Hz", "kHz"),
@@ -36,7 +37,8 @@ FOREIGN = {"in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4, "mil": 0.0254, "
 """Units of length that files do not accept, in mm: the error converts them."""
 EXAMPLES = {
     "a length": "12.4 mm", "an absorption": "0.05 1/mm", "an irradiance": "65 mW/cm2", "a dose": "100 mJ/cm3",
-    "a speed": "48 mm/min", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz", "a density": "1100 kg/m3",
+    "a speed": "48 mm/min", "an angular speed": "40 deg/s", "an angle": "0.5 deg", "a time": "5 ms", "a rate": "266 Hz",
+    "a density": "1100 kg/m3",
     "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s", "a diffusivity": "3.27e-7 mm2/s",
     "a molar mass": "32 g/mol", "a concentration": "1 mol/m3", "a temperature": "293.15 K",
     "a share of mass": "0.4 wt%", "a wavelength": "405 nm",
@@ -44,6 +46,8 @@ EXAMPLES = {
 }  # fmt: skip
 
 
+FAR = 100.0
+"""Ratio to an example from which a number without a unit is shown in another unit than the example's."""
 RAISED = str.maketrans("⁻¹²³μ", "-123µ", "^")
 """Superscript digits as plain ones, Greek mu as the micro sign, no caret."""
 PER = re.compile(r"(.*?)[ ·]*(?<![a-z])([a-z]+)-([123])")
@@ -77,27 +81,42 @@ def unit_of(kind: str) -> str:
     return next((unit for unit in SPELLINGS[kind] if NAMES[unit] == 1.0), SPELLINGS[kind][0])
 
 
-def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False) -> float:
+def like(example: str, kind: str, number: float | None = None) -> str:
+    """How to write a quantity: the example, or a number in the unit that brings it nearest to the example."""
+    read = QUANTITY.fullmatch(example)
+    if number is None or read is None:
+        return f'write it like "{example}"'
+    units, typical = (spelled(read[2]), *SPELLINGS[kind]), float(read[1]) * NAMES[spelled(read[2])]
+    far = [abs(log(abs(number) * NAMES[unit] / typical)) if number else 0.0 for unit in units]
+    return f'write it like "{number:g} {units[0 if far[0] < log(FAR) else far.index(min(far))]}"'
+
+
+def parse(text: Any, kind: str, *, zero: bool = False, signed: bool = False, example: str = "") -> float:
     """A quantity in mm, s and mJ; ``kind`` is a key of `SPELLINGS`. Raises `ValueError` with what it expects."""
-    example = f'write it like "{EXAMPLES[kind]}"'
+    example = example or EXAMPLES[kind]
     if not isinstance(text, str):
-        if isinstance(text, int | float) and not isinstance(text, bool):
-            example = f'write it like "{text:g} {unit_of(kind)}"'
-        raise ValueError(f"expected {kind} with its unit in quotes: {example}")
+        plain = isinstance(text, int | float) and not isinstance(text, bool)
+        raise ValueError(f"expected {kind} with its unit in quotes: {like(example, kind, text if plain else None)}")
     match = QUANTITY.fullmatch(text)
     if match is None:
-        raise ValueError(f"expected {kind}, a number and a unit: {example}")
+        raise ValueError(f"expected {kind}, a number and a unit: {like(example, kind)}")
     number, unit = float(match[1].replace("_", "")), spelled(match[2] or "")
     if unit not in SPELLINGS[kind]:
-        got = f"unit {match[2]!r}" if unit else "no unit"
+        got, hint = f"unit {match[2]!r}" if unit else "no unit", like(example, kind, None if unit else number)
         if kind == "a length" and unit in FOREIGN:
             mm = f"{number * FOREIGN[unit]:.6g} mm"
-            got, example = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", f'write it like "{mm}"'
-        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {example}")
+            got, hint = f"{got}: {number:g} × {FOREIGN[unit]:g} mm = {mm}", like(mm, kind)
+        raise ValueError(f"{got}; expected {kind} in {', '.join(SPELLINGS[kind])}: {hint}")
     value = number * NAMES[unit]
     if not isfinite(value) or (not signed and (value < 0 or (value == 0 and not zero))):
-        raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {example}")
+        raise ValueError(f"expected {kind}{'' if signed else ' ≥ 0' if zero else ' > 0'}: {like(example, kind)}")
     return value
+
+
+def counted(number: float, noun: str, form: str = "") -> str:
+    """A number of things in words: ``1 turn``, ``0.5 turns``."""
+    text = f"{number:{form}}"
+    return f"{text} {noun}{'s' * (text != '1')}"
 
 
 SIZES = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,

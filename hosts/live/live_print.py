@@ -28,6 +28,7 @@ from vamgpu.live import LiveRecord, LiveSetup, Truth
 from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
 from vamgpu.printing.frames import Frames
+from vamgpu.quantity import counted
 
 FOLLOW = "vamgpu.hosts.live.planner:follow"
 WAIT = 60.0  # longest wait of a dry run for its planning process [s]
@@ -54,7 +55,7 @@ class Watched:
     conversion: np.ndarray | None = None
 
     def __str__(self) -> str:
-        rows = [f"{self.state.value} after {self.turns} turns"]
+        rows = [f"{self.state.value} after {counted(self.turns, 'turn')}"]
         for told in self.decisions:
             found = ", ".join(f"{name} {value:.3g} ± {error:.2g}" for name, (value, error) in
                               told["parameters"].items())  # fmt: skip

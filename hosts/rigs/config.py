@@ -14,9 +14,9 @@ from vamgpu.errors import BadInput, JobError
 from vamgpu.hosts.drivers.controller_protocol import LONGEST_LEASE_MS
 from vamgpu.hosts.rigs.feedback import CameraFeedback, PowerMeterFeedback
 from vamgpu.hosts.rigs.guarantees import refusal
-from vamgpu.hosts.rigs.roles import Baud, DisplayPart, FeedbackPart, LensPart, LightPart, MotionPart, Part
+from vamgpu.hosts.rigs.roles import Baud, DisplayPart, FeedbackPart, LensPart, LightPart, Microsteps, MotionPart, Part
 from vamgpu.jobs.read import checked
-from vamgpu.schema.quantities import Count, NonNegative, Speed, Thickness, Time
+from vamgpu.schema.quantities import Age, Count, NonNegative, PauseTime, Quantity, Speed, Thickness
 from vamgpu.schema.read import noun
 from vamgpu.schema.registry import find
 from vamgpu.schema.section import Misplaced, Section
@@ -47,10 +47,10 @@ class SafetySection(Section):
     frames against the motion if no clock keeps them in step [deg/min] or [mm/min].
     """
 
-    lease: Time = 0.25
+    lease: Annotated[float, Quantity("a time", least=0.0, example="250 ms")] = 0.25
     tolerance: Annotated[float, Field(gt=0, le=5)] = 0.5
     budget: Annotated[float, Field(ge=1, le=2)] = 1.01
-    resume: Time = 30.0
+    resume: PauseTime = 30.0
     drift: NonNegative = 0.0
 
     @field_validator("lease")
@@ -89,7 +89,7 @@ class CalibrationSection(Section):
     runout: Chosen = None
     live: Chosen = None
     turn: Chosen = None
-    warn_after: Time = 90 * 86400.0
+    warn_after: Age = 90 * 86400.0
 
 
 class CameraStageSection(Section):
@@ -102,7 +102,7 @@ class CameraStageSection(Section):
     port: str | None = None
     device: Count = 1
     axis: Count = 1
-    microsteps: Annotated[float, Field(gt=0)] = 1000.0
+    microsteps: Microsteps
     speed: Speed = 5.0
     middle: Thickness = 0.0
 
@@ -235,7 +235,7 @@ def read_rig(path: str | Path, settings: Iterable[str] = ()) -> RigConfig:
     try:
         text = read_text(path, MOST_TOML)
     except (OSError, ValueError, TypeError) as error:  # not UTF-8, or not a path
-        why = getattr(error, "strerror", None) or error
+        why = "it is not text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None) or error
         raise JobError(
             f"cannot read the rig {str(path)!r}: {why}; expected a TOML file, or the word emulated"
         ) from error
@@ -246,12 +246,8 @@ def parse_rig(text: str, settings: Iterable[str] = (), *, source: str = "rig") -
     """A rig from TOML text. Raises `JobError`, which names every invalid value."""
     if not isinstance(text, str):
         raise JobError(f"the rig's text is {text!r}; expected the text of a TOML file")
-    try:
-        given = (settings,) if isinstance(settings, str) else tuple(settings)
-        return RigConfig(checked(RigFile, text, given, source=source, complete=_completed)[0], text, source, given)
-    except JobError as error:
-        alone = "[[display]]" not in text
-        raise JobError(str(error).replace("display.0", "display") if alone else str(error)) from error
+    given = (settings,) if isinstance(settings, str) else tuple(settings)
+    return RigConfig(checked(RigFile, text, given, source=source, complete=_completed)[0], text, source, given)
 
 
 OLD = {"projector": "display", "stage": "motion", "camera": "feedback", "photodiode": "feedback"}

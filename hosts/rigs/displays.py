@@ -41,7 +41,7 @@ class AlpDisplay(MirrorPart):
 
 
 class VideoDisplay(CablePart):
-    """A projector on a video cable, which shows several frames in each video frame."""
+    """A projector on a video cable (HDMI), which shows several frames in each video frame."""
 
     @property
     def channels(self) -> tuple[int, ...]:

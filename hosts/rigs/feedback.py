@@ -11,7 +11,7 @@ from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Encoder, Index
 from vamgpu.hosts.drivers.micromanager import MicroManagerCamera
 from vamgpu.hosts.rigs.roles import FeedbackPart
-from vamgpu.schema.quantities import Count, ExposureTime, Length, Time
+from vamgpu.schema.quantities import Count, FrameTime, Length, Time
 from vamgpu.schema.section import Listed
 
 Sees = Literal["motion", "resin", "light"]
@@ -79,7 +79,7 @@ class CameraFeedback(FeedbackPart):
     serial: str | None = None
     config: str | None = None
     label: str | None = None
-    exposure: ExposureTime = 0.01
+    exposure: FrameTime = 0.01
     gain: float | None = None
     format: str | None = None
     trigger: str | None = None

@@ -246,10 +246,14 @@ def _position(setup: RigFile) -> Guarantee:
     if _indexed(setup):
         why = "an index marks each turn; between two, steps are counted"
         return Guarantee("position", "watched", why, sensor=_measured_by(setup))
-    return Guarantee(
-        "position", "believed", "the position is not measured: lost steps of the motor go unnoticed",
-        'add [[feedback]] with driver = "encoder" or "index", or set encoder = true if the stage has one',
-    )  # fmt: skip
+    why = "the position is not measured: lost steps of the motor go unnoticed"
+    remedy = "set encoder = true if the stage has one, or use one that has"
+    if (motion := driver_of(setup.motion)) in ("controller", "emulated", "stepper"):
+        sensor = '"index" and its pin' if motion == "stepper" else '"encoder" or "index"'
+        remedy = f"add [[feedback]] with driver = {sensor}"
+    elif not hasattr(setup.motion, "encoder"):
+        remedy = "use a stage with an encoder"
+    return Guarantee("position", "believed", why, remedy)
 
 
 def _scale(setup: RigFile, unit: str) -> Guarantee:
@@ -261,10 +265,9 @@ def _scale(setup: RigFile, unit: str) -> Guarantee:
     if any(each.sees == "motion" for each in setup.feedback):
         why = f"[[feedback]] shows whether {count} are right"
         return Guarantee("scale", "watched", why, sensor=_measured_by(setup))
-    return Guarantee(
-        "scale", "believed", f"{count} are the file's: were they wrong by 2, so were every angle or place",
-        "measure one turn or travel by hand, or add [[feedback]]",
-    )  # fmt: skip
+    why = f"{count} are the file's: were they wrong by 2, so were every angle or place"
+    measure = "a turn with vam calibrate turn" if unit == "deg" else "a travel by hand"
+    return Guarantee("scale", "believed", why, f"measure {measure}")
 
 
 def _light(setup: RigFile) -> Guarantee:

@@ -25,6 +25,7 @@ from vamgpu.jobs.web import is_web_folder
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
+from vamgpu.quantity import counted
 from vamgpu.storage.folder import MANIFEST
 from vamgpu.storage.reading import parse_json, read_text
 from vamgpu.webs.describe import wrap_from
@@ -96,9 +97,8 @@ def _web(place: Path, device: Device, again: Callable[[Frames], Frames] | None) 
     """again: corrects frames for another machine; None leaves them as they are."""
     folder = WebFolder.open(place)
     if not folder.complete:
-        raise BadInput(
-            f"{str(place)!r} has {folder.frames} frames and is not complete; finish it with `vam solve` before printing"
-        )
+        frames = counted(folder.frames, "frame")
+        raise BadInput(f"{str(place)!r} has {frames} and is not complete; finish it with `vam solve` before printing")
     try:
         focus, (columns, rows) = folder.details["frames"]["focus"], folder.details["beam"]["pixels"]
         depths = () if focus is None else tuple(map(float, focus["planes"]))

@@ -33,7 +33,6 @@ class ControllerMotion(MotionPart):
     """
 
     triggers: ClassVar[bool] = True
-    microsteps: Microsteps  # type: ignore[assignment]  # of motor and gear: no machine tells them
     ramp: Annotated[float, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
@@ -79,7 +78,6 @@ class StandaMotion(StagePart):
     """
 
     port: str
-    microsteps: Microsteps  # type: ignore[assignment]  # it differs between their stages
 
     def open(self, unit: str) -> Stage:
         return StandaStage.open(self.port, self.microsteps, unit)
@@ -92,7 +90,6 @@ class ThorlabsMotion(StagePart):
     """
 
     port: str
-    microsteps: Microsteps  # type: ignore[assignment]  # it differs between their stages
 
     def open(self, unit: str) -> Stage:
         return ThorlabsStage.open(self.port, self.microsteps, unit)
@@ -108,7 +105,6 @@ class MicroManagerMotion(StagePart):
     config: str
     label: str
     speed_property: str | None = None
-    microsteps: Microsteps = 1000.0
 
     def open(self, unit: str) -> Stage:
         """See `MotionPart`. Raises `BadInput` for degrees."""
@@ -128,7 +124,6 @@ class StepperMotion(MotionPart):
     reports: ClassVar[bool] = False
     chip: Annotated[int, Field(ge=0)] = 0
     channel: Annotated[int, Field(ge=0)] = 0
-    microsteps: Microsteps  # type: ignore[assignment]  # of motor and gear: no machine tells them
     ramp: Annotated[float, Field(gt=0)] = 100.0
     tolerance: Ppm = CRYSTAL
 
@@ -145,7 +140,6 @@ class TicMotion(MotionPart):
 
     port: str = "usb"
     baud: Baud = 9600
-    microsteps: Microsteps = 3200.0 / 360.0
 
     def open(self, unit: str) -> Stage:
         return TicStage.open(self.port, self.microsteps, unit, self.baud)
@@ -160,7 +154,6 @@ class Tmc2209Motion(MotionPart):
     port: str
     address: Annotated[int, Field(ge=0, le=3)] = 0
     baud: Baud = 115200
-    microsteps: Microsteps = 200.0 * 256.0 / 360.0
 
     def open(self, unit: str) -> Stage:
         return Tmc2209Stage.open(self.port, self.microsteps, unit, self.address, self.baud)
@@ -172,14 +165,13 @@ class GrblMotion(MotionPart):
     port: str
     axis: Literal["X", "Y", "Z"] = "X"
     baud: Baud = 115200
-    microsteps: Microsteps = 3200.0 / 360.0
 
     def open(self, unit: str) -> Stage:
         return GrblStage.open(self.port, grbl(self.axis), self.microsteps, unit, self.baud)
 
 
 class TextMotion(MotionPart):
-    """A stepper on a board whose firmware, such as a lab's own on an Arduino, takes lines of text.
+    """A stepper on a board whose firmware, such as a lab's own on an Arduino or ESP32, takes lines of text.
 
     Lines may hold {speed} in deg/s or mm/s, {rate} per minute, {steps_per_s}, {position} and {steps}.
 
@@ -196,7 +188,6 @@ class TextMotion(MotionPart):
     move: str = ""
     accepted: str = ""
     baud: Baud = 115200
-    microsteps: Microsteps = 3200.0 / 360.0
 
     @model_validator(mode="after")
     def _readable(self) -> TextMotion:
@@ -223,6 +214,7 @@ class EmulatedMotion(MotionPart):
 
     emulated: ClassVar[bool] = True
     triggers: ClassVar[bool] = True
+    microsteps: Microsteps = 3200.0
 
 
 class ControllerClock(Part):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.frames.sources import FrameSource, MirrorArray
 from vamgpu.hosts.player.exposure import StopRule
 from vamgpu.hosts.player.rows import steppable
@@ -27,11 +28,12 @@ from vamgpu.hosts.schedules.limits import HdmiTiming
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND, every, whole
 from vamgpu.hosts.schedules.video import vial, web_on_cable
-from vamgpu.jobs.run import Proven
+from vamgpu.jobs.run import Proven, prove
 from vamgpu.optics.lens import TunableLens
 from vamgpu.printing.exposure import USUAL
-from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
-from vamgpu.quantity import parse
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.quantity import counted, parse
+from vamgpu.units import deg
 
 HOUR = 3600.0
 NEAR = 10  # greatest ratio of a speed that is suggested to the wanted one
@@ -92,6 +94,15 @@ class PrintPlan:
         """The frames of each projector."""
         return tuple(each.source(mirrors) for each, mirrors in zip(self.jobs, self.mirrors, strict=True))
 
+    def faults(self) -> str:
+        """What is wrong with a vial's print according to its proof; empty if it prints, or there is no proof."""
+        if self.dose is not None:
+            return "" if self.dose.proved.right else self.dose.proved.faults
+        if self.kind == "vial" and len(self.jobs) == 1:
+            with suppress(StorageError):  # frames without a part
+                return "; ".join(fault.said for fault in prove(self.jobs[0].path).proof.verdict.faults)
+        return ""
+
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Name and value of each line shown before a print."""
         table, shape = self.schedule, self.jobs[0].shape
@@ -119,7 +130,7 @@ class PrintPlan:
         """Turns of a vial, and their dose."""
         if self.kind != "vial":
             return ()
-        turns, dose = counted(len(self.schedule) // self.schedule.frames), self.dose
+        turns, dose = counted(len(self.schedule) // self.schedule.frames, "turn"), self.dose
         shown = f"{turns} in {self.schedule.duration / SECOND:.2f} s"
         if self.stop is not None:
             return (("exposure", f"at most {shown}"),)
@@ -144,8 +155,9 @@ def plan(
     Args:
         jobs: Folder of the job, or one folder for each projector: all for vials, all for webs, or all of slices.
         rig: The rig, from `read_rig`.
-        speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit. None takes 40 deg/s
-            for vials, and the speed of the job for others.
+        speed: A number in deg/s for vials, mm/s for webs, mm/h for slices, or text with its unit, such as "9 rpm". None
+            takes 40 deg/s for vials, on a video cable the fastest below at which images take whole slots and whole
+            turns give the proved dose; for others the speed of the job.
         turns: Turns of a vial, at the full light of the rig; 1 for all others. None takes as many as the proved
             exposure needs, dimmed to give the proved dose.
         rehearsed: Plan for emulated machines as large as the job, on any rig.
@@ -178,32 +190,33 @@ def plan(
     if turns is not None:
         whole("turns", turns)
     _alike(loaded, rig)
-    going = _speed(loaded[0], speed)
-    accepted(rig.setup, going, "deg" if loaded[0].kind == "vial" else "mm")
-    focus, first = _focus(loaded[0], rig, calibration), loaded[0]
+    first, speeds = loaded[0], ()
+    going, focus = speed_of(speed, first.kind, first.speed), _focus(first, rig, calibration)
+    of: Callable[[float, int], Schedule]
     if rig.setup.video:
         mirrors, display = _screen(first, rig, rehearsed)
-        of, least = partial(_on_a_cable, first, rig, display, going), None
+        of, least = partial(_on_a_cable, first, rig, display), None
+        if first.kind == "vial":
+            speeds = _cable_speeds(first.poses, going, display, rig)
+            usual = (each for each in sorted(speeds, reverse=True) if speed is None and each <= going)
+            going = next(usual, going)
     else:
         mirrors, display = mirror_arrays(loaded, rig, rehearsed), None
-        of = partial(triggered_schedule, first, rig, going, mirrors=mirrors, focus=focus)
+        of = partial(triggered_schedule, first, rig, mirrors=mirrors, focus=focus)
         least = round(max(times[first.bits] for times, _ in frame_times(rig, len(mirrors))) * SECOND)
+        if driver_of(rig.setup.clock) == "stage":
+            whole_poses(of(going, 1), rig.setup.motion.microsteps)
+        elif not rehearsed:
+            steppable(of(going, 1), rig.setup.motion.microsteps)
+    accepted(rig.setup, going, "deg" if first.kind == "vial" else "mm")
     dose: GivenDose | None = None
     taken: list[Proven] = []
     if first.frames is None:
-        schedule = of(1 if turns is None else turns)
+        schedule = of(going, 1 if turns is None else turns)
     else:
         known = partial(_known, exposure, loaded, device, taken)
-        speeds, at = (), None
-        if display is not None:
-            speeds = _cable_speeds(first.poses, going, display, rig)
-            at = partial(_on_a_cable, first, rig, display)
-        turning = Turning(of, rig.setup.light, first.frames.scale, least, speeds, at)
+        turning = Turning(of, going, rig.setup.light, first.frames.scale, least, speeds, speed is None)
         schedule, dose = turning.schedule(turns, known)
-    if driver_of(rig.setup.clock) == "stage" and display is None:
-        whole_poses(schedule, rig.setup.motion.microsteps)
-    elif not rehearsed and display is None:
-        steppable(schedule, rig.setup.motion.microsteps)
     return PrintPlan(
         loaded, schedule, mirrors, rig, focus if display is None else (), display, rehearsed, calibration=calibration,
         dose=dose, proven=taken[0] if rehearsed and taken else None,
@@ -232,8 +245,8 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
         raise BadInput("there is no job; expected a folder for each projector")
     if len(loaded) != len(setup.display) and not setup.emulated:
         raise BadInput(
-            f"got {len(loaded)} jobs for the {len(setup.display)} projectors of the rig {setup.rig.name!r}; "
-            "expected one for each, in their order"
+            f"got {counted(len(loaded), 'job')} for the {counted(len(setup.display), 'projector')} of the rig "
+            f"{setup.rig.name!r}; expected one for each, in their order"
         )
     for each in loaded:
         if setup.rig.machine not in ("any", each.kind):
@@ -257,25 +270,23 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
                 )
 
 
-def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
-    """Speed in deg/s or mm/s."""
-    unit = UNITS[first.kind]
+def speed_of(speed: float | Fraction | str | None, kind: Kind, usual: float | None = None) -> float:
+    """Speed in deg/s or mm/s; None takes the usual one. Raises `BadInput`."""
+    unit = UNITS[kind]
     if speed is None:
-        going = USUAL if first.kind == "vial" else first.speed
+        going = USUAL if kind == "vial" else usual
         if going is None:
-            raise BadInput(f"{first.path!r} has no speed; give its speed [{unit}]")
+            raise BadInput(f"the job has no speed; give one in {unit} with --speed (speed= in Python)")
         return going
-    if isinstance(speed, Fraction):
-        speed = float(speed)
-    if isinstance(speed, str) and first.kind != "vial" and not _number(speed):
-        try:
-            return parse(speed, "a speed")
-        except ValueError as error:
-            raise BadInput(f"speed {speed!r}: {error}, or a plain number of {unit}") from error
-    text = str(speed).removesuffix("deg/s").strip()
-    if not _number(text):
-        raise BadInput(f'speed is {speed!r}; expected a number of {unit} > 0: write it like "{USUAL:g} {unit}"')
-    return float(text) / (HOUR if first.kind == "slices" else 1.0)
+    text = str(float(speed) if isinstance(speed, Fraction) else speed)
+    if _number(text):
+        return float(text) / (HOUR if kind == "slices" else 1.0)
+    try:
+        if kind == "vial":
+            return float(f"{parse(text, 'an angular speed') / deg:.12g}")
+        return parse(text, "a speed")
+    except ValueError as error:
+        raise BadInput(f"speed is {speed!r}: {error}, or a plain number of {unit}") from error
 
 
 def _number(text: str) -> bool:

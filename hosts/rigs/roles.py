@@ -14,8 +14,8 @@ from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.stages import Stage
 from vamgpu.hosts.safety.light import Lamp
 from vamgpu.optics.lens import TunableLens
-from vamgpu.schema.quantities import Count, ExposureTime, Irradiance, Length, Rate, Time
-from vamgpu.schema.section import Listed, Section
+from vamgpu.schema.quantities import Count, FrameTime, Irradiance, Length, Rate, Time
+from vamgpu.schema.section import Listed, Misplaced, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Baud = Annotated[int, Field(ge=300, le=4_000_000)]
@@ -25,6 +25,7 @@ Microsteps = Annotated[float, Field(gt=0, le=FINEST)]
 CRYSTAL = 50.0
 """Assumed error of a machine's clock [ppm]: the specification of quartz oscillators for computers and microcontrollers
 over temperature and age; for a smaller one, measure the rate of a machine and set its tolerance."""
+LensDiopters = Annotated[float, Field(ge=-50, le=50)]  # twice what liquid lenses reach
 MIRRORS = (1080, 1920)
 
 
@@ -47,7 +48,7 @@ class MotionPart(Part):
     scaled: ClassVar[bool] = False
     runs: ClassVar[bool] = True
     triggers: ClassVar[bool] = False
-    microsteps: Microsteps = 3200.0
+    microsteps: Microsteps
     tolerance: Ppm = CRYSTAL
 
     @property
@@ -98,7 +99,7 @@ class MirrorPart(DisplayPart):
     frame_time: shortest time of a frame of 8 bits.  duty: greatest share of its time slot for which a frame is lit.
     """
 
-    frame_time: ExposureTime = 1.0 / 266.0
+    frame_time: FrameTime = 1.0 / 266.0
     duty: Share = 1.0
 
 
@@ -170,16 +171,22 @@ class LensPart(Part):
     settle: Time = 0.005
     latency: Time = 0.0
     baud: Baud = 38400
-    lowest: float = -1.5
-    highest: float = 3.5
-    axis: float = 0.0
+    lowest: LensDiopters = -1.5
+    highest: LensDiopters = 3.5
+    axis: LensDiopters = 0.0
     slope: Annotated[float, Field(lt=0)] | None = None
     focal: Annotated[tuple[Length, Length, Length, Length], Listed] = TunableLens.focal
 
     def model_post_init(self, _: Any) -> None:
-        """Raise `ValueError` if lowest is not below highest."""
+        """Raise `ValueError` if lowest is not below highest, or axis is not between them."""
+        powers = f"powers go from {self.lowest:g} to {self.highest:g} dpt"
         if not self.lowest < self.highest:
-            raise ValueError(f"powers go from {self.lowest:g} to {self.highest:g} dpt; expected lowest below highest")
+            raise ValueError(f"{powers}; expected lowest below highest")
+        if not self.lowest <= self.axis <= self.highest:
+            raise Misplaced(
+                f"got {self.axis:g}; the lens's {powers}, expected one of them: correct axis, or lowest and highest",
+                "axis",
+            )
 
     def open(self) -> Lens:
         """Open the lens in focal power mode. Raises as its driver does."""

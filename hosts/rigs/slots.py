@@ -83,10 +83,12 @@ def whole_poses(schedule: Schedule, microsteps: float) -> None:
     if abs(pose / 2 - round(pose / 2)) <= 1e-6 * pose:
         return
     turn, remedy = 180.0 * microsteps, "use another travel from pose to pose"
-    if schedule.unit == "deg" and abs(turn - round(turn)) <= 1e-6 * turn:
-        fits = [count for count in range(1, 10_000) if round(turn) % count == 0]
-        remedy = f"use {min(fits, key=lambda count: abs(count - schedule.frames))} images per turn"
+    if schedule.unit == "deg":
+        remedy = f"correct microsteps in [motion], of which a turn has {2 * turn:.9g}"
+        if abs(turn - round(turn)) <= 1e-6 * turn:
+            fits = [count for count in range(1, 10_000) if round(turn) % count == 0]
+            nearest = min(fits, key=lambda count: abs(count - schedule.frames))
+            remedy = f"solve the job with angles = {nearest} in [turntable]"
     raise BadInput(
-        f"an angle is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}, or "
-        "correct microsteps in [motion]"
+        f"an angle is {pose:.6g} microsteps of the stage, whose trigger output needs an even number: {remedy}"
     )

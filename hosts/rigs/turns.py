@@ -16,7 +16,8 @@ from vamgpu.hosts.rigs.roles import LightPart
 from vamgpu.hosts.schedules.schedule import Schedule
 from vamgpu.hosts.schedules.timing import SECOND
 from vamgpu.jobs.run import Proven, prove
-from vamgpu.printing.given_dose import GivenDose, ProvedDose, counted
+from vamgpu.printing.given_dose import GivenDose, ProvedDose
+from vamgpu.quantity import counted
 from vamgpu.storage.folder import Folder
 
 SLOTS = 10**7  # Most frames of a print; more are a typing error
@@ -44,60 +45,75 @@ def proved(jobs: tuple[PrintJob, ...], device: str | Device | None = None) -> Pr
 class Turning:
     """The turns of a vial on a rig."""
 
-    of: Callable[[int], Schedule]  # makes the schedule of a number of turns
+    of: Callable[[float, int], Schedule]  # makes the schedule of a speed and a number of turns
+    speed: float  # [deg/s]
     light: LightPart
     scale: float  # irradiance of a full-on pixel of the frames
     least: int | None  # shortest light of a frame [ns]; None on a video cable
     speeds: Sequence[float] = ()  # speeds at which a video cable and the rig can print [deg/s], the nearest first
-    at: Callable[[float, int], Schedule] | None = None  # makes the schedule of a speed and a number of turns
+    usual: bool = False  # whether the user left the speed out: a slower one may then give the dose
 
     def schedule(self, turns: int | None, known: Callable[[], ProvedDose | str]) -> tuple[Schedule, GivenDose | None]:
         """Return the slots and their dose; BadInput for a dose outside the verdict that the user did not choose."""
         try:
-            once = self.of(1)
+            once = self.of(self.speed, 1)
         except TimingInfeasible as error:
-            if turns is not None or not self.speeds or isinstance(proved := known(), str):
+            if not self.speeds:
                 raise
-            speed = self._fitting(proved) or self.speeds[0]
-            exact, count = self._turns(proved, speed)
-            keeps = proved.least <= count / exact <= proved.most
-            told = "" if keeps else f" with --turns {count}, for a dose of ×{count / exact:.3f} of the proved one"
-            why = str(error).replace(f"turn at {error.speed:.6g} deg/s", f"turn at {speed:.6g} deg/s{told}")
-            raise TimingInfeasible(why, error.limit, speed, error.unit) from error
+            raise TimingInfeasible(*self._fitted(error, turns, known)) from error
         self._check(turns or 1, once, "")
         proved = known()
         if isinstance(proved, str):
             if turns is None:
                 raise BadInput(f"{proved}, so its number of turns is not known; expected a number: "
                                "give --turns (turns= in Python), or solve the job with [print]")  # fmt: skip
-            return self.of(turns), None
+            return self.of(self.speed, turns), None
+        dims = self.least is not None or self.light.gate == "controller"
+        speed = self.speed
+        if self.usual and turns is None and not dims:
+            slower = sorted((each for each in self.speeds if each <= speed), reverse=True)
+            speed = self._fitting(proved, slower) or speed
+            once = self.of(speed, 1)
         need = self._need(proved, once)
         exact = need / self._lit(once)
         lit = 1.0
         if turns is None:
             count = max(round(exact), 1)
-            dims = self.least is not None or self.light.gate == "controller"
             if dims and abs(count / exact - 1.0) > CLOSE:
                 count = max(ceil(exact), 1)
                 lit = exact / count
         else:
             count = turns
         self._check(count, once, f": its exposure takes {proved.seconds:.3g} s of full light")
-        found, lit = self._dimmed(self.of(count), lit)
+        found, lit = self._dimmed(self.of(speed, count), lit)
         share = self._lit(found) * count / need
         dose = GivenDose(proved, share, count, found.duration / SECOND, lit, self.least is None, turns is not None)
         if not dose.keeps:
-            self._off(dose, exact, once, None if turns is not None else self._fitting(proved))
+            self._off(dose, exact, once)
         return found, dose
+
+    def _fitted(
+        self, error: TimingInfeasible, turns: int | None, known: Callable[[], ProvedDose | str]
+    ) -> tuple[str, str, float, str]:
+        """The error of a speed at which images do not take whole slots, with one that also gives the proved dose."""
+        proved = known() if turns is None else ""
+        speed, told = self.speeds[0], ""
+        if not isinstance(proved, str):
+            if (fitting := self._fitting(proved, self.speeds)) is None:
+                exact, count = self._turns(proved, speed)
+                told = f" --turns {count}, for a dose of ×{count / exact:.3f} of the proved one"
+            speed = fitting or speed
+        why = str(error).partition(": turn at")[0]
+        return f"{why}: print with --speed {speed:.6g}{told}", error.limit, speed, error.unit
 
     def _need(self, proved: ProvedDose, once: Schedule) -> float:
         """Seconds of full drive for each frame."""
         full = self.light.irradiance or proved.irradiance
         return proved.seconds * proved.irradiance / full * self.scale / proved.scale / once.frames
 
-    def _fitting(self, proved: ProvedDose) -> float | None:
-        """The speed nearest to the wanted one at which whole turns give the proved dose; None without one."""
-        for speed in self.speeds:
+    def _fitting(self, proved: ProvedDose, speeds: Sequence[float]) -> float | None:
+        """The first of some speeds at which whole turns give the proved dose; None without one."""
+        for speed in speeds:
             exact, count = self._turns(proved, speed)
             if proved.least <= count / exact <= proved.most:
                 return speed
@@ -105,8 +121,7 @@ class Turning:
 
     def _turns(self, proved: ProvedDose, speed: float) -> tuple[float, int]:
         """Turns of the proved dose at one of the speeds, and the nearest whole number of them."""
-        assert self.at is not None
-        once = self.at(speed, 1)
+        once = self.of(speed, 1)
         exact = self._need(proved, once) / self._lit(once)
         return exact, max(round(exact), 1)
 
@@ -128,19 +143,22 @@ class Turning:
     def _check(self, turns: int, once: Schedule, why: str) -> None:
         """Raise `BadInput` for more frames than a print may have."""
         if turns * once.frames > SLOTS:
-            raise BadInput(f"{turns} turns of {once.frames} frames{why}; expected at most {SLOTS} frames: use fewer "
-                           "turns, or more light")  # fmt: skip
+            raise BadInput(f"{counted(turns, 'turn')} of {once.frames} frames{why}; expected at most {SLOTS} frames: "
+                           "use fewer turns, or more light")  # fmt: skip
 
-    def _off(self, dose: GivenDose, exact: float, once: Schedule, fitting: float | None) -> None:
-        """Reject a dose outside the verdict, or warn if the user chose it. fitting: speed of the proved dose."""
-        takes = f"the exposure takes {exact:.4g} turns of {float(360 / once.speed):.4g} s"
+    def _off(self, dose: GivenDose, exact: float, once: Schedule) -> None:
+        """Reject a dose outside the verdict, or warn if the user chose it."""
+        turns = counted(dose.turns, "turn")
+        takes = f"the exposure takes {counted(exact, 'turn', '.4g')} of {float(360 / once.speed):.4g} s"
         if dose.asked:
-            warnings.warn(f"{counted(dose.turns)} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
+            warnings.warn(f"{turns} of light: the dose is {dose}; {takes}", DoseWarning, stacklevel=4)
             return
-        remedy = "" if fitting is None else f"turn at {fitting:.6g} deg/s, to make turns whole, or "
+        remedy = f"dim the projector and set power = {self.light.power * exact / ceil(exact):.3g} in [light]"
         if self.least is not None:
-            remedy = f"frames cannot be shorter, so lower power in [light] to {self.light.power / dose.share:.3g}, or "
+            remedy = f"frames cannot be shorter, so set power = {self.light.power / dose.share:.3g} in [light]"
+        elif (fitting := self._fitting(dose.proved, self.speeds)) is not None:
+            remedy = f"print with --speed {fitting:.6g}"
         raise BadInput(
-            f"{takes}; with {counted(dose.turns)} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
-            f"×{dose.proved.most:.3f}: {remedy}accept this dose with --turns {dose.turns} (turns= in Python)"
+            f"{takes}; with {turns} the dose is {dose}; expected ×{dose.proved.least:.3f} to "
+            f"×{dose.proved.most:.3f}: {remedy}"
         )

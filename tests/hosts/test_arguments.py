@@ -124,8 +124,10 @@ def test_plans_want_a_rig_and_paths(job: Path) -> None:
     for speed in (float("nan"), True, [1], HUGE, 1e308, 1e-308):
         with pytest.raises(BadInput):
             plan(job, rig, speed=speed, turns=1)  # type: ignore[arg-type]
-    with pytest.raises(BadInput, match=r"expected a number of deg/s > 0: write it like .40 deg/s"):
+    with pytest.raises(BadInput, match=r"expected an angular speed in deg/s, °/s, rpm, rad/s: write it like .40 deg/s"):
         plan(job, rig, speed="40 mm/s", turns=1)
+    for speed in ("9 rpm", "9rpm", "54 deg/s", "54 °/s", "54", 54, f"{0.3 * np.pi:.12f} rad/s"):
+        assert float(plan(job, rig, speed=speed, turns=1).schedule.speed) == pytest.approx(54.0, rel=1e-9)
     for turns in (None, 0, 1.5, "1"):
         with pytest.raises(BadInput, match="turns"):
             plan(job, rig, turns=turns)  # type: ignore[arg-type]

@@ -28,6 +28,7 @@ from vamgpu.jobs.run import prove, solve
 from vamgpu.printing.folder import load_frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.verdict import Fault
 
 PART = """
 [target]
@@ -229,17 +230,19 @@ def test_another_dose_is_told_and_never_green(
 
 def test_a_dose_that_whole_turns_cannot_give_is_refused_with_the_speed_that_can(part: Path, proof: Proof) -> None:
     rig, proved = parse_rig(PI), replace(ProvedDose.of(proof), seconds=12.0)
-    refused = r"1\.333 turns of 9 s.*expected ×.* turn at ([\d.]+) deg/s.*--turns 1"
+    refused = r"1\.333 turns of 9 s.*expected ×.* print with --speed ([\d.]+)$"
     with pytest.raises(BadInput, match=refused) as told:
-        plan(part, rig, rehearsed=True, exposure=proved)
+        plan(part, rig, speed=40, rehearsed=True, exposure=proved)
     advice = re.search(refused, str(told.value))
     followed = plan(part, rig, speed=float(advice[1]), rehearsed=True, exposure=proved).dose if advice else None
     assert followed is not None and followed.keeps and followed.turns == 1
     with pytest.warns(DoseWarning, match=r"1 turn of light: the dose is ×0\.750"):
-        asked = plan(part, rig, rehearsed=True, turns=1, exposure=proved).dose
+        asked = plan(part, rig, rehearsed=True, turns=1, speed=40, exposure=proved).dose
     assert asked is not None and asked.asked and asked.lit == 1.0 and not asked.whole
-    slower = plan(part, rig, speed=30, rehearsed=True, exposure=proved).dose
-    assert slower is not None and slower.turns == 1 and slower.share == pytest.approx(1.0, rel=1e-6)
+    for speed in (30, None):
+        slower = plan(part, rig, speed=speed, rehearsed=True, exposure=proved)
+        assert slower.dose is not None and slower.dose.turns == 1 and slower.dose.keeps
+        assert float(slower.schedule.speed) <= 33, "of its own accord, a rig turns as slowly as the dose needs"
 
 
 def test_whole_turns_that_come_close_are_not_dimmed(part: Path, proof: Proof) -> None:
@@ -251,7 +254,7 @@ def test_whole_turns_that_come_close_are_not_dimmed(part: Path, proof: Proof) ->
         assert made.dose is not None and made.dose.lit == 1.0 and (made.schedule.on == on[0]).all()
         assert made.dose.turns == turns and made.dose.share == pytest.approx(1 / 1.0005, rel=1e-4)
     shorter = replace(proved, seconds=36 / 266 / 3)
-    with pytest.raises(BadInput, match=r"1 turn the dose is ×3\.00.*be shorter, so lower power in .light. to 0\.333"):
+    with pytest.raises(BadInput, match=r"1 turn the dose is ×3\.00.*be shorter, so set power = 0\.333 in .light"):
         plan(part, read_rig("emulated"), exposure=shorter)
     lower = plan(part, read_rig("emulated", ["light.power=0.333"]), exposure=shorter).dose
     assert lower is not None and lower.share == pytest.approx(1.0, rel=5e-3)
@@ -308,6 +311,28 @@ def test_a_part_that_does_not_print_is_printed_only_on_purpose(
     assert "1 hole of the part is closed" in asked[0] and "[y/N]" in asked[0]
     assert status("--anyway") == status(right=True) == status(emulated=True) == 0
     assert len(prints) == 4 and len(asked) == 2, "only a real print of a part that fails asks"
+
+
+def test_a_job_without_an_exposure_is_proved_before_a_real_print(
+    part: Path, job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prints: list[Any] = []
+    monkeypatch.setattr("vamgpu.hosts.rigs.planning.proved", lambda *_: "it has no [print]")
+    monkeypatch.setattr("vamgpu.cli.print._printed", lambda *given: prints.append(given) or 0)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    file = tmp_path / "pi.toml"
+    file.write_text(PI)
+
+    def status(folder: Path, *words: str) -> int:
+        return main(["print", str(folder), "--rig", str(file), "--turns", "1", "--out", str(tmp_path / "run"), *words])
+
+    assert status(part) == status(job) == 0 and len(prints) == 2, "it prints; frames without a part have no proof"
+    verdict = SimpleNamespace(faults=(Fault("1 hole of the part is closed", "use finer voxels"),))
+    wrong = SimpleNamespace(proof=SimpleNamespace(verdict=verdict))
+    monkeypatch.setattr("vamgpu.hosts.rigs.planning.prove", lambda path: wrong)
+    assert status(part) == 1 and len(prints) == 2
+    assert f"the proof of {str(part)!r} does not print: 1 hole of the part is closed; " in capsys.readouterr().err
+    assert status(part, "--anyway") == 0 and len(prints) == 3
 
 
 def test_a_run_keeps_its_dose_and_the_rest_gets_the_same_light(part: Path, proof: Proof, tmp_path: Path) -> None:

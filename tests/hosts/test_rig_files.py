@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,11 +14,11 @@ import pytest
 from test_planning import Shifted, vial, web
 
 from vamgpu.cli import main
-from vamgpu.errors import BadInput, DeviceError, DoseWarning, TimingInfeasible
+from vamgpu.errors import BadInput, DeviceError, TimingInfeasible
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import PrintState
 from vamgpu.hosts.rig import PrintPlan, Rehearsal, carry_out, plan, rehearsal
-from vamgpu.hosts.rigs.config import parse_rig, read_rig
+from vamgpu.hosts.rigs.config import RigConfig, parse_rig, read_rig
 from vamgpu.hosts.safety.interlock import InterlockOpen
 from vamgpu.printing.given_dose import ProvedDose
 
@@ -169,8 +170,11 @@ def test_a_lightcrafter_before_a_thorlabs_stage(tmp_path: Path) -> None:
 
 def test_a_rig_that_drifts_is_refused_until_that_is_accepted(tmp_path: Path) -> None:
     rig = parse_rig(PI, ["safety.drift=0.2"])
+    folder = vial(tmp_path / "job.vam", images=IMAGES)
     with pytest.raises(BadInput, match="drifts 0.24 deg per minute"):
-        plan(vial(tmp_path / "job.vam", images=IMAGES), rig, turns=1)
+        plan(folder, rig, turns=1, speed=40)
+    slower = plan(folder, rig, turns=1)
+    assert float(slower.schedule.speed) == pytest.approx(360 / 11), "the fastest that drifts by less"
 
 
 @pytest.mark.slow
@@ -191,27 +195,66 @@ def test_a_web_before_a_video_projector_fits_the_cable_or_is_refused(tmp_path: P
 KNOWN = ProvedDose(seconds=30.0, irradiance=1.0, scale=1.0, least=0.95, most=1.06, right=True)
 
 
-@pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, seconds=7.7), False], ids=["long", "short", "turns"])
+SHORT = replace(KNOWN, seconds=7.7)
+
+
+def remedied(
+    place: Path, rig: RigConfig, images: int, known: ProvedDose | Literal[False], speed: float | None = None
+) -> PrintPlan:
+    """The plan of a job, after the remedy of its refusal if it is refused; the remedy is followed to the word."""
+    turns = None if known else 2
+    try:
+        return plan(vial(place / "job.vam", images=images), rig, speed=speed, turns=turns, exposure=known)
+    except (TimingInfeasible, BadInput) as refused:
+        remedy = str(refused).rpartition(": ")[2]
+    told = re.fullmatch(r"(print with)?(?: --speed (\S+))?(?: --turns (\d+).*)?", remedy)
+    if told is not None and (told[2] or told[3]):
+        speed, turns = float(told[2]) if told[2] else speed, int(told[3]) if told[3] else turns
+    elif told := re.fullmatch(r"solve the job with angles = (\d+) in \[turntable\]", remedy):
+        images, known = int(told[1]), known and KNOWN  # what is solved again is proved again
+    elif told := re.fullmatch(
+        r"(?:frames cannot be shorter, so|dim the projector and) set power = (\S+) in \[light\]", remedy
+    ):
+        rig = read_rig(rig.source, [f"light.power={told[1]}"])
+    else:
+        raise AssertionError(f"no remedy in {remedy!r}")
+    return plan(vial(place / f"{images}.vam", images=images), rig, speed=speed, turns=turns, exposure=known)
+
+
+VIALS = [file for file in sorted(RIGS.glob("*.toml")) if read_rig(file).setup.rig.machine == "vial"]
+
+
+@pytest.mark.parametrize("file", VIALS, ids=lambda file: file.stem)
+@pytest.mark.filterwarnings("ignore::vamgpu.errors.DoseWarning")
+def test_a_rig_prints_any_number_of_angles_at_its_usual_speed_or_by_the_remedy(file: Path, tmp_path: Path) -> None:
+    rig = read_rig(file)
+    for images in (24, 36, 48, 60, 90, 100, 180, 360, 720):
+        for number, known in enumerate((KNOWN, SHORT, replace(KNOWN, seconds=1.0), False)):
+            place = tmp_path / f"{images} {number}"
+            made = remedied(place, rig, images, known)
+            speed = float(made.schedule.speed)
+            if rig.setup.video and known is False:
+                assert made.display is not None
+                slots = 360 / images * made.display.slot_rate / speed
+                faster = 360 / images * float(made.display.slot_rate) / (round(slots) - 1) if slots > 1.5 else np.inf
+                assert slots == pytest.approx(round(slots), rel=1e-5) and speed <= 40 < faster, "the fastest"
+            assert known is False or (made.dose is not None and (made.dose.keeps or made.dose.asked))
+            if made.display is not None and known is KNOWN:
+                seconds = images / float(made.display.slot_rate)  # of a turn of one slot an image
+                lit = (1 - float(made.display.dark * made.display.slot_rate)) / 30
+                whole = any(0.95 <= turns * slots * seconds * lit <= 1.06 for turns in range(1, 4)
+                            for slots in range(ceil(9 / seconds - 1e-9), ceil(40 / seconds)))  # fmt: skip
+                dimmed = made.rig.setup.light.power < rig.setup.light.power
+                assert dimmed != whole and not (made.dose and made.dose.asked), "no remedy where whole turns fit"
+                assert made.dose is not None and made.dose.keeps and speed <= 40
+
+
+@pytest.mark.parametrize("known", [KNOWN, SHORT, False], ids=["long", "short", "turns"])
 @pytest.mark.parametrize("images", [7, 60, 100, 120, 144, 300, 360])
 @pytest.mark.parametrize("speed", [10.0, 40.0])
-def test_the_speed_that_a_refusal_tells_is_accepted(
+@pytest.mark.filterwarnings("ignore::vamgpu.errors.DoseWarning")
+def test_the_remedy_of_a_refused_speed_is_accepted(
     tmp_path: Path, images: int, speed: float, known: ProvedDose | Literal[False]
 ) -> None:
-    folder, rig, turns = vial(tmp_path / "job.vam", images=images), read_rig(RIGS / "pi_video_stepper.toml"), None
-    if known is False:
-        turns = 2
-    try:
-        plan(folder, rig, speed=speed, turns=turns, exposure=known)
-    except (TimingInfeasible, BadInput) as refused:
-        found = re.search(r": turn at (\S+) deg/s", str(refused))
-        if found is None:  # no speed that the rig's drift allows
-            count = re.search(r"accept this dose with --turns (\d+)", str(refused))
-            with pytest.warns(DoseWarning):
-                assert count is not None and plan(folder, rig, speed=speed, turns=int(count[1]), exposure=known).dose
-            return
-        if count := re.search(r"with --turns (\d+), for a dose of ×(\S+) of", str(refused)):
-            with pytest.warns(DoseWarning, match=f"×{count[2]} of the proved one"):
-                plan(folder, rig, speed=float(found[1]), turns=int(count[1]), exposure=known)
-            return
-        made = plan(folder, rig, speed=float(found[1]), turns=turns, exposure=known)
-        assert known is False or (made.dose is not None and made.dose.keeps)
+    made = remedied(tmp_path, read_rig(RIGS / "pi_video_stepper.toml"), images, known, speed)
+    assert known is False or (made.dose is not None and (made.dose.keeps or made.dose.asked))

@@ -81,10 +81,98 @@ def test_who_accepts_the_drift_that_was_told_has_accepted_it(speed: float) -> No
 
 def test_drift_must_be_accepted(job: Path) -> None:
     with pytest.raises(BadInput, match=r"drifts 0.24 deg per minute .* accepts 0.2; give .* or set drift = 0.24"):
-        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1)
+        plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.2\n"), rehearsed=True, turns=1, speed=40)
     planned = plan(job, rig(STEPPER, VIDEO, FREE, "[safety]\ndrift = 0.25\n"), rehearsed=True, turns=1)
     told = dict(planned.lines())["step"]
     assert "believed: " in told and "drifts" in told and "[safety] accepts 0.25" in told and "set drift" not in told
+
+
+@pytest.mark.parametrize(
+    ("kind", "meant"),
+    [
+        ("Arduino", "text"),
+        ("esp32", "text"),
+        ("pololu", "tic"),
+        ("raspberry pi", "stepper"),
+        ("zabr", "zaber"),
+        ("cnc", ""),
+    ],
+)
+def test_a_driver_that_does_not_exist_names_those_that_do(kind: str, meant: str) -> None:
+    ended = rf"did you mean '{meant}'" if meant else "correct the name"
+    with pytest.raises(JobError, match=rf"motion: no driver '{kind}'; expected one of controller, zaber.*: {ended}"):
+        rig(MOTOR.replace("controller", kind), VIDEO)
+    with pytest.raises(JobError, match=r"display: no driver 'hdmi'; .*did you mean 'video' \(A projector on a video"):
+        rig(MOTOR, VIDEO.replace("video", "hdmi"))
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "number", "hint"),
+    [
+        ("display", "frame_time", "5", "5 ms"),
+        ("display", "frame_time", "0.004", "0.004 s"),
+        ("lens", "settle", "5", "5 ms"),
+        ("safety", "lease", "0.25", "0.25 s"),
+        ("safety", "lease", "250", "250 ms"),
+        ("safety", "resume", "30", "30 s"),
+        ("calibration", "warn_after", "90", "90 d"),
+        ("feedback", "exposure", "5", "5 ms"),
+        ("light", "irradiance", "65", "65 mW/cm2"),
+    ],
+)
+def test_a_number_without_a_unit_is_shown_with_one_that_its_key_may_have(
+    table: str, key: str, number: str, hint: str
+) -> None:
+    drivers = {"lens": 'driver = "optotune"\nport = "/dev/x"\n', "feedback": 'driver = "camera"\nproducer = "x.cti"\n'}
+    tables = {table: f"[{table}]\n{drivers.get(table, '')}"} | {"display": ALP}
+    for given, unit in ((number, "with its unit in quotes"), (f'"{number}"', "no unit")):
+        with pytest.raises(JobError, match=rf'{key}: got .*{unit}.*: write it like "{hint}"'):
+            rig(BOX, MOTOR, *(text + f"{key} = {given}\n" if name == table else text for name, text in tables.items()))
+
+
+def test_keys_of_lists_are_counted_from_one() -> None:
+    double = VIDEO.replace("[display]", "[[display]]")
+    with pytest.raises(
+        JobError, match=r"\[\[display\]\] 2, size, value 1: .*\n.*line 14: \[\[display\]\] 2, refresh: "
+    ):
+        rig(BOX, ZABER, double, double, "refresh = 60\nsize = [-1, 2]\n")
+    with pytest.raises(JobError, match=r"display.size, value 2: got 'a'"):
+        rig(BOX, ZABER, VIDEO, 'size = [1, "a"]\n')
+    with pytest.raises(JobError, match=r"\[\[display\]\] 1, library is missing; add library = … to \[\[display\]\] 1"):
+        rig(BOX, ZABER, '[[display]]\ndriver = "alp"\n')
+    with pytest.raises(JobError, match=r"display.library is missing; add library = … to \[display\]$"):
+        rig(BOX, ZABER, '[display]\ndriver = "alp"\n')
+
+
+def test_the_remedy_of_a_position_that_is_not_measured_is_accepted() -> None:
+    remedies = {
+        'add [[feedback]] with driver = "index" and its pin': '[[feedback]]\ndriver = "index"\npin = 17\n',
+        'add [[feedback]] with driver = "encoder" or "index"': '[[feedback]]\ndriver = "index"\n',
+        "set encoder = true if the stage has one, or use one that has": "encoder = true\n",
+    }
+    tic = '[motion]\ndriver = "tic"\nmicrosteps = 9.0\n'
+    for tables in ((STEPPER, VIDEO), (BOX, MOTOR, ALP), (ZABER, ALP), (tic, VIDEO)):
+        free = (FREE, "[safety]\ndrift = 1.0\n") if STEPPER in tables else ()
+        (position,) = (one for one in guarantees(rig(*tables, *free).setup, 40.0) if one.about == "position")
+        assert position.kind == "believed"
+        if tic in tables:
+            assert "feedback" not in position.remedy, "no sensor at a Tic is read"
+            continue
+        more = remedies[position.remedy]
+        better = rig(*tables, *free, more) if more[0] == "[" else rig(tables[0] + more, *tables[1:])
+        assert [one.kind for one in guarantees(better.setup, 40.0) if one.about == "position"] == ["watched"]
+
+
+@pytest.mark.parametrize("power", [50.0, 500.0, -2.0, 4.0])
+def test_a_lens_focuses_at_a_power_that_it_has(power: float) -> None:
+    tables = BOX, MOTOR, ALP
+    lens = '[lens]\ndriver = "optotune"\nport = "/dev/x"\n'
+    with pytest.raises(JobError, match=rf"lens.axis: got {power:g}.*; .*expected") as refused:
+        rig(*tables, f"{lens}axis = {power}\n")
+    assert ("-1.5 to 3.5 dpt" in str(refused.value)) == (abs(power) <= 50)
+    with pytest.raises(JobError, match=r"lens.highest: got 80"):
+        rig(*tables, f"{lens}highest = 80.0\n")
+    assert rig(*tables, f"{lens}axis = 3.5\n").setup.lens.axis == 3.5  # type: ignore[union-attr]
 
 
 def test_combinations_that_cannot_be_are_told() -> None:
@@ -108,7 +196,7 @@ def test_combinations_that_cannot_be_are_told() -> None:
 
 
 def test_poses_must_be_whole_microsteps(job: Path) -> None:
-    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps of the stage.*: use 32 images per turn"):
+    with pytest.raises(BadInput, match=r"an angle is 21333.3 microsteps .*: solve the job with angles = 32 in"):
         plan(job, rig(ZABER.replace("1000", "2133.3333333333335"), ALP), rehearsed=True, turns=1)
 
 

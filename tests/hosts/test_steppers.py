@@ -322,11 +322,16 @@ def test_each_is_opened_from_a_rig_file() -> None:
         'ask = "P"\nanswer = "pos (?P<steps>-?[0-9]+)"\nrun = "V {steps_per_s:.2f}"\nstop = "S"\naccepted = "done"\n'
     )
     for driver, machine, more in (
-        ("tic", EmulatedTic(), ""), ("tmc2209", EmulatedTmc2209(), ""), ("grbl", EmulatedGrbl(), "microsteps = 80.0\n"),
-        ("text", EmulatedFirmware(), lines),
+        ("tic", EmulatedTic(), "microsteps = 8.888888888888889\n"),
+        ("tmc2209", EmulatedTmc2209(), "microsteps = 142.22222222222223\n"),
+        ("grbl", EmulatedGrbl(), "microsteps = 80.0\n"),
+        ("text", EmulatedFirmware(), f"microsteps = 8.888888888888889\n{lines}"),
     ):  # fmt: skip
         with PtyServer(machine) as server:
-            rig = parse_rig(f'{RIG}driver = "{driver}"\nport = "{server.url}"\n{more}')
+            text = f'{RIG}driver = "{driver}"\nport = "{server.url}"\n{more}'
+            with pytest.raises(JobError, match=r"motion.microsteps is missing; add microsteps = … to \[motion\]"):
+                parse_rig("\n".join(line for line in text.splitlines() if "microsteps" not in line.split(" = ")[0]))
+            rig = parse_rig(text)
             with rig.setup.motion.open("deg") as stage:  # type: ignore[attr-defined]
                 assert stage.position() == pytest.approx(0.0, abs=0.01)
                 stage.run(20.0)
@@ -345,7 +350,7 @@ def test_each_is_opened_from_a_rig_file() -> None:
     ),
 )
 def test_lines_that_cannot_be_said_are_refused(line: str, why: str) -> None:
-    good = {"ask": '"P"', "answer": '"(?P<steps>[0-9]+)"', "run": '"V {speed}"', "stop": '"S"'}
+    good = {"microsteps": "8.9", "ask": '"P"', "answer": '"(?P<steps>[0-9]+)"', "run": '"V {speed}"', "stop": '"S"'}
     key, _, value = line.partition(" = ")
     text = "".join(f"{name} = {given}\n" for name, given in (good | {key: value}).items())
     with pytest.raises(JobError, match=why):

@@ -10,7 +10,10 @@ from typing import Any
 import pytest
 
 from vamgpu import SquareBath
+from vamgpu.cli import main
 from vamgpu.errors import BadInput, JobError
+from vamgpu.hosts.rig import read_rig
+from vamgpu.hosts.rigs.config import parse_rig
 from vamgpu.jobs.build import pitch_of
 from vamgpu.jobs.curethrough import CurethroughJob
 from vamgpu.jobs.demo import JOB
@@ -88,12 +91,13 @@ def test_a_wrong_value_is_named_with_its_line(old: str, new: str, said: str) -> 
     [
         ("fill = 1.2", "beam.fill: got 1.2; expected less than or equal to 1"),
         ("fill = 0", "beam.fill: got 0; expected greater than 0"),
-        ("spread = 0", 'beam.spread: got 0; expected a length with its unit in quotes: write it like "0 mm"'),
+        ("spread = 0", 'beam.spread: got 0; expected a length with its unit in quotes: write it like "0 um"'),
+        ("spread = 25", 'write it like "25 um"'),
         ("spread = 0.025", "beam.spread: got 0.025; expected a length with its unit in quotes"),
         ('spread = "25"', "beam.spread: got '25'; no unit; expected a length in mm"),
         (
             'spread = "-1 um"',
-            'expected a length ≥ 0: write it like "12.4 mm"; or the path of a calibration: spread = "',
+            'expected a length ≥ 0: write it like "25 um"; or the path of a calibration: spread = "',
         ),
         ('footprint = "area"', "beam.footprint: got 'area'; expected 'exact' or 'joseph'"),
     ],
@@ -103,6 +107,38 @@ def test_a_wrong_optic_of_the_beam_is_named_with_its_line(line: str, said: str) 
     with pytest.raises(JobError) as caught:
         Job.parse(text, source="boat.toml")
     assert f"boat.toml, line {line_with(text, line)}: beam." in str(caught.value) and said in str(caught.value)
+
+
+@pytest.mark.parametrize(("given", "hint"), [("67", "67 um"), ("0.067", "0.067 mm"), ('"67"', "67 um")])
+def test_a_pitch_without_a_unit_is_shown_with_a_likely_one(given: str, hint: str) -> None:
+    with pytest.raises(JobError, match=f'beam.pitch: got .*write it like "{hint}"'):
+        Job.parse(JOB, [f"beam.pitch={given}"])
+
+
+def test_a_rig_or_a_mesh_is_not_read_as_a_job_nor_a_job_as_a_rig(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match=r"lab.toml is the file of a rig, with a table \[rig\]; expected .*\[target\]"):
+        Job.parse('[rig]\nname = "lab"\n', source="lab.toml")
+    with pytest.raises(JobError, match=r"job.toml is the file of a job, with a table \[target\]; expected .*\[rig\]"):
+        parse_rig(JOB, source="job.toml")
+    mesh = tmp_path / "part.stl"
+    for data in (b"solid part\n facet normal 0 0 1\n", bytes(range(256))):
+        mesh.write_bytes(data)
+        for read in (Job.read, read_rig):
+            with pytest.raises(JobError, match=r"part.stl.*not.*expected a TOML file"):
+                read(mesh)
+    for command in (["prove"], ["print", "--rig", "emulated"]):
+        assert main([*command, str(mesh)]) == 1
+
+
+def test_a_setting_without_a_value_removes_its_key() -> None:
+    assert Job.parse(JOB.replace("[beam]", "[beam]\nfill = 0.5", 1), ["beam.fill="]).file.beam.fill == 1.0
+    assert Job.parse(JOB.replace("[beam]", "[beam]\nfill = 0.5", 1)).file.beam.fill == 0.5
+    assert Job.parse(f'{JOB}\n[resin]\nwavelength = "405 nm"\n', ["resin="]).file.resin.wavelength is None
+    with pytest.raises(JobError, match=r"--set: beam.pitch is missing; add pitch = … to \[beam\]"):
+        Job.parse(JOB, ["beam.pitch="])
+    for wrong in ("beam.fil=", "wobble.across=", "bodies="):
+        with pytest.raises(JobError, match=f"--set {wrong}: removes a key that the file lacks"):
+            Job.parse(JOB, [wrong])
 
 
 def test_a_removed_key_is_refused_on_its_own_line() -> None:

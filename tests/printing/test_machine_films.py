@@ -25,8 +25,8 @@ from vamgpu.printing.machine_films import MACHINES, export_for
 PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text("utf-8").partition("## Films for machines")[2]
 CARD = re.compile(
     r"turn at +(?P<rpm>\S+) rpm = (?P<speed>\S+) deg/s, one turn in (?P<turn>\S+) s\n"
-    r"light +(?P<turns>\d+) turns of (?P<frames>\d+) frames, (?P<rate>\S+) frames per second, (?P<light>\S+) s\n"
-    r"dark +(?:(?P<before>\d+) turns \(\S+ s\) before, (?P<after>\d+) turns \(\S+ s\) after|none in the files)\n"
+    r"light +(?P<turns>\d+) turns? of (?P<frames>\d+) frames?, (?P<rate>\S+) frames per second, (?P<light>\S+) s\n"
+    r"dark +(?:(?P<before>\d+) turns? \(\S+ s\) before, (?P<after>\d+) turns? \(\S+ s\) after|none in the files)\n"
     r"image +(?P<columns>\d+) x (?P<rows>\d+) pixels"
 )
 
@@ -87,8 +87,26 @@ def test_opencal_gets_its_speed_by_name_and_a_film_that_ends_dark(
     )
     said = card.read_text()
     assert "turn at     9 rpm = 54 deg/s, one turn in 6.66667 s" in said
+    assert "levels      gray curve: linear in light\n" in said
     assert "2 turns of 12 frames, 1.8 frames per second, 13.3333 s" in said
-    assert "1 turns (6.66667 s) before, 2 turns (13.3333 s) after" in said
+    assert "1 turn (6.66667 s) before, 2 turns (13.3333 s) after" in said
+
+
+@pytest.mark.parametrize(
+    ("gray", "said"),
+    [
+        (GrayCurve.gamma(2.2), "half of full light at level 186"),
+        (GrayCurve.linear(0.02), "linear in light, black level 2 % of full light"),
+        (GrayCurve((0, 100, 255), (1.0, 5.0, 10.0)), "half of full light at level 100, black level 10 % of full light"),
+    ],
+)
+def test_a_card_is_plain_text_with_one_turn_in_the_singular(gray: GrayCurve, said: str, tmp_path: Path) -> None:
+    frames = plain_frames(3, gray)
+    for machine in ("opencal", "lightcrafter"):
+        _, card = export_for(machine, frames, tmp_path, "part", rpm=9, canvas=Canvas((64, 40)))
+        text = card.read_text("utf-8")
+        assert f"levels      gray curve: {said}\n" in text and "light       1 turn of 3 frames, " in text
+        assert not re.search(r"\b1 (turns|times|frames)\b|[{}\[\]]", text)
 
 
 def test_tvam_code_s_own_loop_shows_the_light(tmp_path: Path) -> None:
@@ -282,6 +300,8 @@ def test_the_command_writes_a_machine_s_films(tmp_path: Path, capsys: pytest.Cap
     assert main(["export", job, "--for", "opencal", "--out", out, *words]) == 0
     assert decoded(tmp_path / "boat_6rpm.mp4")[0].shape == (36, 30, 32, 3)
     assert main(["export", job, "--for", "opencal", "--out", out]) == 1 and "lacks --rpm" in capsys.readouterr().err
+    assert main(["export", job, "--mp4", f"{out}/b.mp4", "--rpm", "9", "--fps", "24"]) == 1
+    assert "both give the speed of videos: leave one of them out" in capsys.readouterr().err
     assert main(["export", job, "--npz", f"{out}/a.npz", "--canvas", "32x30"]) == 1
     assert "expected no canvas" in capsys.readouterr().err
     with pytest.raises(StorageError, match="exists"):

@@ -194,12 +194,12 @@ def test_defaults_are_what_constructors_have() -> None:
     ("family", "table", "said"),
     [
         ("vessel", {"kind": "fann"}, "no vessel 'fann'; expected one of .*did you mean 'fan'"),
-        ("vessel", {"kind": "round"}, "no vessel 'round'; expected one of .*: correct the name"),
+        ("vessel", {"kind": "round"}, "no vessel 'round'; expected one of .*: did you mean 'vial' \("),
         ("vessel", {"throw": "3 mm"}, "kind is missing; add kind = one of vial"),
         ("vessel", {"kind": "fan", "throw": "-3 mm"}, r"vessel\.throw: got '-3 mm'; expected a length > 0"),
         ("vessel", {"kind": "vat", "width": "3 mm", "radius": "2 mm"}, "expected at most 1.5 mm"),
         ("wrap", {"step": "200 deg"}, r"(?s)radius is missing.*got '200 deg'; is 3.49066 rad; expected > 0, ≤ 3.14"),
-        ("wobble", {"across": ["1 mm", 2]}, r"wobble\.across\.1: got 2; expected a length with its unit"),
+        ("wobble", {"across": ["1 mm", 2]}, r"wobble\.across, value 2: got 2; expected a length with its unit"),
         ("method", {"kind": "bclp", "response": {"kind": "logistic", "steepness": "a"}}, "response.steepness: got 'a'"),
     ],
 )

@@ -318,11 +318,13 @@ TEXT = f"{PLATE.export(file_type='stl_ascii')}".encode()
     [
         (BINARY, None),
         (b"solid of a program".ljust(80) + BINARY[80:], None),
-        (BINARY + bytes(60), "60 bytes after the last triangle were left out"),
+        (BINARY + bytes(60), "left out: 60 bytes after the last triangle"),
         (BINARY + b"\r\n", "2 bytes after"),
         (BINARY[:80] + bytes(4) + BINARY[84:], "counts 0 triangles, and 12 were read"),
         (BINARY[:80] + b"\xff" * 4 + BINARY[84:], "counts 4,294,967,295 triangles, and 12 were read"),
         (BINARY[:80] + b"\6\0\0\0" + BINARY[84:], "counts 6 triangles, and 12 were read"),
+        (BINARY[:-1], "it ends inside triangle 12, its last, which was left out"),
+        (BINARY[:-49], "it ends inside triangle 12"),
         (TEXT, None),
         (TEXT.upper(), None),
         (TEXT.replace(b"\n", b"\r"), None),
@@ -349,6 +351,7 @@ def test_a_broken_stl_is_read_as_far_as_it_is_whole(data: bytes, said: str | Non
 @pytest.mark.parametrize(
     ("data", "said"),
     [
+        (BINARY[:-50], "12 triangles but ends after 11"),
         (BINARY[:-70], "12 triangles but ends after 10"),
         (TEXT.replace(b"vertex", b"corner", 1), "35 vertices in 12 triangles"),
         (TEXT.replace(b"vertex 5.0", b"vertex nan", 1), "1 of 12 triangles"),

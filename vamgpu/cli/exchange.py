@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import Overwrite, Settings, Switch, console
+from vamgpu.cli.options import Overwrite, Settings, Switch, console, solved_folder
 from vamgpu.cli.show import shown_path
 from vamgpu.errors import BadInput
 
@@ -76,7 +76,7 @@ def import_(
 @app.command
 def export(
     job: Path, *, png: Path | None = None, tiff: Path | None = None, npz: Path | None = None, mp4: Path | None = None,
-    drtvam: Path | None = None, fps: float = 30.0, players: Switch = False, canvas: str | None = None,
+    drtvam: Path | None = None, fps: float | None = None, players: Switch = False, canvas: str | None = None,
     offset: tuple[int, int] = (0, 0), rotation: float = 0.0, flip_r: Switch = False, flip_z: Switch = False,
     repeats: int = 1, rig: Path | None = None, projector: int = 1,
     machine: Annotated[str | None, Parameter(name="--for")] = None, out: Path | None = None, rpm: float | None = None,
@@ -92,7 +92,7 @@ def export(
         npz: one file with bytes, curve and settings for NumPy
         mp4: a video: lossless in gray, or with --players for any player
         drtvam: a folder for Dr.TVAM, with configuration, patterns and part
-        fps: frames per second of the video
+        fps: frames per second of the video, 30 by default
         players: write the video in yuv420p, which projectors and common players decode
         canvas: columns and rows of the images, such as 1920x1080; frames are centered in them
         offset: shift of the frames from that center: columns to the right, rows upwards
@@ -105,7 +105,7 @@ def export(
         machine: machine to write a film and a card for: opencal, tvam-code, rotary or lightcrafter; needs --out and
             --rpm, and --repeats sets the number of turns
         out: the folder for this film and card
-        rpm: speed of that machine's turntable; in videos it replaces --fps
+        rpm: speed of that machine's turntable; in videos it gives the frames per second, in place of --fps
         dark: seconds without light before and after the turns of its film, as whole turns; by default 5 and 10
         channel: the only channel of a video that is lit: red, green or blue
         keystone: pixels, "column,row", at which the left top, right top, right bottom and left bottom corners of the
@@ -117,7 +117,6 @@ def export(
     from vamgpu.printing.export import export as write
     from vamgpu.printing.folder import frames_of
     from vamgpu.printing.machine_films import export_for
-    from vamgpu.storage.atomic import named
     from vamgpu.storage.folder import Folder
 
     places = _places({"": png, ".tiff": tiff, ".npz": npz, ".mp4": mp4})
@@ -126,14 +125,16 @@ def export(
                        "path, or --for with a machine")  # fmt: skip
     if machine is not None and (out is None or rpm is None):
         raise BadInput(f"--for {machine} lacks {'--rpm' if out else '--out'}; expected --out FOLDER --rpm SPEED")
-    job = named(job)
+    if fps is not None and rpm is not None:
+        raise BadInput(f"got --fps {fps:g} and --rpm {rpm:g}; both give the speed of videos: leave one of them out")
+    job = solved_folder(job, "export")
     screen, frames = console(), _frames(job, rig, projector)
+    rate = fps if rpm is None else rpm * frames.shape[0] / 60.0
     placed = Canvas(_size(canvas), offset, rotation, flip_r, flip_z, repeats, keystone=_corners(keystone))
     for ending, place in places.items():
         on = None if placed == Canvas() else placed
         film = {"players": players, "channel": channel} if ending == ".mp4" else {}
-        rate = fps if rpm is None else rpm * frames.shape[0] / 60.0
-        done = write(frames, place, fps=rate, overwrite=overwrite, canvas=on, **film)
+        done = write(frames, place, fps=30.0 if rate is None else rate, overwrite=overwrite, canvas=on, **film)
         screen.print(f"wrote [bold]{shown_path(done)}[/]")
     if machine is not None and out is not None and rpm is not None:
         for done in export_for(machine, frames, out, job.stem, rpm=rpm, canvas=placed, dark=dark, channel=channel,

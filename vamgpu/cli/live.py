@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from vamgpu.cli.options import console
 from vamgpu.errors import BadInput
+from vamgpu.quantity import counted
 
 group: App = App(name="live", help="Replay prints that a camera watched, or make videos of them.")
 
@@ -32,7 +33,7 @@ def replay(run: Path, /) -> None:
         decisions.append(decision)
         same = f"differs in {', '.join(differs)}" if differs else "same"
         more = (
-            f"{decision['turns']} turns to go, overlap {decision['iou']:.4f}"
+            f"{counted(decision['turns'], 'turn')} to go, overlap {decision['iou']:.4f}"
             if decision["parameters"]
             else decision["reason"]
         )
@@ -77,7 +78,7 @@ def _effective(decisions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, st
     swaps = [decision for decision in decisions if decision["action"] == "swap" and "effective" in decision]
     shown = [decision["effective"] - decision["turn"] for decision in swaps if decision["effective"] is not None]
     if shown:
-        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {max(shown)} turns after the last image"
+        yield "shown", f"{len(shown)} of {len(swaps)} swaps, at most {counted(max(shown), 'turn')} after the last image"
     late = [str(decision["turn"]) for decision in swaps if decision["effective"] is None]
     if late:
         yield "late", f"swaps of turns {', '.join(late)} never took effect"

@@ -13,7 +13,9 @@ from rich.console import Console
 from vamgpu.errors import BadInput, Cancelled
 from vamgpu.storage.atomic import named
 
-Settings = Annotated[list[str] | None, Parameter(name="--set", negative="", help="replace a key, as key=value")]
+Settings = Annotated[
+    list[str] | None, Parameter(name="--set", negative="", help="replace a key, as key=value; key= removes it")
+]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative="", help="overwrite existing files")]
 
 
@@ -35,7 +37,10 @@ def console() -> Console:
 
 
 def solved_folder(job: Path, command: str) -> Path:
-    """The folder of a job or a run, for a command. Raises `BadInput` for a job file."""
+    """The folder of a job or a run, for a command. Raises `BadInput` for a job file or a mesh."""
+    if job.suffix.lower() in (".stl", ".ply", ".obj", ".3mf"):
+        raise BadInput(f"{str(job)!r} is a mesh, which has no frames; expected the folder that `vam solve` writes for "
+                       "a job file that names this mesh: vam init job.toml writes one")  # fmt: skip
     if job.suffix.lower() == ".toml":
         folder = job.with_suffix(".vam")
         raise BadInput(f"{str(job)!r} is a job file, which has no frames; expected the folder that `vam solve {job}` "

@@ -18,6 +18,7 @@ from rich.markup import escape
 from vamgpu.cli.commands import app
 from vamgpu.cli.options import Settings, Switch, Whole, console, solved_folder
 from vamgpu.errors import BadInput, DoseWarning, VamError
+from vamgpu.quantity import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,8 +56,8 @@ def print_(
     Args:
         jobs: folders of vials, of webs or of corrected slices, or demo
         rig: the TOML file of the rig, or emulated
-        speed: speed of vials [deg/s], 40 by default, of webs [mm/s] and of slices [mm/h], by default that of the job;
-            or with a unit, such as "48 mm/min"
+        speed: speed of vials [deg/s], by default 40 or the fastest below that fits a video cable; of webs [mm/s] and of
+            slices [mm/h], by default that of the job; or with a unit, such as "9 rpm" or "48 mm/min"
         turns: number of turns of a vial, or the maximum if the print stops by itself; by default as many as the proved
             exposure needs, with the light dimmed to give the proved dose
         stop: scatter density, seen by the rig's camera, at which a vial stops [gray levels/voxel], such as 0.35
@@ -152,9 +153,9 @@ def _check_options(
 
 def _consented(planned: PrintPlan, asks: bool) -> None:
     """Ask before a real print whose proof does not print. Raises `BadInput` unless someone agrees."""
-    if planned.dose is None or planned.dose.proved.right:
+    job, faults = planned.jobs[0].path, planned.faults()
+    if not faults:
         return
-    job, faults = planned.jobs[0].path, planned.dose.proved.faults
     if not (asks and _agreed(f"the proof of {job} does not print: {faults}\nprint it anyway? [y/N] ")):
         raise BadInput(f"the proof of {job!r} does not print: {faults}; expected a job that prints: correct it as `vam "
                        f"prove {job}` says, or print it with --anyway")  # fmt: skip
@@ -382,7 +383,7 @@ def _printed(screen: Console, planned: PrintPlan, order: PrintOrder, board: Boar
     run = read_run(place)
     late = timing(run.shown)["late_ns"]["max"] * 1e-6
     lateness = f"at the mirrors at least {-late:.1f} ms early" if late < 0 else f"at most {late:.1f} ms late"
-    screen.print(f"{state.value}: {len(run.shown)} frames" + (f", {lateness}" if len(run.shown) else ""))
+    screen.print(f"{state.value}: {counted(len(run.shown), 'frame')}" + (f", {lateness}" if len(run.shown) else ""))
     if (light := account(run)) is not None:
         screen.print(f"views   [{'bold' if light.complete else 'yellow'}]{escape(str(light))}[/]")
     if state is PrintState.HELD:

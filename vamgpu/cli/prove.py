@@ -43,7 +43,7 @@ def prove(
         memory: memory limit of the proof, such as 8GB; fields beyond it are kept in files in the folder TMPDIR, and a
             report that needs more is skipped
         rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles where it is shown
-        speed: speed of the rig [deg/s], 40 by default
+        speed: speed of the rig [deg/s], or with a unit; by default that of vam print
         check: exit with 3 if the part does not print
     """
     from vamgpu.backend import within

@@ -14,16 +14,16 @@ ROLES = ("motion", "clock", "display", "light", "lens", "feedback")
 
 
 @group.command
-def check(rig: str, /, *, speed: float | None = None, settings: Settings = None) -> int:
+def check(rig: str, /, *, speed: str | None = None, settings: Settings = None) -> int:
     """List the parts that fill the roles of a rig, and what is guaranteed, watched by a sensor, or only believed.
 
     Args:
         rig: the TOML file of the rig, or emulated
-        speed: speed of vials [deg/s], 40 by default, or of webs [mm/s], 1 by default
+        speed: speed of vials [deg/s], 40 by default, or of webs [mm/s], 1 by default; or with a unit, such as "9 rpm"
     """
-    from vamgpu.geometry import positive
     from vamgpu.hosts.rigs.config import read_rig
     from vamgpu.hosts.rigs.guarantees import driver_of, guarantees, refused
+    from vamgpu.hosts.rigs.planning import speed_of
 
     screen, setup = console(), read_rig(rig, settings or ()).setup
     for role in ROLES:
@@ -31,8 +31,7 @@ def check(rig: str, /, *, speed: float | None = None, settings: Settings = None)
         names = ", ".join(driver_of(part) for part in (parts if isinstance(parts, tuple) else (parts,)) if part)
         screen.print(f"  {role:<12} [bold]{escape(names or 'none')}[/]")
     unit = "deg" if setup.rig.machine in ("vial", "any") else "mm"
-    usual = 40.0 if unit == "deg" else 1.0
-    found = guarantees(setup, usual if speed is None else positive(f"speed [{unit}/s]", speed), unit)
+    found = guarantees(setup, speed_of(speed, "vial" if unit == "deg" else "web", 1.0), unit)
     for one in found:
         screen.print(f"  {one.about:<12} [{'green' if one.holds else 'yellow'}]{escape(str(one))}[/]")
     if refused(found, setup):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import console
+from vamgpu.cli.options import console, solved_folder
 from vamgpu.errors import BadInput
 
 if TYPE_CHECKING:
@@ -24,9 +24,8 @@ def view(job: Path, /, *, device: str | None = None) -> None:
     from vamgpu.cli.progress import shown
     from vamgpu.jobs.run import prove
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.storage.atomic import named
 
-    job = named(job)
+    job = solved_folder(job, "view")
     napari = opened()
     if is_web_folder(job):
         raise BadInput(f"{str(job)!r} is an endless web, which cannot be viewed; write its report: vam prove {job}")

@@ -21,6 +21,10 @@ FEW_VOLUMES, FEW_SINOGRAMS = 15, 18
 BEFORE = 8.0
 """Time before the first evaluation, in evaluations. The estimate was 0.6 to 1.4 of the processor time, on boats of 32
 to 96 voxels in a vial, for 20 and 40 evaluations of the default and of L-BFGS."""
+AFTER = 8.0
+"""Time of packing, writing and the coarse verdict, in evaluations: 3 to 8 on parts of 30 to 66 voxels."""
+COMPILED = 6.0
+"""Time in which the rest of the kernels compile, 30 to 40, over that of the timed ones, if the driver keeps none."""
 PASSES = 20
 """Time of the other work of an evaluation (products of pairs, losses, the window), in sums over patterns."""
 TIMED = 3
@@ -35,13 +39,14 @@ class Expected:
     evaluations: float  # evaluations of the projector, for all corners together
     seconds: float  # time of one evaluation, with the method's other work
     corners: int = 1
+    compiling: float = 0.0  # time in which the rest of the kernels compile
 
     def __str__(self) -> str:
-        whole = (BEFORE * self.corners + self.evaluations) * self.seconds
+        whole = (BEFORE * self.corners + self.evaluations + AFTER) * self.seconds + self.compiling
         lasts = f"about {whole:.2g} s" if whole < 100.0 else f"about {whole / 60.0:.3g} min"
         each = f"{self.evaluations:g} evaluations of {self.seconds:.2g} s"
         each += f", at {self.corners} corners" if self.corners > 1 else ""
-        return f"about {size(self.nbytes)} of memory, {each}: {lasts} in all"
+        return f"about {size(self.nbytes)} of memory, {each}: {lasts} from here to the verdict"
 
 
 def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int = 1) -> Expected:
@@ -55,16 +60,17 @@ def expected(A: Any, target: Any, method: Any, evaluations: float, corners: int 
         cells = sum(prod(each.shape) for each in beside)
         counted = VOLUMES * prod(A.domain.shape) + SINOGRAMS * pixels + CELLS * cells
     light = A.device.upload(np.ones(A.range.shape, np.float32))
-    dose = A.T(light)
-    seconds = _quickest(lambda: total(A(A.T(light, out=dose), out=light))) + PASSES * _quickest(lambda: total(light))
-    return Expected(counted * A.device.real.itemsize, float(evaluations), seconds, corners)
+    dose = A.device.empty(A.domain.shape)
+    evaluation, first = _timed(lambda: total(A(A.T(light, out=dose), out=light)))
+    seconds, compiling = evaluation + PASSES * _timed(lambda: total(light))[0], COMPILED * max(first - evaluation, 0.0)
+    return Expected(counted * A.device.real.itemsize, float(evaluations), seconds, corners, compiling)
 
 
-def _quickest(work: Callable[[], Any]) -> float:
-    """Shortest time of a few runs [s]."""
+def _timed(work: Callable[[], Any]) -> tuple[float, float]:
+    """Shortest time of a few runs, and that of the first one, which compiles [s]."""
     took: list[float] = []
-    for _ in range(1 + TIMED):  # the first one compiles
+    for _ in range(1 + TIMED):
         began = time.perf_counter()
         work()
         took.append(time.perf_counter() - began)
-    return min(took[1:])
+    return min(took[1:]), took[0]

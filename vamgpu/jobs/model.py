@@ -45,7 +45,7 @@ Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
 Missed = Annotated[Positive, Field(description="largest relative error of the width")]
 TOLERANCE = {"tolerance": (Missed, 0.02)}
-LENGTH = Quantity("a length", least=0.0)
+LENGTH = Quantity("a length", least=0.0, example="25 um")
 MOST_ANGLES = 1_000_000
 """Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""
 Plain: Any = Field(default={}, validate_default=True)

@@ -14,13 +14,16 @@ from vamgpu.deprecated import Renamed
 from vamgpu.errors import JobError
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.model import JobFile
-from vamgpu.schema.read import complaint, model_in, nouns_in
+from vamgpu.schema.read import complaint, key_in_words, model_in, nouns_in
 from vamgpu.schema.registry import name_of, nearest_of
 from vamgpu.storage import reading
 from vamgpu.storage.reading import parse_toml
 
 MOST_REPORTED = 100
 """Number of invalid values of a file that one message lists."""
+
+KINDS = {"rig": "a rig", "target": "a job"}
+"""Table by which a file of another kind is known → its kind."""
 
 File = TypeVar("File", bound=BaseModel)
 
@@ -86,7 +89,8 @@ def checked(
     try:
         data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise JobError(f"{source}: not valid TOML: {error}; correct that line") from error
+        remedy = "correct that line" if Path(source).suffix.lower() in ("", ".toml") else "expected a TOML file"
+        raise JobError(f"{source}: not valid TOML: {error}; {remedy}") from error
     return validated(model, data, settings, text=text, source=source, folder=folder, files=files, complete=complete)
 
 
@@ -96,6 +100,11 @@ def validated(
     complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """Tables as a model of a file; arguments and errors as for `checked`; ``text`` yields their lines."""
+    for table, what in KINDS.items():
+        if table in data and table not in model.model_fields:
+            needs = " and ".join(f"[{name}]" for name in KINDS if name in model.model_fields)
+            raise JobError(f"{source} is the file of {what}, with a table [{table}]; expected another file"
+                           f"{needs and f', with {needs}'}: check the path")  # fmt: skip
     replaced = {_replace(data, setting) for setting in settings}
     if complete is not None:
         complete(data)
@@ -120,7 +129,7 @@ def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
 
 
 def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
-    """Put ``key=value`` into the data; the value is TOML (``false`` is false), or else plain text."""
+    """Put ``key=value`` into the data; the value is TOML (``false`` is false) or else plain text; none removes it."""
     dotted, separator, text = setting.partition("=")
     key = tuple(part.strip() for part in dotted.split("."))
     if not separator or not all(key):
@@ -130,7 +139,10 @@ def _replace(data: dict[str, Any], setting: str) -> tuple[str, ...]:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
             raise JobError(f"--set {setting}: {part!r} is {table!r}, not a table; name a key of the job file")
-    table[key[-1]] = toml_value(text.strip())
+    if text.strip():
+        table[key[-1]] = toml_value(text.strip())
+    elif table.pop(key[-1], None) is None:
+        raise JobError(f"--set {setting}: removes a key that the file lacks; leave it out, or correct the name")
     return key
 
 
@@ -149,19 +161,18 @@ def _complaint(
 ) -> str:  # fmt: skip
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     parts = (*entry["loc"], *(int(part) if str(part).isdigit() else part for part in between))
-    key = tuple(map(str, parts))
     named = tuple(str(part) for part in parts if not isinstance(part, int))
     if any(named[: len(changed)] == changed for changed in replaced):
         place = "--set"
     else:
         line = line_of(lines, _numbered(parts, named, lines))
         place = f"{source}, line {line}" if line else source
-    if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and key[-1].isdigit():
-        key = key[:-1]  # a missing value in a list has no name
-    subject = ".".join(key) or "job"
+    if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and isinstance(parts[-1], int):
+        parts = parts[:-1]  # a missing value in a list has no name
+    subject = key_in_words(parts, data) or "job"
     if entry["type"] == "extra_forbidden":
         return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
-    return f"{place}: {subject}{complaint(entry, _remedy(key))}"
+    return f"{place}: {subject}{complaint(entry, _remedy(parts, data))}"
 
 
 def _numbered(key: tuple[Any, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
@@ -212,10 +223,12 @@ def _of_another_kind(key: tuple[str, ...], file: type[BaseModel], data: dict[str
     return f'it is one of {others}, and this table {is_} "{own}"; set the {nouns.word}, or remove the key'
 
 
-def _remedy(key: tuple[str, ...]) -> str:
+def _remedy(key: tuple[Any, ...], data: dict[str, Any]) -> str:
     if not key:
         return "add it"
-    return f"add the table [{key[0]}]" if len(key) == 1 else f"add {key[-1]} = … to [{'.'.join(key[:-1])}]"
+    table = key_in_words(key[:-1], data)
+    within = table if table.startswith("[[") else f"[{table}]"
+    return f"add {key[-1]} = … to {within}" if table else f"add the table [{key[0]}]"
 
 
 read_job: Callable[..., Job] = Job.read

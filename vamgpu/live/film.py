@@ -13,6 +13,7 @@ from vamgpu.geometry import positive
 from vamgpu.live.loop import Decision
 from vamgpu.live.maps import BRIGHT, cuts
 from vamgpu.live.record import LiveRecord
+from vamgpu.quantity import counted
 from vamgpu.reports import style
 from vamgpu.storage.films import write_film
 
@@ -54,7 +55,7 @@ def drawn(part: np.ndarray, frames: np.ndarray, decisions: Sequence[Decision], o
             axes[panel].grid(False)
             style.bare(axes[panel])
         _curves(axes["p"], decisions, count)
-        figure.suptitle(f"after turn {now.turn}: {now.action}, light {now.version}, {now.turns} turns to go",
+        figure.suptitle(f"after turn {now.turn}: {now.action}, light {now.version}, {counted(now.turns, 'turn')} to go",
                         x=0.01, ha="left", fontweight="bold")  # fmt: skip
     return figure
 

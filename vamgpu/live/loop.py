@@ -27,6 +27,7 @@ from vamgpu.metrics.histogram import above
 from vamgpu.metrics.parts import IN, Parts
 from vamgpu.operators.compose import combine
 from vamgpu.operators.reductions import total
+from vamgpu.quantity import counted
 
 SIGNIFICANT = 0.1
 """Smallest conversion that counts as seen."""
@@ -223,7 +224,7 @@ class LiveLoop:
             if doubt:
                 decision = self._by_plan(at, doubt)
             elif at.turn % self.every:
-                decision = self._kept(at, f"decided after every {self.every} turns")
+                decision = self._kept(at, f"decided after every {counted(self.every, 'turn')}")
             else:
                 depths = self.tomograph.measure(frames)
                 seen = self.tomograph.see(depths, seen, iterations=self.iterations)

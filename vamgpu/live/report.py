@@ -12,6 +12,7 @@ import numpy as np
 from vamgpu.live.maps import cuts
 from vamgpu.live.printer import Truth
 from vamgpu.live.record import LiveRecord, LiveSetup, budget
+from vamgpu.quantity import counted
 from vamgpu.reports import chart
 from vamgpu.reports.page import Card, Chart, Figure, Image, Images, Page, Table
 
@@ -66,7 +67,8 @@ def page(
         part = record.part()
         picture = Image(chart.picture(cuts(conversion, part, 1.0, "viridis")), "across and along the axis")
         cards.insert(1, Card("Final conversion", Images([picture], "panels", 1), note="The part is outlined."))
-    verdict = (f"The camera measured {len(decisions)} turns; the remaining light was replaced {swaps} times." if found
+    verdict = (f"The camera measured {counted(len(decisions), 'turn')}; the remaining light was "
+               f"replaced {counted(swaps, 'time')}." if found
                else "The camera measured nothing that could change the light; the print ran as planned.")  # fmt: skip
     if doubted:
         verdict = (

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.geometry import positive
 from vamgpu.metrics.line import Line
+from vamgpu.quantity import counted
 
 if TYPE_CHECKING:
     from vamgpu.printing.proof import Proof
@@ -120,9 +121,4 @@ class GivenDose:
         """The dimming of the light, and the dose without it."""
         share = f"{100 * self.lit:.1f} %"
         what = f"the lamp has {share} of its drive" if self.drive else f"frames are lit for {share} of their time"
-        return f"{what}; otherwise {counted(self.turns)} would give {self.share / self.lit:.3f} of the dose"
-
-
-def counted(turns: int) -> str:
-    """A number of turns in words."""
-    return f"{turns} turn{'s' * (turns != 1)}"
+        return f"{what}; otherwise {counted(self.turns, 'turn')} would give {self.share / self.lit:.3f} of the dose"

@@ -133,6 +133,11 @@ class GrayCurve:
             raise BadInput(f"got the keys {', '.join(map(str, table)) or 'none'}; expected levels and intensity")
         return cls(table["levels"], table["intensity"])
 
+    def __str__(self) -> str:
+        half = float(np.interp(0.5, self.intensity, self.levels))
+        shape = "linear in light" if len(self.levels) == 2 else f"half of full light at level {half:.0f}"
+        return f"{shape}, black level {100 * self.black:.3g} % of full light" if self.black else shape
+
     def describe(self) -> dict[str, Any]:
         """The curve as plain lists, for files; `parse` reads it back."""
         return {"levels": list(self.levels), "intensity": list(self.intensity)}

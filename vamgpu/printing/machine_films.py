@@ -12,7 +12,7 @@ import numpy as np
 
 from vamgpu.errors import BadInput
 from vamgpu.printing.export import Canvas, export
-from vamgpu.quantity import positive
+from vamgpu.quantity import counted, positive
 from vamgpu.storage.atomic import check_folder, replacing
 from vamgpu.storage.images import encode_png
 
@@ -100,18 +100,19 @@ def _card(film: Film, machine: str, made: Path, levels: str) -> str:
     """What to set at the machine."""
     n, canvas, turn = film.frames.shape[0], film.canvas, 60.0 / film.rpm
     before, after = (each // n for each in canvas.dark)
-    light, seconds = f"{canvas.repeats} turns of {n} frames", f"{canvas.repeats * turn:.6g} s"
+    light, seconds = f"{counted(canvas.repeats, 'turn')} of {counted(n, 'frame')}", f"{canvas.repeats * turn:.6g} s"
+    dark = [f"{counted(each, 'turn')} ({each * turn:.6g} s)" for each in (before, after)]
     lines = [
         f"{made.name} for {machine}",
         f"turn at     {film.rpm:g} rpm = {6.0 * film.rpm:g} deg/s, one turn in {turn:.6g} s",
         f"light       {light}, {film.fps:.6g} frames per second, {seconds}",
-        f"dark        {before} turns ({before * turn:.6g} s) before, {after} turns ({after * turn:.6g} s) after"
-        if after else "dark        none in the files",
+        f"dark        {dark[0]} before, {dark[1]} after" if after else "dark        none in the files",
         f"image       {canvas.size[0]} x {canvas.size[1]} pixels, light in {film.channel or 'all channels'}"
         if canvas.size else "",
         f"levels      {levels}",
     ]  # fmt: skip
-    words = {"turns": canvas.repeats, "speed": 6.0 * film.rpm, "name": made.name}
+    words = {"turns": canvas.repeats, "times": counted(canvas.repeats, "time")}
+    words |= {"speed": 6.0 * film.rpm, "name": made.name}
     notes = (note.format(**words) for note in MACHINES[machine].notes)
     return "\n".join([*lines, *notes, ""])
 
@@ -119,7 +120,7 @@ def _card(film: Film, machine: str, made: Path, levels: str) -> str:
 def _film(film: Film, place: Path) -> tuple[Path, str]:
     made = export(film.frames, place, fps=film.fps, overwrite=film.overwrite, canvas=film.canvas,
                   players=film.channel is None, channel=film.channel)  # fmt: skip
-    return made, f"gray curve {film.frames.gray.describe()}"
+    return made, f"gray curve: {film.frames.gray}"
 
 
 def _opencal(film: Film, folder: Path) -> tuple[Path, str]:
@@ -163,7 +164,7 @@ def _lightcrafter(film: Film, folder: Path) -> tuple[Path, str]:
         for number, (first, second, third) in enumerate(zip(images, images, images, strict=True)):
             colors = np.stack([second, first, third], 2)
             (draft / f"{number:04d}.png").write_bytes(encode_png(colors))
-    return place, f"gray curve {film.frames.gray.describe()}"
+    return place, f"gray curve: {film.frames.gray}"
 
 
 MACHINES = {
@@ -179,7 +180,7 @@ MACHINES = {
         "Start the turntable before the film; the film ends in the dark.",
     )),
     "lightcrafter": Machine((912, 1140), 120.0, 600.0, None, _lightcrafter, (
-        "Each image holds three frames of 8 bits, in green, red and blue: show them in this order, {turns} times.",
+        "Each image holds three frames of 8 bits, in green, red and blue: show them in this order, {times}.",
         "Switch the light off after the last turn.",
     )),
 }  # fmt: skip

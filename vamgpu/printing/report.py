@@ -21,6 +21,7 @@ from vamgpu.printing.pictures import GAMMA
 from vamgpu.printing.proof import Proof, efficiency
 from vamgpu.printing.summary import headline, summary
 from vamgpu.printing.verdict import verdict_of
+from vamgpu.quantity import counted
 from vamgpu.reports.page import Card, Chart, Figure, Images, Legend, Numbers, Page, Papers, Slices, SurfaceView, Table
 
 BYTES_A_VOXEL = 1800
@@ -189,8 +190,9 @@ def _asked(proof: Proof, target: np.ndarray) -> np.ndarray:
 def _frames_note(proof: Proof) -> str:
     angles, columns, rows = proof.operator.range.shape
     bits = getattr(proof.frames, "bits", None)
-    depth = f" of {bits} bit{'s' * (bits > 1)}" if bits else ""
-    return f"{angles} frames of {columns} × {rows} pixels{depth}; full-on is white, shown with a gamma of {GAMMA:g}."
+    depth = f" of {counted(bits, 'bit')}" if bits else ""
+    frames = f"{counted(angles, 'frame')} of {columns} × {rows} pixels{depth}"
+    return f"{frames}; full-on is white, shown with a gamma of {GAMMA:g}."
 
 
 def _setup(proof: Proof, plan: Any) -> list[tuple[str, str]]:

@@ -10,11 +10,11 @@ from vamgpu.metrics.line import length
 from vamgpu.metrics.surface_judgement import SurfaceJudgement
 from vamgpu.printing import charts
 from vamgpu.printing.exposure import USUAL
-from vamgpu.printing.given_dose import counted
 from vamgpu.printing.judgement import DEEP, Judgement
 from vamgpu.printing.proof import Proof
 from vamgpu.printing.tolerances import ToleranceRow, ToleranceTable
 from vamgpu.printing.verdict import Verdict
+from vamgpu.quantity import counted
 from vamgpu.reports.page import Card, Chart, Figure, Numbers, Tolerances
 
 WORDS = {
@@ -63,7 +63,7 @@ def _given(proof: Proof) -> list[Figure]:
     if proof.given is None:
         return []
     dose = proof.given
-    turns = f"{counted(dose.turns)} in {dose.seconds:.1f} s"
+    turns = f"{counted(dose.turns, 'turn')} in {dose.seconds:.1f} s"
     return [Figure(f"×{dose.share:.3f}", "dose given over proved", f"{turns}; {dose.verdict}")]
 
 
@@ -71,8 +71,9 @@ def _time(proof: Proof) -> list[Figure]:
     """The exposure time, if it is known."""
     if proof.exposure is None:
         return []
-    turns = f"{proof.exposure.turns():.3g} turns at {USUAL:g} deg/s; until resin at the threshold is solid"
-    return [Figure(f"{proof.exposure.seconds:.3g} s", "exposure", turns)]
+    turns = counted(proof.exposure.turns(), "turn", ".3g")
+    note = f"{turns} at {USUAL:g} deg/s; until resin at the threshold is solid"
+    return [Figure(f"{proof.exposure.seconds:.3g} s", "exposure", note)]
 
 
 def _beyond(proof: Proof) -> list[Figure]:

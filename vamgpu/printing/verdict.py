@@ -11,6 +11,7 @@ from vamgpu.metrics.body_changes import BodyChanges
 from vamgpu.metrics.line import length
 from vamgpu.printing.causes import Causes
 from vamgpu.printing.exposure import USUAL
+from vamgpu.quantity import counted
 
 if TYPE_CHECKING:
     from vamgpu.printing.judgement import Judgement
@@ -102,7 +103,7 @@ def verdict_of(proof: Proof, judgement: Judgement) -> Verdict:
     shares = [f"{_percent(1.0 - low)} lower"] * (low > 0.0) + [f"{_percent(most - 1.0)} higher"] * isfinite(most)
     latitude = f"; the dose may be {' to '.join(shares)}" if shares else ""
     times = proof.exposure
-    exposed = f"; {times.seconds:.3g} s, {times.turns():.3g} turns at {USUAL:g} deg/s" if times else ""
+    exposed = f"; {times.seconds:.3g} s, {counted(times.turns(), 'turn', '.3g')} at {USUAL:g} deg/s" if times else ""
     near = "" if nothing else f", 95 % of the surface within {length(surface.p95)}"
     return Verdict(tuple(faults), f"{_made(surface.changes)}{near}{latitude}{exposed}", (low, most), proof.independent,
                    judgement.not_judged)  # fmt: skip

@@ -33,6 +33,7 @@ class Quantity:
     endless: bool = False  # Python accepts inf; files omit such keys
     whole: bool = False
     usual: tuple[float, float] | None = None  # lengths [mm] outside this range must state their unit
+    example: str = ""  # how errors say to write it; by default that of its kind
 
     @property
     def unit(self) -> str:
@@ -70,7 +71,8 @@ class Quantity:
     def read(self, text: Any) -> float:
         """A number from text with its unit; raises `ValueError`."""
         signed = max(self.above, self.least) < 0.0
-        value = parse(text, str(self.kind), zero=self.least == 0.0, signed=signed) / self.scale
+        value = parse(text, str(self.kind), zero=self.least == 0.0, signed=signed, example=self.example)
+        value /= self.scale
         if not self._holds(value):
             shown = f"{value * self.scale / NAMES[self.unit]:.6g} {self.unit}"
             raise ValueError(f"is {shown}; expected {self.bounds}: correct the value")
@@ -112,7 +114,7 @@ class Quantity:
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         if self.kind is None:
             return handler(schema)
-        return {"type": "string", "examples": [EXAMPLES[self.kind]]}
+        return {"type": "string", "examples": [self.example or EXAMPLES[self.kind]]}
 
 
 def measured(name: str, value: Any, kind: Any) -> float:
@@ -138,14 +140,14 @@ def finite(name: str, value: Any) -> float:
 
 
 Length = Annotated[float, Quantity("a length", above=0.0)]
-Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0))]
+Pitch = Annotated[float, Quantity("a length", above=0.0, usual=(0.0, 25.0), example="50 um")]
 """The edge of a voxel."""
-PixelPitch = Annotated[float, Quantity("a length", above=0.0, usual=(1e-4, 25.0))]
+PixelPitch = Annotated[float, Quantity("a length", above=0.0, usual=(1e-4, 25.0), example="67 um")]
 VesselRadius = Annotated[float, Quantity("a length", above=0.0, usual=(0.05, 1000.0))]
 Thickness = Annotated[float, Quantity("a length", least=0.0)]
 Far = Annotated[float, Quantity("a length", above=0.0, endless=True)]
 """A length that may be infinite."""
-Width = Annotated[Any, Quantity("a length", least=0.0)]
+Width = Annotated[Any, Quantity("a length", least=0.0, example="25 um")]
 """A length; constructors also take a calibration in its place."""
 Place = Annotated[float, Quantity("a length")]
 """A length that may be negative."""
@@ -173,7 +175,10 @@ Background = Annotated[float, Quantity("an irradiance", least=0.0)]
 Dose = Annotated[float, Quantity("a dose", above=0.0)]
 Speed = Annotated[float, Quantity("a speed", above=0.0)]
 Time = Annotated[float, Quantity("a time", least=0.0)]
-ExposureTime = Annotated[float, Quantity("a time", above=0.0)]
+ExposureTime = Annotated[float, Quantity("a time", above=0.0, example="20 s")]
+FrameTime = Annotated[float, Quantity("a time", above=0.0)]
+PauseTime = Annotated[float, Quantity("a time", least=0.0, example="30 s")]
+Age = Annotated[float, Quantity("a time", least=0.0, example="90 d")]
 Rate = Annotated[float, Quantity("a rate", above=0.0)]
 Density = Annotated[float, Quantity("a density", above=0.0)]
 Viscosity = Annotated[float, Quantity("a viscosity", above=0.0)]

@@ -84,7 +84,8 @@ class Nouns:
         kind = as_known(kind, kinds)
         if kind not in kinds:
             what = " or ".join(dict.fromkeys(kinds.values()))
-            raise BadInput(f"no {what} {kind!r}; expected one of {', '.join(kinds)}{remedy(what, kind, kinds)}")
+            named = what if word == NOUN_WORD else word
+            raise BadInput(f"no {named} {kind!r}; expected one of {', '.join(kinds)}{remedy(what, kind, kinds)}")
         return find(kinds[kind], kind)
 
     def having(self, key: str) -> list[str]:
@@ -271,7 +272,7 @@ def read(
     try:
         return nouns.read(table, _Info(context))
     except ValidationError as error:
-        said = (f"{name}.{'.'.join(map(str, entry['loc']))}{complaint(entry)}" for entry in error.errors())
+        said = (f"{name}.{key_in_words(entry['loc'], table)}{complaint(entry)}" for entry in error.errors())
         raise BadInput("\n".join(said)) from error
 
 
@@ -280,6 +281,24 @@ class _Info:
 
     def __init__(self, context: dict[str, Any]) -> None:
         self.context = context
+
+
+def key_in_words(key: Iterable[str | int], data: Any) -> str:
+    """A key of a file's data as its reader sees it: ``[[display]] 1, size, value 2``."""
+    said, names, value, parts = [], [], data, tuple(key)
+    for number, part in enumerate(parts):
+        if not isinstance(part, int):
+            names.append(part)
+            value = value.get(part) if isinstance(value, Mapping) else None
+        elif isinstance(value, (list, tuple)):  # otherwise a table that may be one or several
+            value = value[part] if part < len(value) else None
+            table = ".".join(names)
+            if isinstance(value, Mapping) or not all(isinstance(each, int) for each in parts[number + 1 :]):
+                said.append(f"[[{table}]] {part + 1}")
+            else:
+                said += [table, f"value {part + 1}"]
+            names = []
+    return ", ".join(each for each in (*said, ".".join(names)) if each)
 
 
 def complaint(entry: Any, remedy: str = "add it") -> str:

@@ -232,9 +232,15 @@ def find(name: str, kind: str) -> type[Any]:
 
 
 def remedy(name: str, kind: str, known: Iterable[str]) -> str:
-    """End of an error message: the replacement of a removed kind, or the known name that an unknown one resembles."""
+    """End of an error message: what replaces a removed kind, or the known one that fits an unknown one."""
     instead = REPLACED.get((name, _plain(kind)))
-    return f": {instead} replaces it" if instead else nearest(kind, known)
+    if instead:
+        return f": {instead} replaces it"
+    docs = {each: (load(FAMILIES[name].nouns[each]).__doc__ or "").partition(".")[0] for each in known
+            if name in FAMILIES}  # fmt: skip
+    word = re.compile(rf"\b{re.escape(kind)}\b", re.IGNORECASE)
+    meant = next((each for each, doc in docs.items() if len(kind) > 2 and word.search(doc)), None)
+    return nearest(kind, known) if meant is None else f": did you mean {meant!r} ({docs[meant]})?"
 
 
 def as_known(name: str, known: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vamgpu.errors import MeshError
+from vamgpu.quantity import counted
 from vamgpu.targets.solid import unmatched_edges
 
 Corners = npt.NDArray[np.float64]
@@ -32,6 +33,9 @@ def _binary(data: bytes, name: str) -> tuple[Corners, tuple[str, ...]]:
     count, room = int.from_bytes(data[80:HEAD], "little"), max(0, len(data) - HEAD) // RECORD.itemsize
     corners = np.frombuffer(data, RECORD, room, HEAD)["corners"].astype(float) if room else np.zeros((0, 3, 3))
     kept = min(count, room)
+    rest = len(data) - HEAD - room * RECORD.itemsize
+    if count == room + 1 and rest > 0 and room:
+        return corners, (f"it ends inside triangle {count:,}, its last, which was left out",)
     if count != room and not _is_closed(corners[:kept]):
         if _is_closed(corners):
             kept = room
@@ -40,7 +44,7 @@ def _binary(data: bytes, name: str) -> tuple[Corners, tuple[str, ...]]:
                             "STL: copy or export it again")  # fmt: skip
     notes = (f"its header counts {count:,} triangles, and {kept:,} were read",) if kept != count else ()
     if rest := len(data) - HEAD - kept * RECORD.itemsize:
-        notes += (f"{rest:,} bytes after the last triangle were left out",)
+        notes += (f"left out: {counted(rest, 'byte', ',')} after the last triangle",)
     return corners[:kept], notes
 
 

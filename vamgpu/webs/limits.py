@@ -15,6 +15,7 @@ from vamgpu.geometry import Beam, positive
 from vamgpu.optics.lens import TunableLens
 from vamgpu.optics.roller import Roller
 from vamgpu.printing.focus import FocusMasks, bins_needed
+from vamgpu.quantity import counted
 from vamgpu.schema import check
 from vamgpu.schema.quantities import Density, Length, Speed, Viscosity
 from vamgpu.units import kg_m3
@@ -137,15 +138,16 @@ class WebLimits:
     def speeds(self) -> tuple[SpeedLimit, ...]:
         """The greatest speed that each part allows by itself, and that of all of them in sequence (S17–S20)."""
         shown, bins, moves = self.display, self.lens.bins, self.moves
+        frames = f"{counted(bins, 'frame')} an angle"
         parts = {
-            "mirrors": (bins / shown.rate, f"{bins} frames an angle at {shown.rate:g} Hz"),
+            "mirrors": (bins / shown.rate, f"{frames} at {shown.rate:g} Hz"),
             "lens": (moves * self.lens.settle, f"{moves} moves an angle of {1e3 * self.lens.settle:.3g} ms"),
             "serial line": (moves * shown.wire, f"{moves} commands an angle of {1e3 * shown.wire:.3g} ms"),
         }
         longest = max(parts, key=lambda name: parts[name][0])
         share = f"{100 * parts[longest][0] / self.pose_time:.0f} % of them for the {longest}"
         parts["all in turn"] = (self.pose_time, f"{1e3 * self.pose_time:.3g} ms an angle, {share}")
-        parts["data link"] = (bins * shown.nbytes / shown.link, f"{bins} frames an angle of {shown.nbytes:,} bytes")
+        parts["data link"] = (bins * shown.nbytes / shown.link, f"{frames} of {shown.nbytes:,} bytes")
         return tuple(
             SpeedLimit(name, inf if time == 0 else self.advance / time, reason)
             for name, (time, reason) in parts.items()

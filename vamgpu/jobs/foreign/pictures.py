@@ -16,6 +16,7 @@ from vamgpu.printing.export import Canvas
 from vamgpu.printing.frames import Frames
 from vamgpu.printing.gray import GrayCurve
 from vamgpu.printing.placement import Placement
+from vamgpu.quantity import counted
 from vamgpu.storage.films import read_film
 from vamgpu.storage.images import read_exr, read_image
 from vamgpu.storage.memory import afford
@@ -51,7 +52,8 @@ def read_pictures(path: Path, layout: Layout) -> ForeignPatterns:
         return _ours(levels, remark, path)
     turn = levels.shape[0] if layout.angles is None else layout.angles
     if not 0 < turn <= levels.shape[0]:
-        raise BadInput(f"{str(path)!r} has {levels.shape[0]} images; expected at least the {turn} of one turn")
+        images = counted(levels.shape[0], "image")
+        raise BadInput(f"{str(path)!r} has {images}; expected at least the {turn} of one turn")
     light = _light(levels[:turn], layout.gray)
     light = light[:, ::-1] if not layout.flip_z else light  # now row 0 is the smallest z
     light = light[:, :, ::-1] if layout.flip_r else light
