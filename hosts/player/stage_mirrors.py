@@ -41,7 +41,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         self._ended: int | None = None
 
     def _gate(self) -> tuple[Lamp, Renew]:
-        return gate(self.machines.controller, self.machines.lamp, self.schedule)
+        return gate(self.machines.controller, self.machines.lamp, range(self.schedule.engines), self.schedule.power[0])
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:

@@ -260,22 +260,30 @@ def _alike(loaded: tuple[PrintJob, ...], rig: RigConfig) -> None:
 def _speed(first: PrintJob, speed: float | Fraction | str | None) -> float:
     """Speed in deg/s or mm/s."""
     unit = UNITS[first.kind]
+    if first.kind == "vial":
+        return vial_speed(speed)
     if speed is None:
-        going = USUAL if first.kind == "vial" else first.speed
-        if going is None:
+        if first.speed is None:
             raise BadInput(f"{first.path!r} has no speed; give its speed [{unit}]")
-        return going
-    if isinstance(speed, Fraction):
-        speed = float(speed)
-    if isinstance(speed, str) and first.kind != "vial" and not _number(speed):
+        return first.speed
+    if isinstance(speed, str) and not _number(speed):
         try:
             return parse(speed, "a speed")
         except ValueError as error:
             raise BadInput(f"speed {speed!r}: {error}, or a plain number of {unit}") from error
-    text = str(speed).removesuffix("deg/s").strip()
+    return _plain(speed, unit) / (HOUR if first.kind == "slices" else 1.0)
+
+
+def vial_speed(speed: float | Fraction | str | None) -> float:
+    """Speed of a vial [deg/s]; None takes the usual one. Raises `BadInput`."""
+    return USUAL if speed is None else _plain(speed, UNITS["vial"])
+
+
+def _plain(speed: float | Fraction | str, unit: str) -> float:
+    text = str(float(speed) if isinstance(speed, Fraction) else speed).removesuffix("deg/s").strip()
     if not _number(text):
         raise BadInput(f'speed is {speed!r}; expected a number of {unit} > 0: write it like "{USUAL:g} {unit}"')
-    return float(text) / (HOUR if first.kind == "slices" else 1.0)
+    return float(text)
 
 
 def _number(text: str) -> bool:
