@@ -16,6 +16,7 @@ from vamgpu.live.sensor import BeamImages, SensorView
 from vamgpu.optics.vial import Vial
 from vamgpu.storage.numpy_files import read_npz
 
+GUESSED = 0.2  # relative error of a turbidity that was not measured
 DIGITS = 2  # of the open field in a run's record [gray levels]
 
 
@@ -88,7 +89,7 @@ def _measured(found: Calibration) -> RedCamera:
     camera = RedCamera(open_field, noise, view=view)
     full = numbers.get("turbidity")
     if full is None:
-        return camera
+        return replace(camera, turbidity=replace(camera.turbidity, error=GUESSED))
     error = float(numbers["turbidity_error"]) / float(full)
     return replace(camera, turbidity=Turbidity((0.0, 1.0), (0.0, float(full)), error=error))
 
