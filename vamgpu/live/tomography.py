@@ -263,7 +263,7 @@ class Tomograph:
         """A·1, the length of every ray in the grid."""
         return self.operator(self._ones)
 
-    def bound(self, depths: OpticalDepths) -> DeviceArray:
+    def _step_bound(self, depths: OpticalDepths) -> DeviceArray:
         """Length of a step in each voxel; that of the last depths is kept."""
         if self._bound is None or self._bound[0]() is not depths:
             device, A = self._device, self.operator
@@ -292,7 +292,7 @@ class _Descent:
     ) -> None:  # fmt: skip
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
         self._depth, self._weight, self._pixels = depth, depths.weight, depths.pixels
-        device, self._projected, self._length = self._A.device, projected, tomograph.bound(depths)
+        device, self._projected, self._length = self._A.device, projected, tomograph._step_bound(depths)
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)
         self.field, (self._ahead, self._slope, self._part, self._next) = (
             start, (device.empty(start.shape) for _ in range(4))
