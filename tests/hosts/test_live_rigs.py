@@ -40,7 +40,9 @@ rotation = 90
 """
 SLOW = ("lightcrafter_kcube", "pi_video_stepper", "vialux_zaber")
 EACH = [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in NAMES]
-LIVE = [each for each in EACH if each.values != ("roll_bench",)]
+LIVE = [
+    pytest.param(name, marks=[] if name == "epfl" else [pytest.mark.slow]) for name in NAMES if name != "roll_bench"
+]
 SIZE, PITCH, VIEW = (24, 64), 0.2, (120, 160)
 SPEED = 36.0  # whole video frames for each of 40 angles
 
