@@ -1,4 +1,7 @@
-"""Five generations of resin x what is off x how the print is ended: overlap, window, surface and exposure, proved."""
+"""Five generations of resin x what is off x how the print is ended: overlap, window, surface and exposure, proved.
+
+With ``--disturbed``: what no part of the loop models, in a print that shares nothing with the library.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import vamgpu
+from profiling.independent_print import DISTURBED, Disturbance, IndependentPrint
 from vamgpu.live import LiveLoop, SensorNoise, Turbidity
 from vamgpu.live.printer import GENERATIONS, CuringResin, Truth, VirtualPrinter
 from vamgpu.live.record import LiveSetup
@@ -63,6 +67,10 @@ def _all(setup: LiveSetup, more: float) -> LiveSetup:
 BELIEVED = {"gel point": _gel, "rate": _rate, "dark reaction": _dark, "turbidity": _turbidity, "all four": _all}
 """What the loop may believe to be more than it is: the conversion that is solid; the rate of curing, where the dose
 that is solid was measured; the life of radicals; the extinction of cured resin."""
+SHORT, FALSE = 0.005, 0.01
+"""Overlap below that of the best stop, and above the true one in a prediction, that a live print may have."""
+BEYOND = 4
+"""Turns without a better overlap after which the best stop is known."""
 KEY = ("generation", "off", "policy", "seed", "believed")
 RECORD = Path(__file__).parent / "records" / "live-cpu.json"
 OFTEN = 20.0
@@ -201,6 +209,72 @@ class Bench:
         }  # fmt: skip
 
 
+class DisturbedBench:
+    """A part without a mirror plane, its plan, and independent prints of it."""
+
+    def __init__(self, size: int, angles: int, device: str = "", known: dict[str, Any] | None = None) -> None:
+        bench = Bench(size, angles, device, {"light": None, "density": 0.0, "solid": CuringResin().solid})
+        self.plan, self.part = bench.plan, cross(*np.meshgrid(*bench.plan.grid.axes(), indexing="ij"))
+        self.setup, self.scale = bench.setup, 1.0
+        self.known = self._calibrated() if known is None else known
+        self.light, self.scale, self.best = (self.known[name] for name in ("light", "scale", "best"))
+        unmeasured = replace(bench.setup.turbidity, error=0.2)
+        self.setup = replace(bench.setup, resin=CuringResin(solid=self.known["solid"]), turbidity=unmeasured)
+
+    def _calibrated(self) -> dict[str, Any]:
+        """What a user knows of the plan printed in fresh resin: its dose, and where it is solid."""
+        light = (np.asarray(optimize(self.plan, self.part, iterations=40).sinogram) / PLANNED).astype(np.float32)
+        fresh, inside = self.printer(Disturbance(inhibitor=1.0)), self.part > 0.5
+        dose = sum((fresh.exposed(light, angle, 0.0) for angle in range(self.setup.angles)), np.zeros(()))
+        dose = dose.reshape(*(length for n in self.part.shape for length in (n, 2))).mean((1, 3, 5))[inside]
+        expected = np.asarray(self.plan.T(self.plan.device.upload(light)).numpy())[inside]
+        self.scale = float((expected * dose).sum() / (dose**2).sum())
+        fresh, levels = self.printer(Disturbance(inhibitor=1.0)), np.arange(0.72, 1.0, 0.005)
+        for _ in range(PLANNED):
+            fresh.turn(light)
+        found = np.array([fresh.overlap(self.part, float(CuringResin().conversion(level))) for level in levels])
+        solid = float(levels[found >= found.max() - 1e-9].mean())
+        return {"light": light, "scale": self.scale, "solid": solid, "fresh": float(found.max()), "best": {}}
+
+    def printer(self, off: Disturbance, seed: int = 0) -> IndependentPrint:
+        setup = self.setup
+        return IndependentPrint(
+            setup.shape, setup.pitch, setup.pixels[0], setup.angles, off, setup.resin, setup.turbidity.full,
+            setup.open_field, setup.noise, seed, self.scale,
+        )  # fmt: skip
+
+    def best_stop(self, off: Disturbance) -> float:
+        """Greatest overlap of the planned light, whenever it ends."""
+        printer, found = self.printer(off.of_light), [0.0]
+        while printer.turns < LONGEST and (max(found) == 0.0 or max(found) not in found[:-BEYOND]):
+            printer.turn(self.light)
+            found.append(printer.overlap(self.part))
+        return max(found)
+
+    def printed(self, cell: tuple[str, int]) -> dict[str, Any]:
+        """A live print: overlap, the greatest one of the planned light, what the loop predicted, and its alarm."""
+        began, (name, seed) = time.perf_counter(), cell
+        off = DISTURBED[name]
+        printer, loop = self.printer(off, seed), self.setup.loop(self.part, self.light)
+        state, decision = loop.start(), None
+        while decision is None or (decision.action != "stop" and printer.turns < LONGEST):
+            printer.turn(np.asarray(state.light))
+            state, decision = loop.decide(state, printer.images())
+        return {
+            "disturbed": name, "seed": seed, "best_stop": self.best_stop(off), "iou": printer.overlap(self.part),
+            "predicted": decision.iou, "turns": printer.turns, "alarm": decision.doubt,
+            "seconds": time.perf_counter() - began,
+        }  # fmt: skip
+
+
+def cross(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A tube off the axis, two fins, a post and a base, without a mirror plane; walls two voxels thick."""
+    tube = np.abs(np.hypot(x - 0.55, y - 0.3) - 0.65) < 0.2
+    fins = ((np.abs(y + 0.9) < 0.16) & (np.abs(x) < 1.4)) | ((np.abs(x + 1.0) < 0.16) & (np.abs(y) < 1.1))
+    base = (z < -0.65) & (np.hypot(x, y) < 1.75)
+    return ((tube | fins | (np.hypot(x + 0.3, y - 1.35) < 0.3) | base) & (np.abs(z) < 0.95)).astype(np.float32)
+
+
 def maze(x: np.ndarray, y: np.ndarray, z: np.ndarray, pitch: float) -> np.ndarray:
     """Rings two pixels thick and two apart, with gates of two pixels on either side in turns, on a lid."""
     r = np.hypot(x, y)
@@ -227,13 +301,15 @@ def main() -> None:
         metavar="PERCENT",
         help="live only, of a loop that believes kinetics or turbidity to be more and less by these",
     )
+    parser.add_argument("--disturbed", nargs="*", choices=list(DISTURBED), help="live prints of these, or of all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes, each with its share of the cores")
     parser.add_argument("--device", default="", help="of all processes, e.g. warp:cuda:0; the usual one if left out")
-    parser.add_argument("--record", type=Path, help="by default live-cpu.json, or live-believed-cpu.json, in records")
+    parser.add_argument("--record", type=Path, help="by default live-cpu.json, or live-…-cpu.json, in records")
     parser.add_argument("--more", action="store_true", help="go on with the prints that the record does not have")
     parser.add_argument("--markdown", action="store_true", help="print the table of the record, and make no print")
     given = parser.parse_args()
-    given.record = given.record or (RECORD.with_name("live-believed-cpu.json") if given.believed else RECORD)
+    kind = "live-believed" if given.believed else "live" if given.disturbed is None else "live-disturbed"
+    given.record = given.record or RECORD.with_name(f"{kind}-cpu.json")
     if given.markdown:
         print(told(json.loads(given.record.read_text())))
         return
@@ -241,24 +317,30 @@ def main() -> None:
     if given.believed:
         given.policies = ["live"]
         beliefs += [f"{name} {side * share:+d} %" for share in given.believed for name in BELIEVED for side in (1, -1)]
-    bench = Bench(given.size, given.angles, given.device)
+    bench = (Bench if given.disturbed is None else DisturbedBench)(given.size, given.angles, given.device)
     record = {
         "machine": {"device": bench.plan.device.name, "jobs": given.jobs, "vamgpu": vamgpu.__version__},
         "size": [given.size, given.size, given.size // 2], "angles": given.angles,
-        "fresh_um": bench.known["fresh_um"], "solid": bench.known["solid"], "seconds": 0.0, "prints": [],
+        **{name: bench.known[name] for name in ("fresh_um", "fresh", "solid") if name in bench.known},
+        "seconds": 0.0, "prints": [],
     }  # fmt: skip
     if given.more and given.record.exists():
         record = json.loads(given.record.read_text())
-    there: set[tuple[Any, ...]] = {tuple(p.get(name, "") for name in KEY) for p in record["prints"]}
-    cells: list[Cell] = [
-        (generation, off, policy, seed, believed)
-        for seed in range(given.seeds)
-        for policy in reversed(given.policies)
-        for generation in given.generations
-        for off in given.off
-        for believed in beliefs
-        if (generation, off, policy, seed, believed) not in there and not (policy == "timer" and seed)
-    ]
+    key = KEY if given.disturbed is None else ("disturbed", "seed")
+    there: set[tuple[Any, ...]] = {tuple(p.get(name, "") for name in key) for p in record["prints"]}
+    cells: list[Any] = (
+        [each for each in product(given.disturbed or DISTURBED, range(given.seeds)) if each not in there]
+        if given.disturbed is not None
+        else [
+            (generation, off, policy, seed, believed)
+            for seed in range(given.seeds)
+            for policy in reversed(given.policies)
+            for generation in given.generations
+            for off in given.off
+            for believed in beliefs
+            if (generation, off, policy, seed, believed) not in there and not (policy == "timer" and seed)
+        ]
+    )
     began = written = time.perf_counter()
     before = record["seconds"]
     for printed in prints(bench, cells, given.jobs):
@@ -272,17 +354,17 @@ def main() -> None:
     print(told(record))
 
 
-_bench: Bench
+_bench: Bench | DisturbedBench
 
 
-def prints(bench: Bench, cells: Sequence[Cell], jobs: int) -> Iterator[dict[str, Any]]:
+def prints(bench: Bench | DisturbedBench, cells: Sequence[Any], jobs: int) -> Iterator[dict[str, Any]]:
     """All cells, in processes if there is more than one."""
     if jobs < 2:
         yield from map(bench.printed, cells)
         return
     context = multiprocessing.get_context("spawn")  # devices do not survive a fork
     turns, setup = context.Value("i", 0), bench.setup
-    given = setup.shape[0], setup.angles, setup.device, bench.known
+    given = type(bench), setup.shape[0], setup.angles, setup.device, bench.known
     with context.Pool(jobs, _opened, (turns, jobs, given)) as pool:
         yield from pool.imap_unordered(_one, cells)
 
@@ -294,16 +376,37 @@ def _opened(turns: Any, jobs: int, given: tuple[Any, ...]) -> None:
         mine, turns.value = turns.value, turns.value + 1
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, cores[mine % len(cores) :: jobs] if jobs < len(cores) else [cores[mine % len(cores)]])
-    _bench = Bench(*given)
+    _bench = given[0](*given[1:])
 
 
-def _one(cell: Cell) -> dict[str, Any]:
+def _one(cell: Any) -> dict[str, Any]:
     return _bench.printed(cell)
 
 
 def told(record: dict[str, Any]) -> str:
     """A record in Markdown."""
+    if record["prints"] and "disturbed" in record["prints"][0]:
+        return _of_disturbed(record)
     return _of_beliefs(record) if any(p.get("believed") for p in record["prints"]) else _of_policies(record)
+
+
+def _of_disturbed(record: dict[str, Any]) -> str:
+    """Of each disturbance: overlap of the live print, and whether it is no less than the best stop's and predicted."""
+    lines, kept, silent = ["| disturbance | best stop | live | predicted | alarm |", "|---|---|---|---|---|"], 0, 0
+    order = list(DISTURBED)
+    for p in sorted(record["prints"], key=lambda p: (order.index(p["disturbed"]), p["seed"])):
+        kept += p["iou"] >= p["best_stop"] - SHORT
+        silent += not p["alarm"] and p["predicted"] - p["iou"] > FALSE
+        predicted = "–" if p["alarm"] else f"{p['predicted']:.3f}"
+        alarm = p["alarm"].partition(":")[0] or "–"
+        name = p["disturbed"].replace("-", "−")
+        lines.append(f"| {name} | {p['best_stop']:.3f} | {p['iou']:.3f} | {predicted} | {alarm} |")
+    count = len(record["prints"])
+    return "\n".join([
+        *lines, "",
+        f"{kept} of {count} reach the best stop's overlap less {SHORT:g}; {silent} predict more than {FALSE:g} too "
+        f"much without an alarm. {record['machine']['device']}, {record['seconds']:.0f} s.",
+    ])  # fmt: skip
 
 
 def _of_beliefs(record: dict[str, Any]) -> str:

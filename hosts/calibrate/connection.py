@@ -7,12 +7,13 @@ from typing import Any
 
 from vamgpu.errors import BadInput
 from vamgpu.hosts.calibrate.machines import CalibrationMachines, SteppedTurntable, need
-from vamgpu.hosts.calibrate.patterns import PatternScreen
+from vamgpu.hosts.calibrate.patterns import PatternScreen, VideoScreen
 from vamgpu.hosts.calibrate.truth import USUAL
 from vamgpu.hosts.calibrate.turn import TurnMachines
 from vamgpu.hosts.drivers.cleanup import closed_on_error
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import Stage, StandaStage, ZaberStage
 from vamgpu.hosts.emulators.calibration import EmulatedCalibrationRig, Optics, marked_vial
@@ -32,18 +33,15 @@ def checked(rig: RigFile, tables: Collection[str]) -> None:
 
 
 def opened(config: RigConfig, tables: Collection[str]) -> CalibrationMachines:
-    """Open the rig's controller, mirrors, and the machines of the tables; JobError for a table that is missing."""
-    rig = config.setup
+    """Open the rig's light, projectors, and the machines of the tables; JobError for a table that is missing."""
+    rig, controller = config.setup, None
     checked(rig, tables)
-    if rig.video or rig.controller is None:
-        raise BadInput(
-            "calibrations show patterns on triggered mirrors with a controller; expected displays with driver "
-            '"alp", and a table [controller]'
-        )
-    microsteps = rig.motion.microsteps if driver_of(rig.motion) == "controller" else 1.0
-    controller = Controller.open(str(rig.controller.port), microsteps, rig.controller.baud)
+    if rig.controller is not None:
+        microsteps = rig.motion.microsteps if driver_of(rig.motion) == "controller" else 1.0
+        controller = Controller.open(str(rig.controller.port), microsteps, rig.controller.baud)
     return _assembled(rig, tables, RealClock(), controller, (section.open() for section in rig.display), {
-        "lens": lambda: need(rig.lens, "lens").open(), "camera": lambda: need(rig.camera, "camera").open(),
+        "lamp": rig.light.open, "lens": lambda: need(rig.lens, "lens").open(),
+        "camera": lambda: need(rig.camera, "camera").open(free=True),
         "camera_stage": lambda: _stage(rig), "photodiode": lambda: _meter(rig),
     })  # fmt: skip
 
@@ -56,8 +54,9 @@ def rehearsal(
     checked(rig, tables)
     optics = truth or Optics(**USUAL.get(kind, {}), **_view(rig))
     emulated = EmulatedCalibrationRig(optics, rig)
-    machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.mirrors(), {
-        "lens": emulated.lens, "camera": emulated.camera, "camera_stage": emulated.stage, "photodiode": emulated.meter,
+    machines = _assembled(rig, tables, emulated.clock, emulated.controller(), emulated.displays(), {
+        "lamp": emulated.lamp, "lens": emulated.lens, "camera": emulated.camera,
+        "camera_stage": emulated.stage, "photodiode": emulated.meter,
     })  # fmt: skip
     return machines, optics
 
@@ -86,20 +85,27 @@ def opened_turn(config: RigConfig, ratio: float = RATIO) -> tuple[TurnMachines, 
 
 
 def _assembled(
-    rig: RigFile, tables: Collection[str], clock: Clock, controller: Controller, mirrors: Iterable[Dmd],
-    openers: Mapping[str, Callable[[], Any]],
+    rig: RigFile, tables: Collection[str], clock: Clock, controller: Controller | None,
+    displays: Iterable[Dmd | HdmiProjector], openers: Mapping[str, Callable[[], Any]],
 ) -> CalibrationMachines:  # fmt: skip
-    """Open mirrors and the machines of the tables, which are closed together."""
-    machines = CalibrationMachines(rig, clock, controller, (), closers=[controller.close])
+    """Open projectors and the machines of the tables, which are closed together."""
+    machines, sections = CalibrationMachines(rig, clock, controller, ()), list[Any](rig.display)
+    machines.closers += [] if controller is None else [controller.close]
     with closed_on_error(machines):
-        for section, dmd in zip(rig.display, mirrors, strict=True):
-            machines.closers.append(dmd.close)
-            machines.screens += (PatternScreen(dmd, section.frame_time),)
+        machines.lamp = lamp = openers["lamp"]()
+        machines.closers += [] if lamp is None else [lamp.close]
+        for section, shown in zip(sections, displays, strict=True):
+            machines.closers.append(shown.close)
+            if isinstance(shown, Dmd):
+                machines.screens += (PatternScreen(shown, section.frame_time),)
+            else:
+                machines.screens += (VideoScreen(shown),)
+                machines.lamp = getattr(shown, "lamp", lamp)
         for table in tables:
             if table != "motion":
                 machine = openers[table]()
                 setattr(machines, ATTRIBUTES[table], machine)
-            elif rig.emulated or driver_of(rig.motion) == "controller":
+            elif controller is not None and (rig.emulated or driver_of(rig.motion) == "controller"):
                 machines.turntable = SteppedTurntable(controller, clock)
                 continue
             else:

@@ -18,7 +18,9 @@ TABLES = ("camera",)  # tables of a rig's file that it needs
 SHARES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # exposure times, of that in the rig's file
 PLACE = ("rows", "columns", "matrix", "origin", "place_error_pixels")  # numbers of the camera's place
 SURE = 10.0  # standard errors by which levels must rise with the exposure time
-LEVELS = 12  # groups of pixels of similar level, of each exposure
+LEVELS = 12  # greatest number of groups of pixels of similar level, of each exposure
+LEAST = 0.25  # least noise of the open field [gray levels]; below it, images repeat bit for bit
+WAVES = np.arange(1, 9)  # terms of the series of rounding
 
 
 def live(
@@ -76,18 +78,21 @@ def _found(
                        "proportion to them: switch on the camera's own light, and its automatics off")  # fmt: skip
     dark, dark_error = max(float(dark), 0.0), float(np.sqrt(spread[1, 1]))
     level, variance = _by_level(stacks)
-    terms = np.stack([np.ones_like(level), np.maximum(level - dark, 0.0)], axis=1) / variance[:, None]
-    (floor, gain), *_ = np.linalg.lstsq(terms, np.ones_like(level), rcond=None)
-    read, gain = float(np.sqrt(max(floor - 1.0 / 12.0, 0.0))), max(float(gain), 0.0)
+    read, gain, read_error, gain_error = _noise(level - dark, variance)
     field = np.maximum(means[-1] - dark, 0.0)
     numbers = {
         **place, "exposure_s": 1e-6 * float(times[-1]), "bits": bits, "dark": dark, "dark_error": dark_error,
-        "read": read, "gain": gain, "open_field": float(field.mean()),
+        "read": read, "gain": gain, "read_error": read_error, "gain_error": gain_error,
+        "open_field": float(field.mean()),
     }  # fmt: skip
     lines = [
         ("open field", f"{field.mean():.1f} gray levels, {field.min():.1f} to {field.max():.1f}"),
         ("dark", f"{dark:.2f} ± {dark_error:.2g} gray levels"),
-        ("noise", f"{read:.3g} gray levels in the dark, {gain:.4g} gray levels per electron"),
+        (
+            "noise",
+            f"{read:.3g} ± {read_error:.2g} gray levels in the dark, {gain:.4g} ± {gain_error:.2g} gray levels "
+            "per electron",
+        ),
         ("place", f"{_orientation(numbers)}, ± {numbers['place_error_pixels']:.2g} camera pixels"),
     ]
     tables: dict[str, Any] = {}
@@ -101,14 +106,37 @@ def _found(
 
 
 def _by_level(stacks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean level, and variance from image to image, of groups of pixels; their sizes are alike."""
+    """Mean level, and variance from image to image, of groups of pixels; each is a level wide or more, if it can be."""
     level, variance = [], []
     for stack in stacks:
         mean, own = stack.mean(axis=0).ravel(), stack.var(axis=0, ddof=1).ravel()
-        for group in np.array_split(np.argsort(mean), LEVELS):
+        wide = np.ptp(np.quantile(mean, (0.05, 0.95)))
+        for group in np.array_split(np.argsort(mean), min(max(int(wide), 1), LEVELS)):
             level.append(float(mean[group].mean()))
-            variance.append(max(float(own[group].mean()), 1.0 / 12.0))
-    return np.array(level), np.array(variance)
+            variance.append(float(own[group].mean()))
+    return np.array(level), _unrounded(np.array(variance))
+
+
+def _unrounded(variance: np.ndarray) -> np.ndarray:
+    """Variance of levels before they were rounded, of pixels whose means lie anywhere between two levels."""
+    noise = np.linspace(0.0, 1.0, 1001)
+    kept = np.exp(-4.0 * (np.pi * WAVES * noise[:, None]) ** 2) / (2.0 * (np.pi * WAVES) ** 2)
+    rounded = noise**2 + np.sum(1.0 / (2.0 * (np.pi * WAVES) ** 2) - kept, axis=1)
+    return np.where(variance < rounded[-1], np.interp(variance, rounded, noise) ** 2, variance - 1.0 / 12.0)
+
+
+def _noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float, float, float]:
+    """Noise in the dark, gray levels per electron, and their errors; neither is below its error. Raises `BadInput`."""
+    most = float(np.sqrt(variance[np.argmax(level)]))
+    if most < LEAST:
+        raise BadInput(f"the noise of the open field is {most:.2g} gray levels; expected {LEAST:g} or more, because "
+                       "images else repeat: set more bits (with format) or more gain in [[feedback]]")  # fmt: skip
+    near = 1.0 / np.maximum(variance, LEAST**2)
+    (gain, floor), spread = np.polyfit(level, variance, 1, w=near, cov=True)
+    gain_error, error = np.sqrt(np.diag(spread))
+    floor = max(float(floor), float(error))
+    read, gain = float(np.sqrt(floor)), max(float(gain), float(gain_error))
+    return read, gain, float(error) / (2.0 * read), float(gain_error)
 
 
 def _orientation(numbers: Mapping[str, Any]) -> str:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
 from vamgpu.errors import BadInput, DeviceError, JobError
-from vamgpu.hosts.calibrate.patterns import PatternScreen
-from vamgpu.hosts.drivers.camera import CameraDriver
+from vamgpu.hosts.calibrate.patterns import PatternScreen, VideoScreen
+from vamgpu.hosts.drivers.camera import Buffered, CameraDriver
 from vamgpu.hosts.drivers.cleanup import close_all
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.lens import Lens
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import Stage
+from vamgpu.hosts.player.machines import gate
 from vamgpu.hosts.rigs.config import RigFile
 from vamgpu.hosts.safety.interlock import Lease
-from vamgpu.hosts.safety.light import LampGate, LightGuard
+from vamgpu.hosts.safety.light import Lamp, LightGuard
 from vamgpu.hosts.schedules.clock import Clock
 
 T = TypeVar("T")
@@ -72,21 +74,25 @@ class SteppedTurntable:
 
 @dataclass
 class CalibrationMachines:
-    """Opened machines of a calibration, with the screen of each projector, whose light has its number as channel."""
+    """Opened machines of a calibration, with the screen of each projector, whose light has its number as channel.
+
+    controller: gates the light; None without one.  lamp: lamp that the host switches; None if dark screens do.
+    """
 
     rig: RigFile
     clock: Clock
-    controller: Controller
-    screens: tuple[PatternScreen, ...]
+    controller: Controller | None
+    screens: tuple[PatternScreen | VideoScreen, ...]
     lens: Lens | None = None
     camera: CameraDriver | None = None
     stage: Stage | None = None
     meter: PowerMeter | None = None
     turntable: Turning | None = None
+    lamp: Lamp | None = None
     closers: list[Callable[[], None]] = field(default_factory=list)
 
-    def screen(self, projector: int) -> PatternScreen:
-        """The mirrors of a projector, counted from 0."""
+    def screen(self, projector: int) -> PatternScreen | VideoScreen:
+        """The screen of a projector, counted from 0."""
         if not 0 <= projector < len(self.screens):
             raise BadInput(f"projector {projector}; expected one of the rig's {len(self.screens)}, counted from 0")
         return self.screens[projector]
@@ -123,6 +129,8 @@ class CalibrationMachines:
     def image(self, light: CalibrationLight) -> np.ndarray:
         """An image of the camera that starts after now. Raises `BadInput` if it is overexposed."""
         section, camera = need(self.rig.camera, "camera"), need(self.camera, "camera")
+        if isinstance(camera, Buffered):
+            camera.flush()
         for _ in range(section.discard):
             camera.grab()
             light.alive()
@@ -135,6 +143,17 @@ class CalibrationMachines:
                 "lower the camera's exposure in [[feedback]] or power in [light]"
             )
         return image
+
+    def shown(self, light: CalibrationLight) -> np.ndarray:
+        """An image of what a projector shows; on a video cable, the mean of exposures that fill a video frame."""
+        if not self.rig.video:
+            return self.image(light)
+        frame, exposure = self.screens[0].period, need(self.rig.camera, "camera").exposure
+        images = []
+        for part in range(ceil(frame / exposure)):  # lamps and colors change within a video frame
+            light.wait((part * exposure - self.clock.now() * 1e-9) % frame)
+            images.append(self.image(light))
+        return np.mean(images, axis=0)
 
     def read(self, light: CalibrationLight, repeats: int) -> np.ndarray:
         """Readings of the photodiode [mW] after it has settled; shape (repeats,)."""
@@ -167,17 +186,17 @@ class CalibrationLight:
     """The light of one projector, off while a stage moves; waiting renews its lease."""
 
     clock: Clock
-    controller: Controller
+    controller: Controller | None
 
     def __init__(self, machines: CalibrationMachines, projector: int = 0) -> None:
         safety = machines.rig.safety
         self.clock, self.controller, self._power = machines.clock, machines.controller, machines.rig.light.power
-        lamp = LampGate(machines.controller, (projector,), steady=True)
-        self.lease: Lease = Lease(machines.clock, lamp.renew, round(safety.lease * 1e9))
+        lamp, renew = gate(machines.controller, machines.lamp, (projector,))
+        self.lease: Lease = Lease(machines.clock, renew, round(safety.lease * 1e9))
         others = {"mirrors": machines.screen(projector)}
         self.guard: LightGuard = LightGuard(lamp, self.lease, tolerance=1.0, others=others)
         camera = machines.rig.camera
-        if camera is not None and camera.exposure > 0.5 * safety.lease:
+        if self.controller is not None and camera is not None and camera.exposure > 0.5 * safety.lease:
             raise BadInput(
                 f"the camera exposes {1e3 * camera.exposure:g} ms, and a lease of the light is "
                 f"{1e3 * safety.lease:g} ms; expected at most half of it: expose shorter"
@@ -211,7 +230,7 @@ class CalibrationLight:
 
     def alive(self) -> None:
         """Renew the lease. Raises `InterlockOpen` if the controller has closed the light."""
-        if self.guard.lit:
+        if self.guard.lit and self.controller is not None:
             status = self.controller.status()
             if status.state == "fault":
                 self.guard.observe(fault=f"the controller closed the light: {status.fault}")

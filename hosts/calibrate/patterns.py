@@ -1,4 +1,4 @@
-"""Patterns for calibrations, and mirrors that repeat one pattern."""
+"""Patterns for calibrations, and mirrors or projectors that repeat one pattern."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 from vamgpu.errors import BadInput
 from vamgpu.geometry import counts
 from vamgpu.hosts.drivers.dmd import Dmd, PlaneSequence, SlotTiming
+from vamgpu.hosts.drivers.projector import HdmiProjector
 
 Shape = tuple[int, int]
+SURE = 2  # video frames beyond a projector's delay for which a pattern is sent before it counts as lit
 
 
 def grating(shape: Shape, half_period: int = 10) -> np.ndarray:
@@ -51,6 +53,37 @@ def flat(shape: Shape, level: int) -> np.ndarray:
     return np.full(shape, level, np.uint8)
 
 
+def _checked(pattern: np.ndarray, shape: Shape) -> np.ndarray:
+    """The pattern, bool or uint8 [row, column]. Raises `BadInput` for another type or shape."""
+    if pattern.shape != shape or pattern.dtype not in (np.bool_, np.uint8):
+        raise BadInput(f"the pattern is {pattern.dtype}{list(pattern.shape)}; expected bool or uint8 of {list(shape)}")
+    return pattern
+
+
+class VideoScreen:
+    """A projector on a video cable that repeats one pattern in all slots of its video frames; `off` turns it dark."""
+
+    def __init__(self, projector: HdmiProjector) -> None:
+        self.projector = projector
+        self.shape: Shape = projector.size
+
+    @property
+    def period(self) -> float:
+        """Time of a video frame [s]."""
+        return 1.0 / self.projector.window.rate_hz
+
+    def show(self, pattern: np.ndarray) -> None:
+        """Show a pattern [row, column] as `PatternScreen` does, and return once it alone is lit."""
+        lit = _checked(pattern, self.shape)
+        level = lit if lit.dtype == np.uint8 else np.where(lit, 255, 0).astype(np.uint8)
+        for _ in range(self.projector.latency + SURE):
+            self.projector.show([level] * self.projector.layout.slots)
+
+    def off(self) -> None:
+        """Show black."""
+        self.projector.black()
+
+
 class PatternScreen:
     """An array of mirrors that repeats one pattern, with a time [s] for gray levels; `off` turns it dark."""
 
@@ -67,10 +100,7 @@ class PatternScreen:
 
     def show(self, pattern: np.ndarray) -> None:
         """Show a pattern [row, column] from now on: bool for mirrors on and off, uint8 for gray levels."""
-        if pattern.shape != self.shape or pattern.dtype not in (np.bool_, np.uint8):
-            raise BadInput(
-                f"the pattern is {pattern.dtype}{list(pattern.shape)}; expected bool or uint8 of {list(self.shape)}"
-            )
+        pattern = _checked(pattern, self.shape)
         self.off()
         bits = 1 if pattern.dtype == np.bool_ else 8
         self.dmd.master()

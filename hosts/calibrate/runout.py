@@ -38,7 +38,7 @@ def runout(
             angles[number] = machines.turn(start + 360.0 * number / poses, speed)
             light.on()
             screen.show(patterns.block(screen.shape, (0, screen.shape[0]), (0, screen.shape[1])))
-            images.append(np.mean([machines.image(light) for _ in range(repeats)], axis=0))
+            images.append(np.mean([machines.shown(light) for _ in range(repeats)], axis=0))
             progress((number + 1) / poses)
     inside = place.inside(screen.shape, images[0].shape)
     found = []
@@ -65,14 +65,14 @@ def single_lines(
     screen = machines.screen(projector)
     rows, columns = screen.shape
     screen.show(patterns.block(screen.shape, (0, 0), (0, 0)))
-    dark = machines.image(light).astype(float)
+    dark = machines.shown(light).astype(float)
     seen: list[list[tuple[float, np.ndarray]]] = [[], []]
     for axis, length in ((0, columns), (1, rows)):
         for number in np.linspace(0.1 * length, 0.9 * length, LINES).astype(int).tolist():
             own = (number, number + 1)
             down, across = ((0, rows), own) if axis == 0 else (own, (0, columns))
             screen.show(patterns.block(screen.shape, down, across))
-            seen[axis].append((number, machines.image(light) - dark))
+            seen[axis].append((number, machines.shown(light) - dark))
     return seen[0], seen[1]
 
 

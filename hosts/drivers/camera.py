@@ -24,6 +24,13 @@ class CameraDriver(Protocol):
     def close(self) -> None: ...  # release the camera
 
 
+@runtime_checkable
+class Buffered(Protocol):
+    """A camera that runs on its own and keeps images until they are taken."""
+
+    def flush(self) -> None: ...  # drop these; the next image begins after now
+
+
 class GenicamCamera(Closing):
     """A camera behind a maker's GenTL producer (a ``.cti`` file), driven by the harvesters package."""
 
@@ -133,6 +140,14 @@ class GenicamCamera(Closing):
                 return np.array(part.data, copy=True).reshape(part.height, part.width)
         except Exception as error:
             raise DeviceLost(f"the camera gave no image in {self._timeout} s ({error}); check its cable") from error
+
+    def flush(self) -> None:
+        """Start again, without the images taken so far. Raises `DeviceLost`."""
+        try:
+            self._acquirer.stop()
+            self._acquirer.start()
+        except Exception as error:
+            raise DeviceLost(f"the camera does not start again ({error}); check its cable") from error
 
     def close(self) -> None:
         acquirer, self._acquirer = self._acquirer, None

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from math import ceil
 from typing import Any
 
 import numpy as np
 
 from vamgpu.hosts.drivers.controller import Controller
 from vamgpu.hosts.drivers.dmd import Dmd
+from vamgpu.hosts.drivers.lamp import TtlLamp
 from vamgpu.hosts.drivers.lens import LensDriver
+from vamgpu.hosts.drivers.projector import HdmiProjector
 from vamgpu.hosts.drivers.scpi import PowerMeter
 from vamgpu.hosts.drivers.stages import ZaberStage
 from vamgpu.hosts.drivers.wire import Wire
@@ -22,6 +25,8 @@ from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.emulators.controller import EmulatedController
 from vamgpu.hosts.emulators.lens import EmulatedLens
 from vamgpu.hosts.emulators.line import LineDevice, plug
+from vamgpu.hosts.emulators.rigs import EmulatedLine
+from vamgpu.hosts.emulators.screen import EmulatedScreen, LitSlot
 from vamgpu.hosts.emulators.stage import EmulatedStage
 
 
@@ -215,14 +220,13 @@ class RecordingAlp(EmulatedAlp):
 
 
 class ProjectedLight:
-    """The light of mirrors over a time, for one projector with one channel of the lamp."""
+    """The light of a projector over a time, with one channel of the lamp."""
 
-    alp: RecordingAlp
     channel: int
     optics: Optics
 
-    def __init__(self, alp: RecordingAlp, channel: int, optics: Optics) -> None:
-        self.alp, self.channel, self.optics = alp, channel, optics
+    def __init__(self, channel: int, optics: Optics) -> None:
+        self.channel, self.optics = channel, optics
         self._lamp: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=4096)
 
     def lamp(self, channels: int, powers: Iterable[int], now: int) -> None:
@@ -232,21 +236,15 @@ class ProjectedLight:
 
     def light(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Mean light of each mirror [row, column] over a time [ns], 1 if it is on; ``weight`` is cumulative."""
-        optics = self.optics
-        held: dict[tuple[int, int, int], tuple[DisplayedFrame, float]] = {}
-        for shown in reversed(self.alp.seen):
-            if shown.ends[-1] < start:
-                break
-            for plane, (begin, stop) in enumerate(zip(shown.starts, shown.ends, strict=True)):
-                lit = self._lit(begin + round(optics.turn * MICRO), stop, start, end, weight)
-                key = (shown.sequence, shown.frame, plane)
-                held[key] = (shown, held.get(key, (shown, 0.0))[1] + lit)
-        total = np.zeros(optics.mirrors)
-        for (_, _, plane), (shown, lit) in held.items():
-            if lit:
-                total += lit * shown.mirrors(plane, optics.mirrors[1])
+        optics, total = self.optics, np.zeros(self.optics.mirrors)
+        for lit, levels in self._levels(start, end, weight):
+            total += lit * levels
         dark = optics.leak * self._lit(start, end, start, end, weight)
         return optics.flat() * (dark + (1.0 - optics.leak) * total)
+
+    def _levels(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> Iterator[tuple[Any, Any]]:
+        """Lit shares of a time, and the light of each mirror meanwhile."""
+        raise NotImplementedError
 
     def _lit(self, begin: int, stop: int, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> float:
         """Drive of the lamp from ``begin`` to ``stop``, weighted within start..end."""
@@ -264,8 +262,43 @@ class ProjectedLight:
         return total
 
 
+class MirrorLight(ProjectedLight):
+    """The light of mirrors that show bit planes."""
+
+    def __init__(self, alp: RecordingAlp, channel: int, optics: Optics) -> None:
+        super().__init__(channel, optics)
+        self.alp = alp
+
+    def _levels(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> Iterator[tuple[Any, Any]]:
+        held: dict[tuple[int, int, int], tuple[DisplayedFrame, float]] = {}
+        for shown in reversed(self.alp.seen):
+            if shown.ends[-1] < start:
+                break
+            for plane, (begin, stop) in enumerate(zip(shown.starts, shown.ends, strict=True)):
+                lit = self._lit(begin + round(self.optics.turn * MICRO), stop, start, end, weight)
+                key = (shown.sequence, shown.frame, plane)
+                held[key] = (shown, held.get(key, (shown, 0.0))[1] + lit)
+        return (
+            (lit, shown.mirrors(key[2], self.optics.mirrors[1])) for key, (shown, lit) in held.items() if lit
+        )  # fmt: skip
+
+
+class CableLight(ProjectedLight):
+    """The light of a projector on a video cable."""
+
+    def __init__(self, screen: EmulatedScreen, channel: int, optics: Optics) -> None:
+        super().__init__(channel, optics)
+        self._slots: deque[LitSlot] = deque(maxlen=512)
+        screen.on_slot = self._slots.append
+
+    def _levels(self, start: int, end: int, weight: Callable[[np.ndarray], np.ndarray]) -> Iterator[tuple[Any, Any]]:
+        for slot in self._slots:
+            if slot.end > start and slot.levels.any():
+                yield self._lit(slot.start, slot.end, start, end, weight), slot.levels / slot.top
+
+
 class RigCamera(EmulatedCamera):
-    """A camera on a stage that faces the projector."""
+    """A camera on a stage that faces the projector; it exposes one image after another, and keeps all."""
 
     emulated: EmulatedCalibrationRig
     pixel: float
@@ -274,11 +307,16 @@ class RigCamera(EmulatedCamera):
         super().__init__(emulated.clock, lambda now: np.zeros(emulated.optics.view), sensor,
                          seed=emulated.optics.seed)  # fmt: skip
         self.emulated, self.pixel = emulated, pixel
+        self.flush()
+
+    def flush(self) -> None:
+        """Drop the images so far."""
+        self._next = self.clock.now()
 
     def grab(self) -> np.ndarray:
-        start = self.clock.now()
-        end = start + round(self.exposure_us * MICRO)
-        self.clock.sleep_until(end)
+        start = self._next
+        self._next = end = start + round(self.exposure_us * MICRO)
+        self.clock.sleep_until(end + self.emulated.readout)
         light = sum(sight.light(start, end, box) for sight in self.emulated.sights)
         blur, angle = self.emulated.blur((start + end) // 2), self.emulated.angle(end)
         return self._digitize(
@@ -296,13 +334,27 @@ class EmulatedCalibrationRig:
     def __init__(self, optics: Optics, rig: Any) -> None:
         self.optics, self.rig, self.clock = optics, rig, VirtualClock()
         rows, columns = optics.mirrors
-        model = ArrayModel(height=rows, width=columns)
+        self.readout = ceil(1e9 / rig.display[0].refresh) if rig.video else 0  # until a screen's light is known [ns]
+        self._power = [round(65535 * rig.light.power)] * len(rig.display)
         self.box: EmulatedController = EmulatedController(channels=max(2, len(rig.display)))
-        self.alps: list[RecordingAlp] = [RecordingAlp(self.clock, model) for _ in rig.display]
-        self.sights: list[ProjectedLight] = [ProjectedLight(alp, k, optics) for k, alp in enumerate(self.alps)]
+        self._shown: list[Any] = [self._display(section, ArrayModel(height=rows, width=columns))
+                                  for section in rig.display]  # fmt: skip
+        kind = CableLight if rig.video else MirrorLight
+        self.sights: list[Any] = [kind(each, k, optics) for k, each in enumerate(self._shown)]
         self.glass: EmulatedLens = EmulatedLens()
         self.axis: EmulatedStage = EmulatedStage(limit=round(TRAVEL * self._microsteps()))
         self.box.on_light = self._lamp
+        if rig.light.gate == "display":  # its lamp is always on
+            self._switched(True)
+
+    def _display(self, section: Any, model: ArrayModel) -> Any:
+        """Mirrors or a screen, of the optics' size."""
+        if not self.rig.video:
+            return RecordingAlp(self.clock, model)
+        order = "".join("RGB"[channel] for channel in section.layout.channels)
+        share = 1.0 - section.dark * section.refresh * len(order)
+        return EmulatedScreen(self.clock, self.optics.mirrors, section.refresh, order, section.bits, section.latency,
+                              share)  # fmt: skip
 
     def _microsteps(self) -> float:
         section = self.rig.camera_stage
@@ -311,6 +363,11 @@ class EmulatedCalibrationRig:
     def _lamp(self, channels: int, now: int) -> None:
         for sight in self.sights:
             sight.lamp(channels, self.box.powers, now)
+
+    def _switched(self, on: bool) -> None:
+        """The lamps without a controller go on or off."""
+        for sight in self.sights:
+            sight.lamp((1 << len(self.sights)) - 1 if on else 0, self._power, self.clock.now())
 
     def blur(self, now: int) -> float:
         """Blur of the camera's image at a time [mm]."""
@@ -323,13 +380,22 @@ class EmulatedCalibrationRig:
         """Angle of the turntable at a time [rad]."""
         return float(np.radians(self.box.web.position(now) / self.rig.motion.microsteps))
 
-    def controller(self) -> Controller:
-        """The controller."""
+    def controller(self) -> Controller | None:
+        """The controller, if the rig has one."""
+        if self.rig.controller is None:
+            return None
         return Controller(Wire(plug(self.box, self.clock, 0.02), "the controller"), self.rig.motion.microsteps)
 
-    def mirrors(self) -> list[Dmd]:
-        """The mirrors of each projector."""
-        return [Dmd(alp.library) for alp in self.alps]
+    def lamp(self) -> TtlLamp | None:
+        """The lamp that the host switches, if any."""
+        return TtlLamp(EmulatedLine(self._switched)) if self.rig.light.gate == "line" else None
+
+    def displays(self) -> list[Any]:
+        """The mirrors or the screen of each projector."""
+        if not self.rig.video:
+            return [Dmd(alp.library) for alp in self._shown]
+        return [HdmiProjector(screen, section.layout, section.latency)
+                for screen, section in zip(self._shown, self.rig.display, strict=True)]  # fmt: skip
 
     def lens(self) -> LensDriver:
         """The lens, in focal power mode."""

@@ -92,6 +92,10 @@ class RunningCamera(EmulatedCamera):
             self._ready = None
             self._begin(self.clock.now())
 
+    def flush(self) -> None:
+        """Start again, without the image taken so far."""
+        self.expose(self.exposure_us)
+
     def due(self) -> int | None:
         """Time of its next sample or image [ns]."""
         return self._polls[0] if self._polls else self._end

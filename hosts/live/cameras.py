@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.errors import BadInput, JobError, StorageError
+from vamgpu.errors import BadInput, StorageError
+from vamgpu.hosts.live.needs import KIND
 from vamgpu.hosts.rigs.calibrations import MEASURED, Calibration, in_force, measured
 from vamgpu.hosts.rigs.planning import PrintPlan
 from vamgpu.live import CuringResin, SensorNoise, Turbidity
@@ -15,7 +16,7 @@ from vamgpu.live.sensor import BeamImages, SensorView
 from vamgpu.optics.vial import Vial
 from vamgpu.storage.numpy_files import read_npz
 
-KIND = "live"
+GUESSED = 0.2  # relative error of a turbidity that was not measured
 DIGITS = 2  # of the open field in a run's record [gray levels]
 
 
@@ -87,7 +88,10 @@ def _measured(found: Calibration) -> RedCamera:
         raise StorageError(f"{str(found.path)!r} has no open field of {view.shape}; run vam calibrate live again")
     camera = RedCamera(open_field, noise, view=view)
     full = numbers.get("turbidity")
-    return camera if full is None else replace(camera, turbidity=Turbidity((0.0, 1.0), (0.0, float(full))))
+    if full is None:
+        return replace(camera, turbidity=replace(camera.turbidity, error=GUESSED))
+    error = float(numbers["turbidity_error"]) / float(full)
+    return replace(camera, turbidity=Turbidity((0.0, 1.0), (0.0, float(full)), error=error))
 
 
 def unmeasured(planned: PrintPlan) -> str:
@@ -97,9 +101,3 @@ def unmeasured(planned: PrintPlan) -> str:
         return ""
     return ("the turbidity of cured resin is a guess: after this print in fresh resin, measure it with vam calibrate "
             "live --keep-place --cured and its run folder")  # fmt: skip
-
-
-def no_camera(planned: PrintPlan) -> JobError:
-    """The error for a real rig without a camera."""
-    return JobError(f"the rig {planned.rig.setup.rig.name!r} has no camera to watch with; add a [[feedback]] with "
-                    'driver = "camera" to its file')  # fmt: skip

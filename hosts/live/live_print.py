@@ -11,7 +11,8 @@ import numpy as np
 from vamgpu.backend import open_device
 from vamgpu.errors import BadInput
 from vamgpu.geometry import positive
-from vamgpu.hosts.live.cameras import RedCamera, camera_of, no_camera
+from vamgpu.hosts.live.cameras import RedCamera, camera_of
+from vamgpu.hosts.live.needs import watchable
 from vamgpu.hosts.live.planner import PLACE, light_of
 from vamgpu.hosts.process.execution import carry_out
 from vamgpu.hosts.process.live_link import LiveOrder
@@ -20,12 +21,11 @@ from vamgpu.hosts.process.watch import may_begin, started, watched
 from vamgpu.hosts.records.record import read_run
 from vamgpu.hosts.records.state import Board, PrintState
 from vamgpu.hosts.rigs.config import read_rig
-from vamgpu.hosts.rigs.planning import PrintPlan, plan
+from vamgpu.hosts.rigs.planning import PrintPlan, plan, speed_of
 from vamgpu.hosts.rigs.rehearsal import curing, rehearsal, resin_of
 from vamgpu.hosts.schedules.timing import whole
 from vamgpu.jobs.run import prove
 from vamgpu.live import LiveRecord, LiveSetup, Truth
-from vamgpu.operators.projection import Projection
 from vamgpu.optics.vial import Vial
 from vamgpu.printing.frames import Frames
 from vamgpu.quantity import counted
@@ -111,8 +111,8 @@ def live(
         The print.
 
     Raises:
-        BadInput: The job is not for a vial, `truth` is given for a real rig, or a number is out of range.
-        JobError: The rig has no camera, or no calibration of it.
+        BadInput: `truth` is given for a real rig, or a number is out of range.
+        JobError: A need of a watched print does not hold; the message lists all of them.
         StorageError: The job cannot be read, or the run folder exists.
         VamError: The error that ended the print; see `vamgpu.hosts.rig.carry_out`.
     """
@@ -138,13 +138,11 @@ def watched_plan(
     turns, every, seed = whole("turns", turns, 2), whole("every", every), whole("seed", seed, 0)
     evaluations = positive("evaluations", evaluations)
     longest = whole("longest", 2 * turns if longest is None else longest, turns)
+    real = not (rehearsed or rig.setup.emulated)
+    watchable(Path(job), rig, speed_of(speed, "vial"), real=real, measured=real and camera is None)
     planned = plan(job, rig, speed=speed, turns=longest, exposure=False, rehearsed=rehearsed, device=device)
-    if planned.kind != "vial":
-        raise BadInput(f"{planned.jobs[0].path!r} is for {planned.kind}; expected the job of a vial")
     if truth is not None and not (isinstance(truth, Truth) and planned.rehearsed):
         raise BadInput(f"truth is {truth!r}; expected a Truth, and only for emulated resin")
-    if not planned.rehearsed and planned.rig.setup.camera is None:
-        raise no_camera(planned)
     frames, A, threshold = _even_vial(planned, Path(job))
     camera = camera_of(planned, camera, A.beam.pitch)
     dose = camera.resin.solid / threshold
@@ -164,14 +162,10 @@ def watched_plan(
 
 
 def _even_vial(planned: PrintPlan, path: Path) -> tuple[Frames, Any, float]:
-    """Frames, operator, and threshold of the method's dose, of a round vial with uniform light, or `BadInput`."""
+    """Frames, operator, and threshold of the method's dose, of a round vial with uniform light."""
     frames, proof = planned.jobs[0].frames, prove(path).proof
-    A = proof.operator
-    round_vial = isinstance(A, Projection) and isinstance(A.vessel, Vial)
-    if frames is None or not round_vial or not A.motion.is_even or A.motion.angles < 2:
-        raise BadInput(f"{str(path)!r} is not for a round vial in even light, at two or more even angles over a full "
-                       f"turn; expected such a job, got {A!r}")  # fmt: skip
-    return frames, A, proof.scores.threshold
+    assert frames is not None and isinstance(proof.operator.vessel, Vial)
+    return frames, proof.operator, proof.scores.threshold
 
 
 def _real(made: WatchedPlan, job: Path, place: Path, board: Board | None) -> Watched:

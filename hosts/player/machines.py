@@ -79,12 +79,14 @@ class Lamps:
         close_all([lamp.off for lamp in self._lamps])
 
 
-def gate(controller: Controller | None, lamp: Lamp | None, schedule: Schedule) -> tuple[Lamp, Renew]:
+def gate(
+    controller: Controller | None, lamp: Lamp | None, channels: Sequence[int], shares: Sequence[float] | None = None
+) -> tuple[Lamp, Renew]:  # fmt: skip
     """A steady light, and the renewal of the controller's lease, if any. lamp: lamp that the host switches."""
     own = () if lamp is None else (lamp,)
     if controller is None:
         return Lamps(*own), no_lease
-    found = LampGate(controller, range(schedule.engines), steady=True, shares=schedule.power[0])
+    found = LampGate(controller, channels, steady=True, shares=shares)
     return Lamps(found, *own) if own else found, found.renew
 
 

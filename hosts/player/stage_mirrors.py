@@ -37,11 +37,11 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         super().__init__(schedule, machines, sources, **options)
         self._pose = float(schedule.advance)
         self._zero = 0.0 if schedule.unit == "deg" else None
-        self._fired_at = self._stop = 0.0
+        self._fired_at = self._turned = 0.0
         self._ended: int | None = None
 
     def _gate(self) -> tuple[Lamp, Renew]:
-        return gate(self.machines.controller, self.machines.lamp, self.schedule)
+        return gate(self.machines.controller, self.machines.lamp, range(self.schedule.engines), self.schedule.power[0])
 
     # ---- before the light ------------------------------------------------------------------------------------
     def prime(self, first: int, alive: Callable[[], None]) -> int:
@@ -54,6 +54,7 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         self._ask = TimedQuery(self.clock, self._stage.position, float(self.schedule.cadence.period) / 8)
         self._motion = SpeedMonitor(self.schedule)
         self._fired_at = self._stage.position() - 0.5 * self._pose  # the first edge comes after half a distance
+        self._turned = self._fired_at + (self._preroll + 1 - first) * self._pose  # of a vial, in whole turns
         self._stage.trigger_every(self._pose)
         self._stage.run(float(self.schedule.speed))
         return self._at_speed(alive)
@@ -148,10 +149,9 @@ class StageClockedPlayer(MirrorPlayer[StageMachines]):
         self._polled, closed = now, self._closed()
         if agreed and closed is None:
             self._punctual = self._kept
-        zero = self._fired_at if self._zero is None else self._zero
         return StatusPoll(
-            not self._over(here, counted), error, scheduled if agreed else counted, scheduled, frames, here - zero,
-            *self._supply(), closed,
+            not self._over(here, counted), error, scheduled if agreed else counted, scheduled, frames,
+            here - self._turned, *self._supply(), closed,
         )  # fmt: skip
 
     def _over(self, here: float, counted: int) -> bool:

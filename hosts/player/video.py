@@ -225,7 +225,7 @@ class SpinningPlayer:
     ) -> None:  # fmt: skip
         machines.check(schedule, display)
         self.schedule, self.display, self.machines, self.clock = schedule, display, machines, machines.clock
-        self.lamp, self.renew = gate(machines.controller, machines.lamp, schedule)
+        self.lamp, self.renew = gate(machines.controller, machines.lamp, range(schedule.engines), schedule.power[0])
         self._blackout = ScreenBlackout(machines.projector)
         self.switches: Mapping[str, Switch] = {"projector": self._blackout}
         self._frames, self._turns, self._planned = frames, turns, len(schedule)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vamgpu.hosts.drivers.camera import CameraDriver
+from vamgpu.hosts.drivers.camera import Buffered, CameraDriver
 from vamgpu.hosts.schedules.clock import Clock
 from vamgpu.hosts.schedules.timing import SECOND
 
@@ -86,12 +86,21 @@ class LiveCamera:
             if not self._repeated:
                 self._repeated = True
                 self._tell("live images repeated", "the camera repeats its last image; repeated ones are not used")
+                self._restart()
             return
         self._before, self._repeated = image, False
         middle = self._last - self._exposure // 2
         angle = position + self._speed * (middle - looked) / SECOND
         if angle >= 0 and self._lit():  # else it is not of this print
             self._images.append({"image": image, "angle": angle, "at": middle})
+
+    def _restart(self) -> None:
+        """Start a camera that runs on its own again."""
+        try:
+            if isinstance(self._camera, Buffered):
+                self._camera.flush()
+        except Exception as error:
+            self._lost(error)
 
     def _lost(self, error: Exception) -> None:
         self._gone = True

@@ -110,11 +110,12 @@ class CameraFeedback(FeedbackPart):
             raise ValueError(f"Micro-Manager's configuration file sets {others[0]}; set it there, and remove it here")
         return self
 
-    def open(self) -> Any:
-        """Open the camera with its settings. Raises what its driver does."""
+    def open(self, free: bool = False) -> Any:
+        """Open the camera with its settings, ``free`` of its trigger. Raises what its driver does."""
         exposure = 1e6 * self.exposure
         if self.producer is not None:
-            settings = {"gain": self.gain, "pixels": self.format, "trigger": self.trigger, "binning": self.binning,
+            trigger = "" if free and self.trigger else self.trigger
+            settings = {"gain": self.gain, "pixels": self.format, "trigger": trigger, "binning": self.binning,
                         "crop": self.crop}  # fmt: skip
             return GenicamCamera.open(self.producer, self.serial, exposure_us=exposure, **settings)
         camera = MicroManagerCamera.open(str(self.config), str(self.label))

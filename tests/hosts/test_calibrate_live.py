@@ -66,8 +66,29 @@ def test_levels_noise_and_place_are_found_within_their_errors(rig: RigConfig, fo
         np.array(view.matrix) @ corners + np.array(view.origin)[:, None] for view in (found.view, true_view)
     )
     assert np.abs(seen - wanted).max() < 3.0 * max(told["place_error_pixels"], 0.02)
+    assert found.turbidity.error == 0.2, "it was not measured"
     field = np.asarray(found.open_field)
     assert field.shape == (480, 640) and field[240, 320] > 1.15 * field[0, 0], "the light's vignetting"
+
+
+@pytest.mark.parametrize(("read", "gain"), [(0.8, 0.01), (0.3, 0.002), (0.1, 0.002), (1.9, 0.0)])
+def test_noise_below_the_rounding_of_levels_is_measured_with_its_error(read: float, gain: float) -> None:
+    random, field = np.random.default_rng(0), np.linspace(160.0, 200.0, 20_000)
+    stacks = []
+    for share in live_run.SHARES:
+        level = 2.3 + share * field
+        noise = np.sqrt(read**2 + gain * share * field) * random.standard_normal((4, field.size))
+        stacks.append(np.rint(level + noise).astype(np.float32))
+    level, variance = live_run._by_level(stacks)
+    found, electrons, error, other = live_run._noise(level - 2.3, variance)
+    assert abs(found - read) < 3.0 * error < 0.6 * read and abs(electrons - gain) < 3.0 * other < 0.001
+
+
+def test_a_camera_whose_images_would_repeat_is_refused() -> None:
+    field = 2.3 + np.linspace(160.0, 200.0, 20_000)
+    noise = 0.15 * np.random.default_rng(0).standard_normal((4, field.size))
+    with pytest.raises(BadInput, match="is 0.15 gray levels; expected 0.25 or more.*bits"):
+        live_run._noise(*live_run._by_level([np.rint(field + noise).astype(np.float32)]))
 
 
 def test_a_place_is_kept_and_damage_is_told(rig: RigConfig, found: RedCamera, tmp_path: Path) -> None:

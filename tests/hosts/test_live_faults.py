@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from vamgpu.errors import BadInput, DeviceLost, StorageError
+from vamgpu.hosts.emulators.clock import VirtualClock
 from vamgpu.hosts.player.player import StatusPoll
 from vamgpu.hosts.process import live_link as linking
 from vamgpu.hosts.process.live_camera import LiveCamera
@@ -209,6 +210,18 @@ def test_a_camera_that_goes_or_repeats_itself_costs_its_images(
     assert images.value == pytest.approx(100, abs=3) and angle.value == pytest.approx(80, abs=2), (
         "each image once, 0.8 degrees apart, with the angle that it was taken at"
     )
+
+
+def test_a_camera_that_repeats_itself_is_started_again() -> None:
+    class Freezing(Camera):
+        def flush(self) -> None:
+            frozen.clear()
+
+    frozen = [True]
+    driver = Freezing(lambda: driver.taken < 3 or not frozen)
+    with LiveCamera(driver, VirtualClock(), lambda: True, 40.0) as camera:  # type: ignore[arg-type]
+        given = [len(camera.taken(1.0 + angle)) for angle in range(6)]
+    assert given == [1, 1, 1, 0, 1, 1] and [kind for kind, _ in camera.notices()] == ["live images repeated"]
 
 
 def test_a_camera_that_hangs_is_told() -> None:

@@ -242,7 +242,7 @@ def test_other_angles_are_refused(tmp_path: Path, angles: str) -> None:
     given = JOB.replace("angles = 40", angles if "angles" in angles else f"angles = 40\n{angles}")
     job, left = _begun(Job, given.replace("iterations = 20", "iterations = 2"), tmp_path, "odd", (), "report.html")
     solve(job, left.folder, overwrite=True)
-    with pytest.raises(BadInput, match="two or more even angles over a full turn"):
+    with pytest.raises(JobError, match="angles: +no, .* evenly spaced angles over a full turn; solve it with"):
         live(left.folder, turns=TURNS, folder=tmp_path / "run")
     with pytest.raises(StorageError, match="a run that was watched"):
         LiveRecord(left.folder).setup()

@@ -98,7 +98,9 @@ def test_depths_less_their_bias_are_what_rays_add_up_to(fast_device: Any) -> Non
     tomograph = Tomograph(eye, Turbidity(extinction=(0.0, FULL)))
     told, rays = tomograph.measure(eye.transmitted(field)), np.asarray(eye.projection(field))
     lifted = fast_device.upload(field)
-    less = tomograph._unbiased(told.depth, lifted, Reconstruction(lifted, lifted, 1, 1.0, 1.0, 0.0)).numpy()
+    less = tomograph._unbiased(
+        told.depth, lifted, tomograph.operator(lifted), Reconstruction(lifted, lifted, 1, 1.0, 1.0, 0.0)
+    ).numpy()
     good = told.weight.numpy() > 0.0
     assert told.pixels == np.count_nonzero(good) > 0.3 * good.size
     assert np.abs(less - rays)[good].max() < 1e-3 < 0.1 * np.abs(told.depth.numpy() - rays)[good].max()

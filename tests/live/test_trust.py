@@ -128,18 +128,19 @@ def test_a_sinking_part_goes_on_by_its_plan() -> None:
     assert "sunk" in decisions[-1].doubt and decisions[-1].iou == 0.0
 
 
-def test_a_claim_carries_the_error_of_the_gel_point() -> None:
+def test_a_claim_carries_the_errors_of_gel_point_and_turbidity() -> None:
     made, part, light = setup()
     claims = []
-    for error in (0.0, 0.15, 0.2):
-        loop, live = replace(made, resin=replace(made.resin, gel_error=error)).loop(part, light), printer(Truth())
+    for error, turbid in ((0.0, 0.0), (0.15, 0.0), (0.15, 0.1), (0.2, 0.0)):
+        resin, turbidity = replace(made.resin, gel_error=error), replace(made.turbidity, error=turbid)
+        loop, live = replace(made, resin=resin, turbidity=turbidity).loop(part, light), printer(Truth())
         state, decision = loop.start(), None
         for _ in range(PLANNED):
             live.turn(live.dose(light))
             state, decision = loop.decide(state, live.through())
         assert decision is not None and decision.parameters
         claims.append(decision.iou)
-    assert claims[0] > claims[1] > claims[2] > 0.2
+    assert claims[0] > claims[1] > claims[2] > claims[3] > 0.2, "0.15 and 0.1 are 0.18 together"
     low, high = CuringResin().solid_doses
     gel = CuringResin().gel
     assert CuringResin().conversion(low) == pytest.approx(0.9 * gel) and low < CuringResin().solid < high

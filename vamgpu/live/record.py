@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,8 @@ class LiveSetup:
             The loop, before its first turn.
         """
         most, resin = self.most * float(light.max()), self.resin
-        replanner = Replanner(part, most=most, threshold=resin.solid, thresholds=resin.solid_doses)
+        unsure = replace(resin, gel_error=min(hypot(resin.gel_error, self.turbidity.error), 1.0))
+        replanner = Replanner(part, most=most, threshold=resin.solid, thresholds=unsure.solid_doses)
         estimator = Estimator(self.projection(self.vial), self.resin.response, rings=self.rings)
         return LiveLoop(
             Tomograph(self.camera(), self.turbidity, rings=self.rings), estimator, replanner, self.resin, light,

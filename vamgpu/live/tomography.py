@@ -8,6 +8,7 @@ from functools import cached_property
 from math import inf
 from time import perf_counter
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -110,6 +111,7 @@ class Tomograph:
         self.contrast = positive("contrast", contrast)
         self._device = camera.projection.device
         self._stiffness = (self.contrast * turbidity.full) ** -2
+        self._bound: tuple[ref[OpticalDepths], DeviceArray] | None = None
 
     @cached_property
     def operator(self) -> Projection | RingProjection:
@@ -156,15 +158,16 @@ class Tomograph:
         """
         begun = perf_counter()
         depths = self._measured(images, iterations)
-        start, depth = self._device.empty(self.operator.domain.shape), depths.depth
+        start, depth, linear = self._device.empty(self.operator.domain.shape), depths.depth, None
         if last is None:
             combine(0.0, self._ones, 0.0, self._ones, start)
         else:
             require(self.operator.domain, last.field, "the last field")
             was = here(self._device, last.field)
             combine(1.0, was, 0.0, was, start)
-            depth = self._unbiased(depth, start, last)
-        steps = _Descent(self, depth, depths, start, floor=0.0)
+            linear = self.operator(start)
+            depth = self._unbiased(depth, start, linear, last)
+        steps = _Descent(self, depth, depths, start, floor=0.0, projected=linear)
         done, longest, now = 0, 0.0, perf_counter()
         while done < iterations and (not done or now + longest - begun < deadline):
             steps.advance()
@@ -225,16 +228,14 @@ class Tomograph:
             raise BadInput(f"iterations is {iterations!r}; expected a whole number of at least 1")
         return images if isinstance(images, OpticalDepths) else self.measure(images)
 
-    def _unbiased(self, depth: DeviceArray, extinction: DeviceArray, last: Reconstruction) -> DeviceArray:
+    def _unbiased(
+        self, depth: DeviceArray, extinction: DeviceArray, linear: DeviceArray, last: Reconstruction
+    ) -> DeviceArray:  # fmt: skip
         """Depths minus the camera's excess depth of a field over the linear operator's, [angle, r, z]."""
         index = None
         if self.turbidity.index and self.camera.focus:
             index = self.turbidity.index_at(self.turbidity.conversion_at(last.extinction))
-        dark, linear, out = (
-            self.camera.darkened(extinction, index),
-            self.operator(extinction),
-            self._device.empty(depth.shape),
-        )
+        dark, out = self.camera.darkened(extinction, index), self._device.empty(depth.shape)
         combine(1.0, depth, 0.0, depth, out)
         self._device.launch(take_bias, dark=dark, linear=linear, reached=self.camera.share, depth=out)
         return out
@@ -262,6 +263,20 @@ class Tomograph:
         """A·1, the length of every ray in the grid."""
         return self.operator(self._ones)
 
+    def _step_bound(self, depths: OpticalDepths) -> DeviceArray:
+        """Length of a step in each voxel; that of the last depths is kept."""
+        if self._bound is None or self._bound[0]() is not depths:
+            device, A = self._device, self.operator
+            weighted, slope, length = (device.empty(space.shape) for space in (A.range, A.domain, A.domain))
+            device.launch(multiply, x=self._lengths, y=depths.weight, out=weighted)
+            A.T(weighted, out=slope)
+            combine(1.0, slope, NEIGHBORS * self._stiffness, self._ones, slope)
+            combine(1.0, self._ones, 0.0, self._ones, length)
+            over = {"scale": 1.0, "target": self._ones, "low": 1.0, "high": 1.0, "most": 1.0 / TINY}  # inverse of slope
+            device.launch(correct_by_ratio, dose=slope, **over, model=length)
+            self._bound = ref(depths), length
+        return self._bound[1]
+
     @cached_property
     def _bending(self) -> DeviceArray:
         """Taps of a second difference."""
@@ -272,22 +287,17 @@ class _Descent:
     """Steps towards the most probable field, all on the device."""
 
     def __init__(
-        self, tomograph: Tomograph, depth: DeviceArray, depths: OpticalDepths, start: DeviceArray, floor: float
-    ) -> None:
+        self, tomograph: Tomograph, depth: DeviceArray, depths: OpticalDepths, start: DeviceArray, floor: float,
+        projected: DeviceArray | None = None,
+    ) -> None:  # fmt: skip
         self._tomograph, self._A, self._floor, self._taken = tomograph, tomograph.operator, floor, 0
         self._depth, self._weight, self._pixels = depth, depths.weight, depths.pixels
-        device, ones = self._A.device, tomograph._ones
+        device, self._projected, self._length = self._A.device, projected, tomograph._step_bound(depths)
         self._residual, self._weighted = device.empty(depth.shape), device.empty(depth.shape)
-        self.field, (self._ahead, self._slope, self._part, self._next, self._length) = (
-            start, (device.empty(start.shape) for _ in range(5))
+        self.field, (self._ahead, self._slope, self._part, self._next) = (
+            start, (device.empty(start.shape) for _ in range(4))
         )  # fmt: skip
         combine(1.0, start, 0.0, start, self._ahead)
-        device.launch(multiply, x=tomograph._lengths, y=self._weight, out=self._weighted)
-        self._A.T(self._weighted, out=self._slope)
-        combine(1.0, self._slope, NEIGHBORS * tomograph._stiffness, ones, self._slope)
-        combine(1.0, ones, 0.0, ones, self._length)
-        over = {"scale": 1.0, "target": ones, "low": 1.0, "high": 1.0, "most": 1.0 / TINY}  # inverse of the bound
-        device.launch(correct_by_ratio, dose=self._slope, **over, model=self._length)
 
     @property
     def misfit(self) -> float:
@@ -301,10 +311,12 @@ class _Descent:
         return dot(self._depth, self._weighted) / self._pixels
 
     def advance(self) -> None:
-        """One forward and one back projection."""
+        """One forward and one back projection; that of the start may be known."""
         launch: Callable[..., None] = self._A.device.launch
-        self._A(self._ahead, out=self._residual)
-        combine(1.0, self._residual, -1.0, self._depth, self._residual)
+        linear, self._projected = self._projected, None
+        if linear is None:
+            linear = self._A(self._ahead, out=self._residual)
+        combine(1.0, linear, -1.0, self._depth, self._residual)
         launch(multiply, x=self._residual, y=self._weight, out=self._weighted)
         self._A.T(self._weighted, out=self._slope)
         self._add_differences()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vamgpu.errors import BadInput
+from vamgpu.geometry import positive
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Turbidity:
         conversion: Samples, shares in 0..1, dimensionless, ascending, the first 0.
         extinction: Share of the camera's light lost per length, natural logarithm [1/mm]; ascending, the first 0.
         index: Change of the refractive index; empty for none.
+        error: Relative error of the extinction, which the predicted overlap allows for, dimensionless.
 
     Raises:
         BadInput: The lists differ in length, or are out of order or range.
@@ -36,6 +38,7 @@ class Turbidity:
     conversion: Sequence[float] = (0.0, 1.0)
     extinction: Sequence[float] = (0.0, 0.1)
     index: Sequence[float] = ()
+    error: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("conversion", "extinction", "index"):
@@ -43,6 +46,7 @@ class Turbidity:
                 object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
             except (TypeError, ValueError) as error:
                 raise BadInput(f"{name} is {getattr(self, name)!r}; expected a list of numbers") from error
+        object.__setattr__(self, "error", positive("relative error of the turbidity", self.error, zero=True))
         for name, samples in (("conversion", self.conversion), ("extinction [1/mm]", self.extinction)):
             if (
                 len(samples) < 2
