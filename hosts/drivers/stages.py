@@ -76,7 +76,7 @@ class PolledStage(ClosedOnce):
         raise NotImplementedError
 
     def move(self, position: float, speed: float) -> None:
-        """Start moving to a position, at most at a speed; a motor without such a command arrives before this returns."""
+        """Start moving to a position, at most at a speed; motors without such a command arrive before this returns."""
         above_zero(speed)
         self._move(position, speed)
 

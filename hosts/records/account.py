@@ -54,13 +54,18 @@ class LightAccount:
     def complete(self) -> bool:
         """Whether every view has its light for certain, and the exposure, if known, is complete."""
         whole = self.dose is None or self.dose.whole or self.stopped
-        return whole and not self.open and not self.short.any() and not self.excess.any()
+        return whole and not self.open and not self.short.any() and not self.doubtful.any()
 
     @property
     def excess(self) -> np.ndarray:
         """Views that may have more light than plan and dose allow, bool (engines, frames)."""
         allowed = 1 + WITHIN if self.dose is None else max(1 + WITHIN, self.dose.proved.most / self.dose.share)
         return self.sure + self.unsure > self.wanted * allowed
+
+    @property
+    def doubtful(self) -> np.ndarray:
+        """Views with too much light unless less of it was lit than may be; what is certain is within the budget."""
+        return self.excess & (self.unsure > 0)
 
     def share(self, unsure: float) -> np.ndarray:
         """Light relative to the plan, (engines, frames); 1 without planned light. unsure: share of unknown light."""

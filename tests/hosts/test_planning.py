@@ -274,8 +274,8 @@ def test_jobs_that_do_not_fit_the_rig_are_told(tmp_path: Path) -> None:
     cases: tuple[tuple[Any, RigConfig, dict[str, Any], type[VamError], str], ...] = (
         (film, lab(machine="vial"), {"speed": 0.8}, BadInput, "prints vials, .* is for webs"),
         (part, lab(machine="slices"), {}, BadInput, "prints slices"),
-        (part, dual, {}, BadInput, "1 jobs for the 2 projectors"),
-        ((part, part), lab(), {}, BadInput, "2 jobs for the 1 projectors"),
+        (part, dual, {}, BadInput, "got 1 job for the 2 projectors"),
+        ((part, part), lab(), {}, BadInput, "got 2 jobs for the 1 projector of"),
         ((part, again), dual, {}, BadInput, "number of poses; .* has 36, .* has 40"),
         ((part, film), dual, {"speed": 1}, BadInput, "have the same kind"),
         (film, lab(), {"speed": 0.8}, BadInput, "has no lens"),
