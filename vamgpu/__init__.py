@@ -27,6 +27,8 @@ _PUBLIC = {
     "Oblique": "vamgpu.operators.oblique",
     "Defocus": "vamgpu.operators.defocus",
     "Defocused": "vamgpu.operators.defocus",
+    "Scattering": "vamgpu.optics.scattering",
+    "ScatteringRings": "vamgpu.operators.scattering_rings",
     "Tiles": "vamgpu.operators.shifts",
     "Wobble": "vamgpu.operators.wobble",
     "Wobbled": "vamgpu.operators.shifts",
