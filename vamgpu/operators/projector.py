@@ -57,9 +57,7 @@ def projector(
     if scattering is None:
         return with_algorithm(A, algorithm)
     if algorithm == "rays":
-        raise BadInput(
-            "algorithm is 'rays', with scattering; expected 'rings' or 'auto': rays follow no scattered light"
-        )
+        raise BadInput("got algorithm='rays' with scattering; expected 'rings' or 'auto': rays are not scattered")
     return ScatteringRings(A, scattering)
 
 

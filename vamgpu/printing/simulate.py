@@ -29,6 +29,7 @@ from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.scattered_exposure import exposure_of, is_traced
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
@@ -110,10 +111,9 @@ def simulate(
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # for the exposure of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
         held, claimed = _scored(own, fraction, limits, threshold)
-    rays = isinstance(A, Projection) and not coarse
-    judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
-    traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
-    pixel = traced.column if traced else A.grid.pitch
+    rays = None if coarse else exposure_of(A)
+    judge = _Itself(A, own) if rays is None else rays.agreed(light)
+    pixel = IndependentExposure(A).column if is_traced(A) else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
     scores = claimed
