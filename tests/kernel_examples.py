@@ -224,8 +224,8 @@ def _oblique(n: int, source: str) -> Example:
 
 
 def _resampled(n: int) -> Example:
-    """To more slices, or from very many to each where they are 25."""
-    source, taps = (3 * n, 41) if n == 25 else (n - n // 3, 3)
+    """To more slices, or from more than items hold to each where they are 25."""
+    source, taps = (16 * n, 41) if n == 25 else (n - n // 3, 3)
     first = np.arange(n) * source // n - taps // 2
     given = {"first": first, "lanes": lambda _, arrays: arrays["source"]}
     return Example({"i": n, "j": n + n % 2, "source": source, "z": n, "tap": taps}, given)
