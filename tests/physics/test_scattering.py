@@ -150,7 +150,7 @@ def test_isotropic_scattering_solves_its_integral_equation() -> None:
     light = np.zeros(A.range.shape, np.float32)
     light[0, :, 0] = np.random.default_rng(0).integers(0, 2, A.range.shape[1])
     light[0, 15] = 1.0  # the column in the middle, which mirrors itself
-    found = (S.T(light) - S._share * S._direct.T(light))[:, :, 0]
+    found = (S.T(light) - S.absorbed_share * S._direct.T(light))[:, :, 0]
     wanted = born(A, light[0, :, 0], scattering)
     wanted *= A.vessel.absorption * A.grid.pitch * S._direct.row_weights[0, 0]  # pyright: ignore[reportOptionalMemberAccess]
     lit = A.grid.cylinder().reshape(32, 32)
@@ -187,7 +187,8 @@ def test_quantiles_have_the_moments_of_the_phase_function(given: dict[str, Any])
 
 def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     A, resin = scene(), vam.Scattering(0.6)
-    bath = vam.SquareBath(width=30.0, wall=3.0, wall_index=1.47, vessel=A.vessel)
+    vial = vam.Vial(radius=RADIUS, wall=0.5, resin_index=1.5, wall_index=1.473)
+    bath = vam.SquareBath(width=30.0, wall=3.0, wall_index=1.47, vessel=vial)
     measured = vam.Turntable(np.linspace(0.0, 3.0, 60))
     for other, why in (((A.motion, bath), "round vial"), ((measured, A.vessel), "even over a full turn")):
         with pytest.raises(BadInput, match=why):
@@ -196,7 +197,7 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
         vam.projector(A.grid, A.beam, A.motion, A.vessel, algorithm="rays", scattering=resin)
     with pytest.raises(BadInput, match=r"noise of 2_000 photons .*use photons=\d"):
         vam.ScatteringRings(A, resin, photons=2_000, tolerance=1e-4)
-    for wrong in ({"coefficient": 0.0}, {"coefficient": 1.0, "anisotropy": 1.0},
-                  {"coefficient": 1.0, "phase": ((0.0, 1.0), (1.0, 0.5))}):  # fmt: skip
+    known: dict[str, Any] = {"coefficient": 1.0}
+    for wrong in ({"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))}):
         with pytest.raises(BadInput, match="Scattering"):
-            vam.Scattering(**wrong)
+            vam.Scattering(**known | wrong)

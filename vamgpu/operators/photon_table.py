@@ -93,8 +93,10 @@ class PhotonCount:
         return np.bincount(self.lags, np.where(np.arange(self.lags.size), 2.0, 1.0))
 
     def fluence(self, device: Device, seed: int) -> np.ndarray:
-        """Fluence rate of scattered light in cells for an irradiance of 1 in one slice, (columns, cells, bins)."""
-        return np.concatenate(list(self._counted(device, seed)))
+        """Fluence rate of scattered light in cells for an irradiance of 1 in one slice, (columns, cells, bins), by half
+        of the photons.
+        """
+        return np.concatenate(list(self._counted(getattr(device, "members", (device,))[0], seed)))
 
     def _counted(self, device: Device, seed: int) -> Iterator[np.ndarray]:
         rays, rings, bins = self._rays(), self.rings, self.slices_of_bins
@@ -116,7 +118,7 @@ class PhotonCount:
         for first in range(0, len(rays), at_once):
             some = rays[first : first + at_once]
             tally = device.table(np.zeros((len(some), cells, bins.size, 2)), "uint32")
-            each = max(round(self.photons * len(some) / len(rays) / ITEMS), 1)
+            each = max(round(0.5 * self.photons * len(some) / len(rays) / ITEMS), 1)
             ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
             device.launch(photons, rays=device.table(some), **given, first=0, each=each, most=SEGMENTS,
                           seed=seed * len(rays) + first, absorbed=ends[0], escaped=ends[1], tally=tally)  # fmt: skip
@@ -166,7 +168,7 @@ class ScatteredLight:
     noise: float  # root mean square of its dose for random frames, of the greatest
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def scattered_light(count: PhotonCount, device: Device, tolerance: float, seed: int) -> ScatteredLight:
     """The terms of what two halves of the photons count, as many as differ from it by a tolerance."""
     first, second = (count.fluence(device, 2 * seed + half) for half in range(2))

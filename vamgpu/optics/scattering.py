@@ -27,7 +27,7 @@ class Scattering:
 
     Args:
         coefficient: Scattering events per length μ_s [1/mm], not reduced by the anisotropy.
-        anisotropy: Mean cosine of the scattering angle, −0.98 to 0.98, or "rayleigh".
+        anisotropy: Mean cosine of the scattering angle, dimensionless, −0.98 to 0.98; or "rayleigh".
         phase: Measured phase function: pairs of the scattering angle [rad], from 0 to π, and the intensity there per
             solid angle, in any unit. Intensities are linear between angles.
 
