@@ -11,7 +11,7 @@ from scipy.special import ndtr
 import vamgpu as vam
 from vamgpu.errors import BadInput
 from vamgpu.kernels.photons import UNITS, WAYS, philox, photons
-from vamgpu.operators.photon_table import QUANTILES
+from vamgpu.operators.photon_table import QUANTILES, PhotonCount
 
 RADIUS = 5.0
 ITEMS, RAYS = 512, 1 << 14
@@ -156,6 +156,25 @@ def test_isotropic_scattering_solves_its_integral_equation() -> None:
     lit = A.grid.cylinder().reshape(32, 32)
     assert np.sqrt(np.mean((found - wanted)[lit] ** 2)) < 5e-3 * wanted[lit].max()
     assert found[lit].sum() == pytest.approx(wanted[lit].sum(), rel=3e-3)
+
+
+def test_photons_start_on_refracted_rays() -> None:
+    """Points along the rays are lit by the columns from which these come; all light of a pixel has a ray."""
+    vial = vam.Vial(radius=5.0, wall=0.5, resin_index=1.5, wall_index=1.473, absorption=0.06)
+    grid, beam = vam.PolarGrid(8, 2, 0.5, 12), vam.Beam((20, 2), 0.3, fill=0.8)
+    rays = PhotonCount(grid, beam, vial, vam.Scattering(0.5), 1)._rays()
+    x, y, ux, uy, uz, share, weight, _ = np.moveaxis(rays, -1, 0)
+    assert np.hypot(x, y) == pytest.approx(np.full(x.shape, vial.inner_radius))
+    assert not uz.any() and np.hypot(ux, uy) == pytest.approx(np.ones(x.shape))
+    length = -np.log1p(-share) / 0.56
+    columns = [vial.columns(y + t * length * uy, -(x + t * length * ux)) for t in (0.2, 0.5, 0.7)]
+    lit = np.abs(columns[1]) < 0.6 * vial.aperture
+    for each in columns:
+        assert each[lit] == pytest.approx(columns[0][lit], abs=1e-6)
+    u = np.where(lit, columns[0], np.nan)
+    assert np.nanmean(u[0]) == pytest.approx(0.15, abs=1e-3)
+    assert np.nanstd(u[0]) == pytest.approx(0.3 * np.sqrt(0.8 / 12.0 + beam.sigma**2), rel=0.02)
+    assert weight[lit] == pytest.approx(vial.transmitted(u[lit]) * share[lit] * 0.5 / 0.56)
 
 
 def test_few_terms_describe_light_along_z() -> None:
