@@ -88,7 +88,6 @@ __kernel void photons(__global const float8 *restrict rays, __global const float
         float3 p = (float3)(own.s0 + u.x * path, own.s1 + u.y * path, (unit(bits.y) - 0.5f) + u.z * path * per_slice);
         u = scattered(u, bits.z, bits.w >> 22, cosines, n_quantile, ways);
         int layer = weight > 0 ? 0 : n_face;
-        left += layer > 0;
         for (int segment = 1; segment <= most && layer < n_face; segment++) {
             bool inward;
             bits = philox(photon, segment, seed);
@@ -113,7 +112,6 @@ __kernel void photons(__global const float8 *restrict rays, __global const float
             if (!collides) {
                 if (!cross_face(p, &u, bits.z, faces[layer - inward], inward)) continue;
                 layer += inward ? -1 : 1;
-                left += layer == n_face;
             } else if ((float)(bits.w & 0x3FFFFF) * 0x1p-22f < albedo) {
                 u = scattered(u, bits.z, bits.w >> 22, cosines, n_quantile, ways);
             } else {
@@ -121,6 +119,7 @@ __kernel void photons(__global const float8 *restrict rays, __global const float
                 break;
             }
         }
+        left += layer == n_face;
     }
     absorbed[item] = lost;
     escaped[item] = left;

@@ -117,6 +117,27 @@ def cross_face(
     return wp.vec4(u[0] + bend * nx, u[1] + bend * ny, u[2], 0.0)
 
 
+@wp.func
+def add_path(
+    rings: wp.array2d[int], lags: wp.array[int], per_ring: float, per_slice: float, tally: wp.array4d[wp.uint32],
+    column: int, p: wp.vec3, u: wp.vec3, path: float, share: float, weight: float,
+):  # fmt: skip
+    for half in range(2):
+        t = path * (share + 0.5 * float(half))
+        x = p[0] + u[0] * t
+        y = p[1] + u[1] * t
+        z = p[2] + u[2] * t * per_slice
+        ring = int(wp.sqrt(x * x + y * y) * per_ring)
+        lag = wp.abs(int(wp.floor(wp.clamp(z, -1.0e6, 1.0e6) + 0.5)))
+        if ring < rings.shape[0] and lag < lags.shape[0]:
+            cells = rings[ring, 1]
+            place = int(wp.floor(turn_of(x, y) * float(cells) + 0.5))
+            place = rings[ring, 0] + wp.where(place < 0, place + cells, place) % cells
+            value = wp.uint32(wp.min(weight * path * 524288.0, 4.0e9) + 0.5)
+            if wp.atomic_add(tally, column, place, lags[lag], 0, value) + value < value:
+                wp.atomic_add(tally, column, place, lags[lag], 1, wp.uint32(1))
+
+
 @wp.kernel
 def photons(
     rays: wp.array3d[float], faces: wp.array2d[float], rings: wp.array2d[int], lags: wp.array[int],
@@ -137,11 +158,10 @@ def photons(
         bits = philox(wp.uint32(photon), 0, seed)
         path = free_path(1.0 - unit(bits[0]) * rays[column, ray, 5]) / extinction
         u = wp.vec3(rays[column, ray, 2], rays[column, ray, 3], rays[column, ray, 4])
-        height = (unit(bits[1]) - 0.5) + u[2] * path * per_slice
-        p = wp.vec3(rays[column, ray, 0] + u[0] * path, rays[column, ray, 1] + u[1] * path, height)
+        p = wp.vec3(rays[column, ray, 0], rays[column, ray, 1], unit(bits[1]) - 0.5)
+        p = wp.vec3(p[0] + u[0] * path, p[1] + u[1] * path, p[2] + u[2] * path * per_slice)
         u = scattered(u, bits[2], int(bits[3] >> wp.uint32(22)), cosines, ways)
         layer = wp.where(weight > 0.0, 0, n_face)
-        left += wp.where(weight > 0.0, 0, 1)
         segment = int(0)
         while segment < most and layer < n_face:
             segment += 1
@@ -152,20 +172,7 @@ def photons(
             collides = layer == 0 and free < found[0]
             path = wp.where(collides, free, found[0])
             if layer == 0:
-                for half in range(2):
-                    t = path * (unit(bits[1]) * 0.5 + 0.5 * float(half))
-                    x = p[0] + u[0] * t
-                    y = p[1] + u[1] * t
-                    z = p[2] + u[2] * t * per_slice
-                    ring = int(wp.sqrt(x * x + y * y) * per_ring)
-                    lag = wp.abs(int(wp.floor(wp.clamp(z, -1.0e6, 1.0e6) + 0.5)))
-                    if ring < n_ring and lag < n_lag:
-                        cells = rings[ring, 1]
-                        place = int(wp.floor(turn_of(x, y) * float(cells) + 0.5))
-                        place = rings[ring, 0] + wp.where(place < 0, place + cells, place) % cells
-                        value = wp.uint32(wp.min(weight * path * 524288.0, 4.0e9) + 0.5)
-                        if wp.atomic_add(tally, column, place, lags[lag], 0, value) + value < value:
-                            wp.atomic_add(tally, column, place, lags[lag], 1, wp.uint32(1))
+                add_path(rings, lags, per_ring, per_slice, tally, column, p, u, path, unit(bits[1]) * 0.5, weight)
             p = wp.vec3(p[0] + u[0] * path, p[1] + u[1] * path, p[2] + u[2] * path * per_slice)
             if collides:
                 if float(bits[3] & wp.uint32(4194303)) * 2.384185791015625e-07 < albedo:
@@ -179,6 +186,6 @@ def photons(
                 u = wp.vec3(bent[0], bent[1], bent[2])
                 if bent[3] > 0.0:
                     layer += wp.where(inward, -1, 1)
-                    left += wp.where(layer == n_face, 1, 0)
+        left += wp.where(layer == n_face, 1, 0)
     absorbed[item] = wp.uint32(lost)
     escaped[item] = wp.uint32(left)
