@@ -217,6 +217,7 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     with pytest.raises(BadInput, match=r"noise of 2_000 photons .*use photons=\d"):
         vam.ScatteringRings(A, resin, photons=2_000, tolerance=1e-4)
     known: dict[str, Any] = {"coefficient": 1.0}
-    for wrong in ({"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))}):
+    wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))}]
+    for each in wrong:
         with pytest.raises(BadInput, match="Scattering"):
-            vam.Scattering(**known | wrong)
+            vam.Scattering(**known | each)
