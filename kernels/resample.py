@@ -18,7 +18,7 @@ Weights = Annotated[np.ndarray, Table("float32", ("z", "tap"))]
     reach="first",
     cpu=Tiling(major=1, minor=0),
     gpu=Tiling(major=1, minor=8, group=(128, 1)),
-    constants={"cpu": {"SPAN": 64, "BESIDE": 8}, "gpu": {"QUADS": 8, "BESIDE": 4}},
+    constants={"cpu": {"SPAN": 256, "BESIDE": 8}, "gpu": {"QUADS": 8, "BESIDE": 4}},
 )
 def resample(source: Source, first: Firsts, weights: Weights, lanes: Integer, target: ArrayOut) -> None:
     """target[i, j, z] = Σ_k weights[z, k] · source[i, j, first[z] + k]; values beyond the source are 0.

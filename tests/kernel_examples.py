@@ -12,6 +12,7 @@ from vamgpu.backend.array import DeviceArray
 from vamgpu.backend.device import Device
 from vamgpu.kernels.catalog import kernels
 from vamgpu.kernels.histogram import tally
+from vamgpu.kernels.photons import WAYS
 from vamgpu.kernels.signature import Field, Kernel, Moved, Scalar, Table
 from vamgpu.kernels.spectrum import ROWS, in_groups, most_lit_first
 
@@ -223,8 +224,8 @@ def _oblique(n: int, source: str) -> Example:
 
 
 def _resampled(n: int) -> Example:
-    """To more slices, or from very many to each where they are 25."""
-    source, taps = (3 * n, 41) if n == 25 else (n - n // 3, 3)
+    """To more slices, or from more than items hold to each where they are 25."""
+    source, taps = (16 * n, 41) if n == 25 else (n - n // 3, 3)
     first = np.arange(n) * source // n - taps // 2
     given = {"first": first, "lanes": lambda _, arrays: arrays["source"]}
     return Example({"i": n, "j": n + n % 2, "source": source, "z": n, "tap": taps}, given)
@@ -517,6 +518,25 @@ def _resin(n: int) -> Example:
     return _elementwise(n, **given, floor=0.05)
 
 
+def _scattered(n: int) -> Example:
+    """Photons of rays across half a vial, forward scattering, in resin, wall and air; some bins hold several slices."""
+    columns, count, radius = n // 4 + 1, 8, 1.0
+    u = 0.97 * radius * (np.arange(columns * count) + 0.5).reshape(columns, count) / (columns * count)
+    half = np.sqrt(radius**2 - u**2)
+    rays = np.zeros((columns, count, 8))
+    rays[..., 0], rays[..., 1], rays[..., 2] = half, u, -1.0
+    rays[..., 5] = -np.expm1(-2.0 * 3.0 * half)
+    rays[..., 6] = rays[..., 5] * (np.arange(count) > 0)
+    azimuth = 2.0 * np.pi * np.arange(WAYS) / WAYS
+    ring = np.arange(n // 3 + 3)
+    given = {"rays": rays, "faces": [[radius, 1.5, 1.47, 0.0], [1.1, 1.47, 1.0, 0.0]], "lags": [0, 1, 2, 2, 3, 3, 3]}
+    given |= {"rings": np.stack([12 * ring, 0 * ring + 12], axis=1), "cosines": np.linspace(-1.0, 1.0, 33) ** 3}
+    given |= {"ways": np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), "extinction": 3.0, "albedo": 0.9}
+    given |= {"per_ring": len(ring) / radius, "per_slice": 9.0, "first": 11, "each": 20, "most": 200, "seed": 3}
+    sizes = {"column": columns, "ray": count, "face": 2, "ring": len(ring), "lag": 7, "quantile": 33, "way": WAYS}
+    return Example({**sizes, "item": n, "cell": 12 * len(ring), "bin": 4}, given)
+
+
 def _run_of_poses(n: int) -> Example:
     sizes = _light(n)
     return Example({**sizes, "pose": sizes["angle"] // 3}, {"first": sizes["angle"] // 2})
@@ -696,6 +716,7 @@ EXAMPLES: dict[str, Callable[[int], Example]] = {
     "rebin_rays": _rebinned,
     "count_crossings": lambda n: _solid(n, listed=False),
     "voxelize": _solid,
+    "photons": _scattered,
     "trace_entries": _entries,
     "survey_rays": lambda n: _marched(n, _slices(n), 5),
     "forward_traced": _through,

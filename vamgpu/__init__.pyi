@@ -44,6 +44,7 @@ from vamgpu.operators.polar import PolarGrid as PolarGrid
 from vamgpu.operators.projection import Projection as Projection
 from vamgpu.operators.projector import projector as projector
 from vamgpu.operators.ring_projection import RingProjection as RingProjection
+from vamgpu.operators.scattering_rings import ScatteringRings as ScatteringRings
 from vamgpu.operators.shifts import Tiles as Tiles
 from vamgpu.operators.shifts import Wobbled as Wobbled
 from vamgpu.operators.spectral import SpectralProjection as SpectralProjection
@@ -62,6 +63,7 @@ from vamgpu.optics.rising_beams import Inclined as Inclined
 from vamgpu.optics.roller import Roller as Roller
 from vamgpu.optics.sampling import enough_angles as enough_angles
 from vamgpu.optics.sampling import resin_pixel as resin_pixel
+from vamgpu.optics.scattering import Scattering as Scattering
 from vamgpu.optics.shadowgram import shadowgram as shadowgram
 from vamgpu.optics.square_bath import SquareBath as SquareBath
 from vamgpu.optics.vat import Vat as Vat

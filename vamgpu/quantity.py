@@ -13,6 +13,7 @@ QUANTITY = re.compile(r"\s*([-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\
 SPELLINGS: dict[str, tuple[str, ...]] = {
     "a length": ("mm", "um", "µm", "cm", "m"),
     "an absorption": ("1/mm", "/mm", "1/cm", "/cm"),
+    "a scattering coefficient": ("1/mm", "/mm", "1/cm", "/cm"),
     "an irradiance": ("mW/cm2", "W/cm2", "mW/mm2"),
     "a dose": ("mJ/cm3", "J/cm3", "mJ/mm3"),
     "a speed": ("mm/min", "mm/s", "mm/h", "m/min"),
@@ -41,7 +42,7 @@ EXAMPLES = {
     "a density": "1100 kg/m3",
     "a viscosity": "40 Pa s", "a lens power": "5 dpt", "a data rate": "400 MB/s", "a diffusivity": "3.27e-7 mm2/s",
     "a molar mass": "32 g/mol", "a concentration": "1 mol/m3", "a temperature": "293.15 K",
-    "a share of mass": "0.4 wt%", "a wavelength": "405 nm",
+    "a share of mass": "0.4 wt%", "a wavelength": "405 nm", "a scattering coefficient": "0.6 1/mm",
     "a share": "5 %",
 }  # fmt: skip
 

@@ -69,6 +69,27 @@ def test_what_rings_do_not_take_is_told_with_the_way_out(tmp_path: Path, change:
         solve(job(tmp_path, JOB.replace(*change)), tmp_path / "boat.vam")
 
 
+def test_a_resin_that_scatters_is_solved_and_proven_with_scattered_light(tmp_path: Path) -> None:
+    """From the folder, the operator is the same to the last bit, as its photons are."""
+    turbid = JOB + '[scattering]\ncoefficient = "0.4 /mm"\nphotons = 60000\ntolerance = 0.1\n'
+    solve(job(tmp_path, turbid), tmp_path / "boat.vam")
+    proven = prove(tmp_path / "boat.vam")
+    A: Any = proven.proof.operator
+    assert isinstance(A, vam.ScatteringRings) and A.scattering == vam.Scattering(0.4)
+    assert (A.photons, A.tolerance) == (60000, 0.1)
+    assert proven.proof.independent
+    claimed, found = proven.proof.claimed, proven.proof.scores
+    assert found.total_in == pytest.approx(claimed.total_in, rel=0.02)
+    clear = vam.simulate(A.operator, proven.proof.frames, proven.proof.target)
+    assert found.total_in < 0.97 * clear.scores.total_in  # light leaves the part
+
+
+@pytest.mark.parametrize("other", ['[wobble]\nradius = "0.1 mm"\n', '[colors]\nabsorption = "0.1 /mm"\n'])
+def test_scattering_beside_what_it_does_not_know_is_refused(tmp_path: Path, other: str) -> None:
+    with pytest.raises(JobError, match=r"scattering: got \[scattering\] and \["):
+        job(tmp_path, JOB + '[scattering]\ncoefficient = "0.4 /mm"\n' + other)
+
+
 def test_light_out_of_focus_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
     blurred = JOB + '[defocus]\nfwhm = "1 mm"\ndepth_of_focus = "3 mm"\n'
     solve(job(tmp_path, blurred), tmp_path / "boat.vam")

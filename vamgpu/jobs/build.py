@@ -30,6 +30,7 @@ from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.oblique import Oblique, Rising
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ray_table import OpenAir
+from vamgpu.operators.scattering_rings import ScatteringRings
 from vamgpu.operators.shifts import Wobbled
 from vamgpu.operators.wobble import Wobble
 from vamgpu.optics.sampling import enough_angles, resin_pixel
@@ -152,6 +153,8 @@ def projection_of(
             wobble = None
         else:
             A = Projection(target.grid, beam, motion, vessel, device, footprint=section.footprint)
+        if file.scattering is not None:
+            return ScatteringRings(A, file.scattering(), **file.scattering.beside)
         if file.defocus is not None:
             A = Defocused(A, file.defocus(), **file.defocus.beside)
         A = A if wobble is None else Wobbled(A, wobble)

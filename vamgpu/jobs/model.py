@@ -16,6 +16,7 @@ from vamgpu.methods.dual.passes import Rule
 from vamgpu.methods.method import Method
 from vamgpu.methods.tolerances import Tolerances
 from vamgpu.operators.oblique import Rising
+from vamgpu.operators.scattering_rings import PHOTONS
 from vamgpu.optics.vat import Vat
 from vamgpu.optics.vial import Vial
 from vamgpu.schema.quantities import (
@@ -45,6 +46,9 @@ Row = tuple[float, float, float]
 Places = Annotated[Any, OneOrMany(Place, Annotated[tuple[Place, ...], Listed])]
 Missed = Annotated[Positive, Field(description="largest relative error of the width")]
 TOLERANCE = {"tolerance": (Missed, 0.02)}
+Noise = Annotated[Positive, Field(description="largest error of scattered light, relative to its greatest dose")]
+Followed = Annotated[Count, Field(description="number of photons that are followed")]
+SCATTERED = {"tolerance": (Noise, 0.01), "photons": (Followed, PHOTONS)}
 LENGTH = Quantity("a length", least=0.0, example="25 um")
 MOST_ANGLES = 1_000_000
 """Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""
@@ -320,6 +324,7 @@ class JobFile(Section):
     light: Annotated[Rising | Vessel, noun("light", "vessel")] | None = None
     wobble: WobbleSection | None = None
     defocus: Annotated[Partial, noun("defocus", beside=TOLERANCE)] | None = None
+    scattering: Annotated[Partial, noun("scattering", beside=SCATTERED)] | None = None
     tiles: Annotated[Partial, noun("operator", kind="tiles", without=("operator",))] | None = None
     tolerances: Annotated[Tolerances, noun("tolerances")] | None = None
     resin: ResinSection = ResinSection()
@@ -363,6 +368,11 @@ class JobFile(Section):
         standing = any(body.role == "insert" for body in self.body)
         if standing and (self.light or self.defocus or self.tiles or self.wobble):
             raise Misplaced("got an insert with [light], [defocus], [tiles] or [wobble]; remove one", "body")
+        beside = [name for name in ("light", "wobble", "defocus", "tiles", "colors") if getattr(self, name) is not None]
+        if self.scattering and (standing or beside):
+            other = f"[{beside[0]}]" if beside else "an insert"
+            raise Misplaced(f"got [scattering] and {other}; expected scattering in a vial and nothing else: remove one",
+                            "scattering")  # fmt: skip
         if self.resin.precompensate and not hasattr(self.method, "diffusion"):
             raise Misplaced('expected [method] kind = "recipe", which starts from the target', "resin", "precompensate")
         return self

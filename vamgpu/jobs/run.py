@@ -222,7 +222,8 @@ def _one(
     light = projection_of(file, target, device, job.folder)
     A = with_diffusion(file, light, job.folder)
     rings = file.solve.operator == "rings"
-    if rings or (file.solve.operator == "auto" and finer_voxels(method, A, target) is None):  # else the method chooses
+    free = file.solve.operator == "auto" and finer_voxels(method, A, target) is None  # else the method chooses
+    if (rings or free) and file.scattering is None:  # which is on rings already
         light, A = (_on_rings(light, A, rings),) * 2
     describe(A, {})  # before the long computation, reject what a manifest cannot describe or frames cannot show
     check_dither(file.frames.dither, A, target, file.frames.bits)

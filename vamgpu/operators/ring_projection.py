@@ -101,7 +101,7 @@ class RingProjection(LinearOperator):
             raise BadInput(f"rings do not support this: {why}; use Projection, which takes the same arguments")
         self.grid, self.beam, self.motion, self.vessel, self.tf32 = grid, beam, motion, vessel, tf32
         width = _width(grid, beam, vessel)
-        self.rings = _rings(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
+        self.rings = rings_of(grid, motion.angles, width) if rings is None else _fitting(rings, grid, motion)
         self.domain = VolumeSpace(grid)  # pyright: ignore[reportIncompatibleVariableOverride] - and never replaced
         self.range = SinogramSpace(beam, motion)  # pyright: ignore[reportIncompatibleVariableOverride]
         self.device: Device = open_device(device)
@@ -119,7 +119,7 @@ class RingProjection(LinearOperator):
             motion=motion,
         )
         self._rows = RowResampler.of(beam, grid.shape[2], grid.pitch, self.device)
-        found = _interpolated(self.rings, grid, vessel.lit_radius if vessel else np.inf)
+        found = in_voxels(self.rings, grid, vessel.lit_radius if vessel else np.inf)
         self._to_voxels = found.table(self.device, grid.shape[:2], BLOCK)
         self._to_rings = found.transposed().table(self.device, self.rings.shape[:2], BLOCK)
         if getattr(self.device, "memory", None) is not None:
@@ -148,7 +148,7 @@ class RingProjection(LinearOperator):
             width = _width(A.grid, A.beam, A.vessel)
         if not NARROWEST <= positive("width", width) <= WIDEST:
             raise BadInput(f"got width={width}; expected {NARROWEST} to {WIDEST} of a voxel, such as {WIDTH}")
-        rings = _rings(A.grid, A.motion.angles, width)
+        rings = rings_of(A.grid, A.motion.angles, width)
         found = cls(A.grid, A.beam, A.motion, A.vessel, A.device, rings=rings, tf32=tf32)
         found.direct = A
         return found
@@ -317,7 +317,7 @@ def _unsupported(grid: Grid, motion: Turntable) -> str:
     return f"a slice has more than {WHOLE} voxels" if grid.shape[0] * grid.shape[1] > WHOLE else ""
 
 
-def _rings(grid: Grid, angles: int, width: float) -> PolarGrid:
+def rings_of(grid: Grid, angles: int, width: float) -> PolarGrid:
     """Rings out to beyond the taps of the outermost voxel that light reaches at every angle."""
     count = _least(grid, width) + BEYOND
     return PolarGrid(-(-count // ROWS) * ROWS, grid.shape[2], width * grid.pitch, angles, grid.pitch)
@@ -375,7 +375,7 @@ def _least(grid: Grid, width: float) -> int:
     return ceil((0.5 * (min(grid.shape[:2]) - 1) + beyond) / width + TAPS[-1] + 0.5)
 
 
-def _interpolated(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntries:
+def in_voxels(rings: PolarGrid, grid: Grid, lit_radius: float) -> SparseEntries:
     """Weights of coefficients on rings in lit voxels: splines along the radius and along each of four rings."""
     x, y, _ = grid.axes()
     across, along = (each.ravel() for each in np.meshgrid(x, y, indexing="ij"))

@@ -24,8 +24,8 @@ from vamgpu.metrics.tolerance import (
     depth_of_target,
     tolerance_window,
 )
-from vamgpu.operators.projection import Projection
 from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
+from vamgpu.printing.scattered_exposure import is_traced
 from vamgpu.printing.tolerances import ToleranceTable, tolerance_table
 from vamgpu.targets.target import Target
 
@@ -80,7 +80,7 @@ def judged(proof: Proof) -> Judgement:
     A, at = proof.operator, proof.scores.threshold
     radius, voxels, finer, pixel = A.grid.inscribed_radius, prod(A.grid.shape), 1, A.grid.pitch
     slabs: Iterable[FineSlab] = [FineSlab(proof.dose, *A.grid.axes(), A.grid.pitch, radius)]
-    if isinstance(A, Projection):
+    if is_traced(A):
         exposure = IndependentExposure(A)
         pixel, finer = exposure.column, exposure.halves if proof.independent else 1
     if proof.independent:

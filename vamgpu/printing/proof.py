@@ -28,8 +28,9 @@ from vamgpu.operators.projection import Projection
 from vamgpu.printing.beyond_cylinder import Outer
 from vamgpu.printing.bodies import BodyDose, body_doses, judged_parts
 from vamgpu.printing.exposure import ExposureTimes
-from vamgpu.printing.independent_exposure import FineSlab, IndependentExposure
+from vamgpu.printing.independent_exposure import FineSlab
 from vamgpu.printing.judgement import Judgement, judged
+from vamgpu.printing.scattered_exposure import exposure_of
 from vamgpu.printing.verdict import Verdict, verdict_of
 
 if TYPE_CHECKING:
@@ -172,13 +173,14 @@ class Proof:
         Raises:
             BadInput: The dose is the operator's own, and there is no finer one.
         """
-        if not self.independent:
+        exposure = exposure_of(self.operator) if self.independent else None
+        if exposure is None:
             raise BadInput(
                 f"{type(self.operator).__name__} has no independent ray tracer and therefore no dose on finer voxels; "
                 "prove a Projection, or read Proof.dose"
             )
         light = self.frames.irradiance(self.operator.device)
-        return IndependentExposure(self.operator).fine(light, reach, above)
+        return exposure.fine(light, reach, above)
 
     @cached_property
     def judgement(self) -> Judgement:

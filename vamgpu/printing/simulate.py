@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from vamgpu.operators.defocus import direct
 from vamgpu.operators.dwell import Dwell
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.ring_projection import RingProjection
+from vamgpu.operators.scattering_rings import ScatteringRings
 from vamgpu.operators.space import require
 from vamgpu.optics.outer_resin import OuterResin, outer_resin
 from vamgpu.printing.beyond_cylinder import Around, Outer, corner_of, greatest_beyond
@@ -29,6 +30,7 @@ from vamgpu.printing.bodies import judged_parts
 from vamgpu.printing.exposure import expose
 from vamgpu.printing.independent_exposure import IndependentExposure
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.scattered_exposure import exposure_of, is_traced
 from vamgpu.targets.limits import Limits
 from vamgpu.targets.target import Target
 
@@ -47,7 +49,7 @@ class ShownLight(Protocol):
 
 
 def simulate(
-    A: Projection | RingProjection,
+    A: Projection | RingProjection | ScatteringRings,
     frames: ShownLight,
     target: Any,
     *,
@@ -63,8 +65,9 @@ def simulate(
     The dose does not come from ``A``. Independent rays, which turn while a frame is lit, expose finer voxels out to the
     inner wall (see `IndependentExposure`); the dose of a part voxel is the mean of its fine voxels. These voxels are
     refined until the dose changes by less than 1e-3. Resin above and below the grid is exposed as far as light reaches.
-    The proof also has the scores that ``A`` predicts, as ``claimed``. Operators other than `Projection` have no
-    independent rays and judge themselves on their own grid; the proof then states this and is never all correct.
+    The proof also has the scores that ``A`` predicts, as ``claimed``. In a resin that scatters, other photons than
+    those of ``A`` add what rays lose. Other operators have no independent rays and judge themselves on their own grid;
+    the proof then states this and is never all correct.
 
     Args:
         A: the operator that the frames were solved with; for one on rings, its ``direct``.
@@ -93,8 +96,7 @@ def simulate(
         OpticsWarning: part of the target is beyond the judged cylinder, or irradiance or critical dose is too large
             to be in these units.
     """
-    A = direct(A)
-    assert not isinstance(A, RingProjection)
+    A = cast("Projection", direct(A))  # or an operator with its attributes
     _both_or_neither(irradiance, critical_dose)
     if threshold is not None:
         threshold = positive("threshold", threshold)
@@ -110,10 +112,9 @@ def simulate(
         threshold = claimed.threshold * A.grid.voxel_volume / volume  # for the exposure of the part's own voxels
         fraction, own = on_device(A, target), A.T(light)
         held, claimed = _scored(own, fraction, limits, threshold)
-    rays = isinstance(A, Projection) and not coarse
-    judge = IndependentExposure(A).agreed(light) if rays else _Itself(A, own)
-    traced = judge if isinstance(judge, IndependentExposure) else isinstance(A, Projection) and IndependentExposure(A)
-    pixel = traced.column if traced else A.grid.pitch
+    rays = None if coarse else exposure_of(A)
+    judge = _Itself(A, own) if rays is None else rays.agreed(light)
+    pixel = IndependentExposure(A).column if is_traced(A) else A.grid.pitch
     dose, outer = judge.averaged(light, progress, Around(fraction.numpy(), A.grid, pixel))
     shone = Dwell(A.motion, A.device).weighted(light)
     scores = claimed

@@ -152,6 +152,7 @@ Width = Annotated[Any, Quantity("a length", least=0.0, example="25 um")]
 Place = Annotated[float, Quantity("a length")]
 """A length that may be negative."""
 Absorption = Annotated[float, Quantity("an absorption", least=0.0)]
+ScatteringCoefficient = Annotated[float, Quantity("a scattering coefficient", above=0.0)]
 Angle = Annotated[float, Quantity("an angle", above=0.0)]
 Turn = Annotated[float, Quantity("an angle")]
 """An angle that may be negative."""
