@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-PATIENCE = 10.0  # longest time from the first byte of a request to the end of its headers, or of a silent connection [s]
+PATIENCE = (
+    10.0  # longest time from the first byte of a request to the end of its headers, or of a silent connection [s]
+)
 
 
 def protocol() -> Any:
     """Uvicorn's protocol of HTTP, which closes connections that are half open."""
     from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
-    class Closing(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    usual: Any = AutoHTTPProtocol
+
+    class Closing(usual):
         """One connection; its timer runs whenever no request is being answered, and more bytes do not delay it."""
 
         _timer: Any = None

@@ -40,6 +40,7 @@ STAGES = {
     "correct": "correcting the slices",
     "survey": "finding features and voids that cannot be printed",
     "columns": "solving whole columns",
+    "orientations": "solving coarsely in several orientations",
 }
 
 

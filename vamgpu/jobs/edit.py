@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from vamgpu.errors import JobError
-from vamgpu.jobs.keys import toml_of
+from vamgpu.jobs.keys import bare, toml_of
 from vamgpu.jobs.lines import KeyPlace, Path, key_places
 from vamgpu.jobs.read import checked_toml
-
-BARE = re.compile(r"[A-Za-z0-9_-]+")
-"""Keys without quotes."""
 
 
 def edited(text: str, changes: Mapping[str, Any], removed: Iterable[str] = ()) -> str:
@@ -108,4 +104,4 @@ def _without(text: str, places: Mapping[Path, KeyPlace], path: Path) -> str:
 
 
 def _key(parts: Path) -> str:
-    return ".".join(part if BARE.fullmatch(part) else toml_of(part) for part in parts)
+    return ".".join(map(bare, parts))

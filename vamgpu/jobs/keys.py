@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from textwrap import wrap
@@ -24,6 +25,8 @@ FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": Machi
 """Kind of file → its model."""
 EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
 """Kind of file → a valid example."""
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+"""Keys without quotes."""
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",
@@ -106,10 +109,15 @@ def _usual(default: str) -> str:
     return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
 
 
+def bare(key: str) -> str:
+    """A key in TOML, in quotes if it needs them."""
+    return key if BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False)
+
+
 def toml_of(value: Any) -> str:
     """A value in TOML."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {toml_of(part)}" for key, part in value.items()) + " }"
+        return "{ " + ", ".join(f"{bare(key)} = {toml_of(part)}" for key, part in value.items()) + " }"
     return f"[{', '.join(map(toml_of, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)
 
 
