@@ -114,7 +114,7 @@ def task(kind: str = "solve", state: str = "running", **changed: Any) -> dict[st
 def _key(name: str, kind: str, doc: str, default: str = "", **more: Any) -> dict[str, Any]:
     """A key of a table; one with a unit is a quantity above 0."""
     unit = more.get("unit", "")
-    what = f"a {kind} > 0 {unit}" if unit else {"count": "a whole number ≥ 1", "number": "a number"}.get(kind, "text")
+    what = f"a value > 0 {unit}" if unit else {"count": "a whole number ≥ 1", "number": "a number"}.get(kind, "text")
     made = {
         "name": name, "type": "quantity" if unit else kind, "what": what, "unit": unit, "units": [unit], "least": None,
         "above": 0.0, "most": None, "below": None, "choices": [], "required": False, "default": default, "doc": doc,

@@ -45,16 +45,16 @@ export const percent = (share, digits = 1) => (share === null || share === undef
 export const length = (mm) => (mm === null || mm === undefined ? "–" : Math.abs(mm) < 0.1 ? `${number(1000 * mm)} µm` : `${number(mm)} mm`);
 
 /** A duration [s] as a clock reads. */
-export function time(seconds) {
+export function time(seconds, digits = 0) {
   if (seconds === null || seconds === undefined) return "–";
   if (seconds < 10) return `${fixed(Math.max(0, seconds), 1)} s`;
   const whole = Math.max(0, Math.round(seconds)), hours = Math.floor(whole / 3600), minutes = Math.floor(whole / 60) % 60;
-  if (whole < 60) return `${whole} s`;
+  if (whole < 60) return `${digits ? fixed(seconds, digits) : whole} s`;
   return hours ? `${hours} h ${minutes} min` : `${minutes} min ${whole % 60} s`;
 }
 
 export const bytes = (count) => (count > 1e9 ? `${number(count / 1e9)} GB` : count > 1e6 ? `${number(count / 1e6)} MB` : `${number(count / 1e3)} kB`);
-export const day = (wall) => new Date(1000 * wall).toLocaleString("sv").slice(0, 16);
+export const day = (wall) => new Date(1000 * wall).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" });
 
 /** Tell what was done, or what failed, at the foot of the page for some seconds. */
 export function say(text, bad = false) {

@@ -77,7 +77,6 @@ export class JobTab {
   presets() {
     const lists = store.presets || { vials: [], projectors: [], resins: [] }, titles = { vials: "Vial", projectors: "Projector", resins: "Resin" };
     const same = (set) => Object.entries(set).every(([key, value]) => JSON.stringify(chosen.file.value(key)) === JSON.stringify(value));
-    const source = make("p", { class: "soft" });
     const now = Object.keys(titles).map((family) => {
       const current = lists[family].find(({ set }) => same(set));
       return select(titles[family], [["", "own values"], ...lists[family].map(({ id, name, own }) => [id, own ? `${name} (own)` : name])], current?.id || "", (id) => {
@@ -86,11 +85,10 @@ export class JobTab {
       }, { "data-key": `preset-${family}` });
     });
     const used = Object.keys(titles).flatMap((family) => lists[family].filter(({ set, source: from }) => from && same(set)).map(({ name, source: from }) => `${name}: ${from}`));
-    put(source, used.join(" "));
     const keys = { vials: VESSELS, projectors: ["beam"], resins: ["resin", "print"] };
     let family = "vials";
     const name = make("input", { placeholder: "our 25 mm vial", "aria-label": "Name of the preset" });
-    return card("Presets", make("div", { class: "stack tight" }, make("div", { class: "thirds" }, now), used.length ? source : null,
+    return card("Presets", make("div", { class: "stack tight" }, make("div", { class: "thirds" }, now), used.map((each) => make("p", { class: "soft" }, each)),
       make("details", { "data-table": "presets" }, make("summary", {}, "Save the values of this job as a preset"), make("div", { class: "row" },
         select("Of", Object.entries(titles), family, (value) => { family = value; }), make("label", { class: "field" }, make("span", {}, "Name"), name),
         button("Save the preset", async () => {

@@ -54,7 +54,7 @@ export class LookTab {
     return make("div", { class: "stack" }, changed, make("section", { class: `verdict ${verdict.prints ? "good" : "bad"}`, "aria-label": "Verdict" },
       make("p", { class: "head", "data-testid": "verdict" }, verdict.sentence), verdict.remedies.map((each) => make("p", { class: "remedy" }, each)),
       (verdict.not_judged || []).length ? make("p", { class: "soft" }, `Not judged: ${verdict.not_judged.join("; ")}.`) : null,
-      make("div", { class: "figures" }, figure(seconds === null ? "–" : time(seconds), "exposure"), figure(verdict.latitude ? `${signed(100 * (verdict.latitude[0] - 1), 1)} … ${signed(100 * (verdict.latitude[1] - 1), 1)} %` : "–", "dose may vary by"),
+      make("div", { class: "figures" }, figure(seconds === null ? "–" : time(seconds, 1), "exposure"), figure(verdict.latitude ? `${signed(100 * (verdict.latitude[0] - 1), 1)} … ${signed(100 * (verdict.latitude[1] - 1), 1)} %` : "–", "dose may vary by"),
         figure(scores ? fixed(scores.iou, 4) : "–", "IoU with the part"), figure(scores ? number(scores.missing) : "–", "voxels missing"), figure(scores ? number(scores.excess) : "–", "voxels in excess")),
       make("div", { class: "row" }, report ? make("a", { class: "button", href: report.replace(/^\//, ""), target: "_blank", rel: "noopener" }, "Open the report") : null, this.exports(), button("Print …", () => go(chosen.kind, chosen.id, "print")), this.choice())));
   }
@@ -82,12 +82,12 @@ export class LookTab {
   }
 
   layout() {
-    return make("div", { class: "cards" }, this.slices(), this.surface(), this.doses(), this.errors(), this.light(), this.numbers());
+    return make("div", { class: "cards" }, this.slices(), make("div", { class: "stack" }, this.surface(), this.doses()), this.errors(), this.light(), this.numbers());
   }
 
   exposed(gain) {
     const { seconds } = this.result;
-    return seconds ? time(seconds * gain) : `${signed(100 * (gain - 1))} %`;
+    return seconds ? time(seconds * gain, 1) : `${signed(100 * (gain - 1))} %`;
   }
 
   slices() {
@@ -104,7 +104,7 @@ export class LookTab {
     this.exposure = slider("Exposure", { min: 0.5, max: 1.5, step: 0.002, value: this.gain, say: (gain) => this.exposed(gain), input: (gain) => this.expose(gain) });
     const legend = (type, text) => make("span", {}, make("i", { class: type }), text);
     const made = card("Slices", make("div", { class: "stack" }, make("div", { class: "row between" }, axes, make("div", { class: "legend" }, legend("solid", "printed"), legend("missing", "missing"), legend("excess", "excess"), legend("heat", "dose, to 1.5 × what prints"))),
-      this.panes, make("div", { class: "captions" }, make("span", {}, "target"), make("span", {}, "dose; outline: the part"), make("span", {}, "prints")),
+      this.panes, make("div", { class: "captions" }, make("span", {}, "target"), make("span", {}, "dose, with the part’s outline"), make("span", {}, "prints")),
       make("label", { class: "slider" }, make("span", {}, "Slice"), this.place, this.where), this.exposure, make("div", { class: "row between" }, this.live, button("As designed", () => { this.exposure.set(1); this.expose(1); this.settle(); })), this.exact));
     this.exposure.querySelector("input").addEventListener("change", () => this.settle());
     made.classList.add("wide");
@@ -203,7 +203,7 @@ export class LookTab {
   errors() {
     const rows = OFF.map(([key, name, unit, min, max, step]) => slider(name, { min, max, step, value: this.off[key], say: (value) => `${min < 0 ? signed(value) : fixed(value, 0)} ${unit}`, input: (value) => { this.off[key] = value; } }));
     const tolerances = this.result.tolerances, first = tolerances?.first || [];
-    return card("If the machine is off", make("div", { class: "stack" }, make("p", { class: "soft" }, "Set errors, and expose the same frames again with them."), rows, make("div", { class: "row" }, button("Expose with these errors", async () => {
+    return card("If the machine is off", make("div", { class: "stack" }, make("p", { class: "soft" }, "Set errors, and expose the same frames again with them."), make("div", { class: "stack sliders" }, rows), make("div", { class: "row" }, button("Expose with these errors", async () => {
       const off = Object.fromEntries(OFF.filter(([key]) => this.off[key]).map(([key, , , , , , unit]) => [key, `${this.off[key]} ${unit}`]));
       if (!Object.keys(off).length) return say("set an error first", true);
       await send("POST", "tasks", { kind: "expose", result: chosen.result.id, device: null, off });
@@ -240,7 +240,7 @@ export class LookTab {
     const sinogram = make("img", { class: "sinogram", alt: "Sinogram of a row: one line for each frame", src: `${url("results", chosen.result.id, "sinogram")}?row=${Math.floor(frames.rows / 2)}` });
     const row = slider("Row", { min: 0, max: frames.rows - 1, step: 1, value: Math.floor(frames.rows / 2), say: (value) => `${value + 1} of ${frames.rows}`, input: () => {} });
     row.querySelector("input").addEventListener("change", (event) => { sinogram.src = `${url("results", chosen.result.id, "sinogram")}?row=${event.target.value}`; });
-    const made = card("Frames and sinogram", make("div", { class: "pair" }, make("div", { class: "stack tight" }, film, make("label", { class: "slider film" }, play, range, where), make("p", { class: "soft" }, `${frames.count} frames, ${frames.columns} × ${frames.rows} pixels, ${frames.bits} bit; ${number(step)}° from one to the next over a full turn`)),
+    const made = card("Frames and sinogram", make("div", { class: "pair" }, make("div", { class: "stack tight" }, film, make("label", { class: "slider reel" }, play, range, where), make("p", { class: "soft" }, `${frames.count} frames, ${frames.columns} × ${frames.rows} pixels, ${frames.bits} bit; ${number(step)}° from one to the next over a full turn`)),
       make("div", { class: "stack tight" }, sinogram, row, make("p", { class: "soft" }, "One line for each frame, the columns of one row across"))));
     made.classList.add("wide");
     return made;

@@ -86,7 +86,7 @@ export class PartTab {
   stage() {
     if (!this.scene) {
       const extents = this.about.extents, radius = Math.hypot(extents[0], extents[1]) / 2;
-      return { inner: null, lit: null, printable: null, half_height: extents[2] / 2, outer: radius * 1.02, beam: [2 * radius, extents[2]], bare: true };
+      return { half_height: extents[2] / 2, reach: radius };
     }
     const { vessel, beam, grid, part } = this.scene, tall = beam?.height ?? (grid ? grid.shape[2] * grid.pitch : part?.extents[2]);
     const lit = beam ? Math.min(beam.width / 2, vessel?.inner ?? Infinity) : null;
@@ -109,7 +109,7 @@ export class PartTab {
       this.scene?.part && ["as printed", `${this.scene.part.extents.map((each) => number(each)).join(" × ")} mm`],
       this.scene?.part && ["reaches from the axis", length(this.scene.part.radius)],
       this.scene?.grid && ["prints up to", length(this.scene.grid.radius)],
-      this.scene?.grid && ["voxels", `${this.scene.grid.shape.join(" × ")} of ${length(this.scene.grid.pitch)}`],
+      this.scene?.grid && ["voxels", this.scene.grid.shape.join(" × ")], this.scene?.grid && ["width of a voxel", length(this.scene.grid.pitch)],
       about_ && ["triangles", `${about_.triangles.toLocaleString("en")}${this.mesh.meta?.shown < this.mesh.meta?.triangles ? `, ${this.mesh.meta.shown.toLocaleString("en")} drawn` : ""}`],
     ])));
     if (job) cards.push(this.orientation(), this.roles(), this.standing());
@@ -166,7 +166,7 @@ export class PartTab {
       make("label", { class: "field" }, make("span", {}, "Height along the axis"), height),
       error ? make("p", { class: "error" }, error.message) : null,
       make("div", { class: "thirds" }, field("Tilt about x, °", x, (v) => set(v, y, z)), field("Tilt about y, °", y, (v) => set(x, v, z)), field("Turn about z, °", z, (v) => set(x, y, v))),
-      make("div", { class: "row" }, ...["x", "y", "z"].map((axis) => button(`90° about ${axis}`, () => this.turn(about(axis, 90)))), button("As drawn", () => this.save({}, ["target.orientation"])))));
+      make("div", { class: "thirds" }, ["x", "y", "z"].map((axis) => button(`${axis} by 90°`, () => this.turn(about(axis, 90)), { "aria-label": `Turn by 90° about ${axis}` }))), make("div", { class: "row" }, button("As drawn", () => this.save({}, ["target.orientation"])))));
   }
 
   pick(number_) {

@@ -4,6 +4,8 @@ import * as THREE from "./three.js";
 export const ROLES = { print: "#2f6db3", gray: "#7d8a99", "keep out": "#c2559d", "don't care": "#b7a14a", insert: "#12939a" };
 const BAD = "#d63a49", STRAY = "#f09620", GLASS = "#8fb4cf", LIGHT = "#7c4fd0";
 const DAY = { room: "#eef2f6", line: "#5a6677" }, DARK = { room: "#120000", line: "#ff8a70" };
+/** Color of a role; paler in the dark room, where only its brightness is seen. */
+const tint = (role) => new THREE.Color(ROLES[role] || ROLES.print).lerp(new THREE.Color("#ffffff"), dark() ? 0.55 : 0);
 const dark = () => document.body.dataset.theme === "room";
 
 /** A canvas that is drawn again only when something changed, with a camera that orbits about z. */
@@ -171,7 +173,7 @@ export class PartView extends View {
     if (this.failed) return;
     this.part.clear();
     all.forEach((body, number) => {
-      const made = new THREE.Mesh(geometry(body), fitted(ROLES[body.role] || ROLES.print, this.limits));
+      const made = new THREE.Mesh(geometry(body), fitted(tint(body.role), this.limits));
       made.userData.body = number;
       this.part.add(made);
     });
@@ -182,7 +184,7 @@ export class PartView extends View {
   role(number, role, chosen) {
     const body = this.part?.children[number];
     if (!body) return;
-    body.material.color.set(ROLES[role] || ROLES.print);
+    body.material.color.set(tint(role));
     body.material.emissive.set(chosen ? "#223a55" : "#000000");
     this.draw();
   }
@@ -207,10 +209,11 @@ export class PartView extends View {
   vessel(now) {
     if (this.failed) return;
     this.stage.clear();
+    this.limits.beyond.value.set(dark() ? "#ffffff" : BAD);
     this.limits.reach.value = now.printable ?? 1e9;
-    this.limits.half_height.value = now.half_height ?? 1e9;
+    this.limits.half_height.value = now.printable ? now.half_height : 1e9;
     const tone = dark() ? DARK : DAY, half = Math.max(now.half_height || 0, 1), high = 1.35 * half;
-    const outer = now.outer || now.inner || now.lit || now.printable || 10;
+    const outer = now.outer || now.inner || now.lit || now.printable || now.reach || 10;
     const say = (...all) => this.stage.add(...all);
     if (now.outer) say(tube(now.outer, 2 * high, GLASS, 0.14), ring(now.outer, high, GLASS), ring(now.outer, -high, GLASS));
     if (now.inner) say(tube(now.inner, 2 * high, GLASS, 0.1), ring(now.inner, high, GLASS), ring(now.inner, -high, GLASS));
@@ -220,14 +223,19 @@ export class PartView extends View {
       new THREE.LineDashedMaterial({ color: tone.line, dashSize: high / 12, gapSize: high / 20 }));
     axis.computeLineDistances();
     say(axis);
-    const [wide, tall] = now.beam || [2 * (now.lit || outer), 2 * half], start = 1.75 * outer;
+    if (now.beam) this.beam(now.beam, outer);
+    this.frame(1.06 * Math.hypot(now.beam ? 1.25 * outer : outer, now.reach ? half : high));
+  }
+
+  /** The light at angle 0: its field, and where it goes. */
+  beam([wide, tall], outer) {
+    const say = (...all) => this.stage.add(...all), start = 1.5 * outer;
     const sheet = new THREE.Mesh(new THREE.PlaneGeometry(wide, tall), new THREE.MeshBasicMaterial({ color: LIGHT, transparent: true, opacity: 0.1, side: THREE.DoubleSide, depthWrite: false }));
     sheet.rotation.set(Math.PI / 2, Math.PI / 2, 0);
     sheet.position.x = start;
     say(sheet);
     for (const [y, z] of [[0, 0], [-0.35, 0.32], [0.35, 0.32], [-0.35, -0.32], [0.35, -0.32]])
-      say(new THREE.ArrowHelper(new THREE.Vector3(-1, 0, 0), new THREE.Vector3(start, y * wide, z * tall), 0.5 * outer, LIGHT, 0.14 * outer, 0.07 * outer));
-    this.frame(1.12 * Math.hypot(outer, high));
+      say(new THREE.ArrowHelper(new THREE.Vector3(-1, 0, 0), new THREE.Vector3(start, y * wide, z * tall), 0.36 * outer, LIGHT, 0.1 * outer, 0.045 * outer));
   }
 }
 

@@ -15,7 +15,7 @@ const VERTEX = `#version 300 es
 const FRAGMENT = `#version 300 es
   precision highp float; precision highp sampler3D;
   in vec2 at; out vec4 seen;
-  uniform sampler3D dose, target, other; uniform sampler2D heat; uniform int axis, pane; uniform float slice, most, gain;
+  uniform sampler3D dose, target, other; uniform sampler2D heat; uniform int axis, pane; uniform bool dark; uniform float slice, most, gain;
   vec3 inside(vec2 p) { return axis == 2 ? vec3(slice, p.x, p.y) : axis == 1 ? vec3(p.x, slice, p.y) : vec3(p.x, p.y, slice); }
   float part(vec3 p) { return texture(target, p).r; }
   void main() {
@@ -23,14 +23,16 @@ const FRAGMENT = `#version 300 es
     float t = part(p), d = texture(dose, p).r * most * gain;
     bool edge = (t > 0.5) != (part(p + dx) > 0.5) || (t > 0.5) != (part(p + dy) > 0.5);
     vec3 color = vec3(0.0);
-    if (pane == 0) color = mix(vec3(0.95, 0.96, 0.97), vec3(0.42, 0.49, 0.58), t);
+    if (pane == 0) color = dark ? vec3(mix(0.06, 0.75, t)) : mix(vec3(0.95, 0.96, 0.97), vec3(0.42, 0.49, 0.58), t);
     else if (pane == 1) { color = texture(heat, vec2(clamp(d / 1.5, 0.002, 0.998), 0.5)).rgb; if (edge) color = vec3(1.0); }
     else if (pane == 2) {
       bool solid = d >= 1.0, part = t > 0.5;
-      color = solid ? (part ? vec3(0.69, 0.745, 0.815) : vec3(0.94, 0.588, 0.125)) : part ? vec3(0.84, 0.227, 0.286) : vec3(0.965, 0.97, 0.98);
+      bool hatch = mod(gl_FragCoord.x + gl_FragCoord.y, 6.0) < 3.0; // in the dark room brightness and stripes replace hues
+      if (dark) color = vec3(solid ? (part ? 0.45 : hatch ? 1.0 : 0.0) : part ? 1.0 : 0.06);
+      else color = solid ? (part ? vec3(0.69, 0.745, 0.815) : vec3(0.94, 0.588, 0.125)) : part ? vec3(0.84, 0.227, 0.286) : vec3(0.965, 0.97, 0.98);
     } else {
       float change = (d - texture(other, p).r * most * gain) / 0.3;
-      color = mix(vec3(0.97), change < 0.0 ? vec3(0.77, 0.2, 0.26) : vec3(0.18, 0.4, 0.71), min(1.0, abs(change)));
+      color = mix(vec3(dark ? 0.3 : 0.97), change < 0.0 ? (dark ? vec3(0.0) : vec3(0.77, 0.2, 0.26)) : dark ? vec3(1.0) : vec3(0.18, 0.4, 0.71), min(1.0, abs(change)));
     }
     seen = vec4(color, 1.0);
   }`;
@@ -57,7 +59,7 @@ export class Slices {
     gl.linkProgram(this.program);
     if (!gl.getProgramParameter(this.program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(this.program));
     gl.useProgram(this.program);
-    this.places = Object.fromEntries(["dose", "target", "other", "heat", "axis", "pane", "slice", "most", "gain"].map((name) => [name, gl.getUniformLocation(this.program, name)]));
+    this.places = Object.fromEntries(["dose", "target", "other", "heat", "axis", "pane", "slice", "most", "gain", "dark"].map((name) => [name, gl.getUniformLocation(this.program, name)]));
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
     const corner = gl.getAttribLocation(this.program, "corner");
@@ -115,6 +117,7 @@ export class Slices {
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.uniform1i(this.places.axis, AXES[axis]);
+    gl.uniform1i(this.places.dark, +(document.body.dataset.theme === "room"));
     gl.uniform1f(this.places.slice, slice);
     gl.uniform1f(this.places.gain, gain);
     gl.uniform1f(this.places.most, most);

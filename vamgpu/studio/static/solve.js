@@ -1,7 +1,7 @@
 // Solve: start, the queue, what runs, and two results side by side.
 import { arrays, get, path, reload, send, store, text } from "./api.js";
 import { curves } from "./charts.js";
-import { button, card, day, draw, empty, facts, fixed, make, number, percent, put, select, time } from "./dom.js";
+import { button, card, day, empty, fixed, make, number, percent, put, select, time } from "./dom.js";
 import { chosen, go, mark } from "./main.js";
 import { Slices, heat } from "./slices.js";
 
@@ -82,9 +82,9 @@ export class SolveTab {
     this.slices = this.evaluations = -1;
     const parts = (this.parts = { title: make("div", { class: "row title" }), said: make("p", { class: "stage", role: "status" }), bar: make("progress", { max: 1, "aria-label": "Progress" }), values: make("dl", { class: "values" }), buttons: make("div", { class: "row" }),
       stages: make("ul", { class: "stages" }), notes: make("div", { class: "stack tight" }), curve: make("div", {}), dose: make("canvas", { role: "img", "aria-label": "Middle slice of the dose so far" }), log: make("pre", { hidden: true, tabindex: 0, "aria-label": "Output of the command" }) });
-    this.figure = make("figure", { class: "dose", hidden: true }, parts.dose, make("figcaption", {}, "Dose of the middle slice; outline: the part"));
+    this.figure = make("figure", { class: "dose", hidden: true }, make("h3", {}, "Dose so far"), parts.dose, make("figcaption", {}, "Middle slice of the dose, with the part’s outline"));
     this.now.replaceChildren(make("section", { class: "card", "aria-label": "Progress" }, make("div", { class: "stack" }, parts.title, make("div", { class: "stack tight" }, parts.said, parts.bar), parts.values, parts.buttons,
-      make("div", { class: "pair" }, make("div", { class: "stack tight" }, make("h3", {}, "Window after each evaluation"), parts.curve), make("div", { class: "stack tight" }, make("h3", {}, "Stages"), parts.stages, this.figure)), parts.notes, parts.log)));
+      make("div", { class: "pair" }, make("div", { class: "stack" }, make("h3", {}, "Window after each evaluation"), parts.curve, make("h3", {}, "Stages"), parts.stages), this.figure), parts.notes, parts.log)));
   }
 
   buttons(task, busy) {
@@ -112,7 +112,7 @@ export class SolveTab {
       const more = slices > 0 && slices !== this.slices, [full, slice] = await Promise.all([get(`tasks/${path(task.id)}`), more ? arrays(`tasks/${path(task.id)}/slice`) : null]);
       [this.evaluations, this.slices, this.ended] = [evaluations, slices, ended];
       if (this.closed || this.shown !== task.id) return;
-      const { evaluations: across = [], window: up = [] } = full.history || {}, chart = curves("Window after each evaluation", [{ points: across.map((each, k) => [each, up[k]]) }], { across: "evaluations", up: "window" });
+      const { evaluations: across = [], window: up = [] } = full.history || {}, chart = curves("Window after each evaluation", [{ points: across.map((each, k) => [each, up[k]]) }], { across: "evaluations" });
       this.parts.curve.replaceChildren(chart || make("p", { class: "soft" }, "It appears after the first evaluations."));
       if (slice) this.paint(slice);
     } catch { /* the next event asks again */ } finally { this.asking = false; }
