@@ -92,7 +92,7 @@ export class JobTab {
       make("details", { "data-table": "presets" }, make("summary", {}, "Save the values of this job as a preset"), make("div", { class: "row" },
         select("Of", Object.entries(titles), family, (value) => { family = value; }), make("label", { class: "field" }, make("span", {}, "Name"), name),
         button("Save the preset", async () => {
-          const set = Object.fromEntries(keys[family].flatMap((table) => Object.entries(chosen.file.fields[table] || {}).map(([key, value]) => [`${table}.${key}`, value])));
+          const set = Object.fromEntries(keys[family].flatMap((table) => Object.entries(chosen.file.fields[table] || {}).filter(([, value]) => typeof value !== "object" || Array.isArray(value)).map(([key, value]) => [`${table}.${key}`, value])));
           await send("POST", "presets", { family, name: name.value.trim(), set, source: "" });
           await reload.presets();
           say(`saved the preset “${name.value.trim()}”`);

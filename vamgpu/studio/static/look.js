@@ -147,7 +147,7 @@ export class LookTab {
     this.bars?.move(gain);
     if (!this.counts) return;
     const { part, outside } = printed(this.counts, this.most, gain);
-    put(this.live, `At ${this.exposed(gain)}${this.result.seconds ? ` (${signed(100 * (gain - 1), 1)} %)` : ""}: ${percent(part, 2)} of the part prints, and ${percent(outside, 2)} of the resin outside it.`);
+    put(this.live, `At ${this.exposed(gain)}${this.result.seconds && Math.abs(gain - 1) > 0.0005 ? ` (${signed(100 * (gain - 1), 1)} %)` : ""}: ${percent(part, 2)} of the part prints, and ${percent(outside, 2)} of the resin outside it.`);
   }
 
   /** When the slider rests: the exact counts of all voxels, and the surface of that exposure. */

@@ -36,7 +36,7 @@ export class PartTab {
     this.inspector = make("div", { class: "stack inspector" });
     this.handles = make("button", { type: "button", "aria-pressed": "false", hidden: !chosen.job, onclick: () => this.toggle() }, "Turn the part");
     root.append(make("div", { class: "split" },
-      make("div", { class: "viewer" }, this.canvas, make("div", { class: "over" }, this.handles, button("Whole vial", () => this.scene && this.view.vessel(this.stage()))), this.caption), this.inspector));
+      make("div", { class: "viewer" }, this.canvas, make("div", { class: "over" }, this.handles, button("Reset the view", () => this.scene && this.view.vessel(this.stage()))), this.caption), this.inspector));
     this.view = new PartView(this.canvas, { turned: (matrix) => this.turn(matrix), picked: (body) => this.pick(body) });
     if (this.view.failed) this.canvas.replaceWith(make("p", { class: "note" }, "This browser has no WebGL 2, so the part is not drawn. Turn on hardware acceleration in the browser's settings. All fields work without it."));
     this.load();
@@ -90,7 +90,7 @@ export class PartTab {
     }
     const { vessel, beam, grid, part } = this.scene, tall = beam?.height ?? (grid ? grid.shape[2] * grid.pitch : part?.extents[2]);
     const lit = beam ? Math.min(beam.width / 2, vessel?.inner ?? Infinity) : null;
-    return { outer: vessel?.radius, inner: vessel?.inner, lit, printable: grid?.radius ?? lit, half_height: tall / 2, beam: beam && [beam.width, beam.height] };
+    return { outer: vessel?.radius, inner: vessel?.inner, square: vessel?.shape === "box", lit, printable: grid?.radius ?? lit, half_height: tall / 2, beam: beam && [beam.width, beam.height] };
   }
 
   bodies() {

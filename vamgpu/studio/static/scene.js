@@ -99,17 +99,22 @@ function geometry({ points, faces, colors }) {
   return made;
 }
 
-const ring = (radius, height, color, dashed = false) => {
-  const points = new Float32Array(3 * 97);
-  for (let k = 0; k < 97; k++) points.set([radius * Math.cos((k * Math.PI) / 48), radius * Math.sin((k * Math.PI) / 48), height], 3 * k);
+/** A circle about the axis, or the square around it. */
+const ring = (radius, height, color, dashed = false, square = false) => {
+  const sides = square ? 4 : 96, reach = square ? radius * Math.SQRT2 : radius, points = new Float32Array(3 * sides + 3);
+  for (let k = 0; k <= sides; k++) {
+    const angle = (2 * Math.PI * (k + (square ? 0.5 : 0))) / sides;
+    points.set([reach * Math.cos(angle), reach * Math.sin(angle), height], 3 * k);
+  }
   const made = new THREE.Line(geometry({ points }), dashed
     ? new THREE.LineDashedMaterial({ color, dashSize: radius / 14, gapSize: radius / 18 }) : new THREE.LineBasicMaterial({ color }));
   if (dashed) made.computeLineDistances();
   return made;
 };
 
-const tube = (radius, height, color, opacity) => {
-  const made = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, height, 96, 1, true),
+const tube = (radius, height, color, opacity, square = false) => {
+  const reach = square ? radius * Math.SQRT2 : radius;
+  const made = new THREE.Mesh(new THREE.CylinderGeometry(reach, reach, height, square ? 4 : 96, 1, true, square ? Math.PI / 4 : 0),
     new THREE.MeshBasicMaterial({ color, transparent: true, opacity, side: THREE.DoubleSide, depthWrite: false }));
   made.rotation.x = Math.PI / 2;
   made.renderOrder = 2;
@@ -205,7 +210,7 @@ export class PartView extends View {
     this.draw();
   }
 
-  /** Show the vessel: { outer, inner, lit, printable, half_height, beam: [width, height] }, lengths in mm. */
+  /** Show the vessel: { outer, inner, square, lit, printable, half_height, beam: [width, height] }, lengths in mm. */
   vessel(now) {
     if (this.failed) return;
     this.stage.clear();
@@ -215,8 +220,8 @@ export class PartView extends View {
     const tone = dark() ? DARK : DAY, half = Math.max(now.half_height || 0, 1), high = 1.35 * half;
     const outer = now.outer || now.inner || now.lit || now.printable || now.reach || 10;
     const say = (...all) => this.stage.add(...all);
-    if (now.outer) say(tube(now.outer, 2 * high, GLASS, 0.14), ring(now.outer, high, GLASS), ring(now.outer, -high, GLASS));
-    if (now.inner) say(tube(now.inner, 2 * high, GLASS, 0.1), ring(now.inner, high, GLASS), ring(now.inner, -high, GLASS));
+    for (const [radius, shade] of [[now.outer, 0.14], [now.inner, 0.1]])
+      if (radius) say(tube(radius, 2 * high, GLASS, shade, now.square), ring(radius, high, GLASS, false, now.square), ring(radius, -high, GLASS, false, now.square));
     if (now.lit) say(ring(now.lit, half, LIGHT), ring(now.lit, -half, LIGHT));
     if (now.printable) say(tube(now.printable, 2 * half, "#1d9a5b", 0.05), ring(now.printable, half, "#1d9a5b", true), ring(now.printable, -half, "#1d9a5b", true));
     const axis = new THREE.Line(geometry({ points: new Float32Array([0, 0, -1.15 * high, 0, 0, 1.15 * high]) }),

@@ -21,7 +21,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
-STATIC = Path(__file__).resolve().parents[2] / "vamgpu" / "studio" / "static"
+STATIC = Path(__file__).resolve().parent.parent / "vamgpu" / "studio" / "static"
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".woff2": "font/woff2", ".svg": "image/svg+xml", ".txt": "text/plain"}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; font-src 'self'; "
@@ -65,11 +65,12 @@ NOT = VERDICT | {
 
 @cache
 def volumes() -> tuple[np.ndarray, np.ndarray]:
-    """A ring on a plate [x, y, z], and a dose that prints it."""
+    """A ring on a plate, with a peg at +x, +y [x, y, z], and a dose that prints them."""
     x, y, z = np.meshgrid(*(PITCH * (np.arange(n) - n / 2 + 0.5) for n in (96, 96, 64)), indexing="ij")
     ring = (np.abs(np.hypot(x, z) - 2.6) < 0.9) & (np.abs(y) < 1.2)
     plate = (np.abs(z + 3.3) < 0.7) & (np.hypot(x, y) < 4.8)
-    part = (ring | plate).astype(np.float32)
+    peg = (np.abs(x - 3.6) < 0.6) & (np.abs(y - 2.4) < 0.6) & (np.abs(z + 2) < 1.2)
+    part = (ring | plate | peg).astype(np.float32)
     soft = gaussian_filter(part, 1.2)
     glow = 0.35 + 0.2 * gaussian_filter(part, 9) + 0.02 * np.sin(3 * x) * np.cos(2 * y)
     return part, np.clip(glow + 0.92 * soft, 0, 1.5).astype(np.float32)
