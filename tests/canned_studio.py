@@ -432,10 +432,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 def scene() -> dict[str, Any]:
     return {
-        "vessel": {"table": "vial", "kind": "vial", "shape": "cylinder", "radius": 12.4, "inner": 11.4},
+        "vessel": {"table": "vial", "kind": "vial", "shape": "cylinder", "radius": 12.4, "inner": 11.4, "lit": 9.8},
         "part": {"triangles": 225706, "low": [-5, -4.8, -4], "high": [5, 4.8, 3.5], "extents": [9.6, 9.6, 7.5], "radius": 4.9},
         "grid": {"shape": [256, 256, 178], "pitch": 0.045, "radius": 9.8}, "problems": [], "doubts": [], "memory": 2.1e9,
-        "beam": {"pixels": [360, 300], "pitch": 0.067, "width": 21.0, "height": 12.1},
+        "beam": {"pixels": [360, 300], "pitch": 0.067, "width": 21.0, "height": 12.1, "reach": 8.9},
     }  # fmt: skip
 
 

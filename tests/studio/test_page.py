@@ -225,9 +225,9 @@ def test_a_print_starts_only_after_its_name_is_typed(opened: Opened) -> None:
 
 def test_turning_a_part_multiplies_its_orientation(opened: Opened) -> None:
     page, studio = opened(f"{JOB}part")
-    page.get_by_role("button", name="Turn by 90° about x").click()
+    page.get_by_role("button", name="Turn about x by 90°").click()
     until(page, "[...document.querySelectorAll('input')].some((input) => input.value === '90.0')")
-    page.get_by_role("button", name="Turn by 90° about z").click()
+    page.get_by_role("button", name="Turn about z by 90°").click()
     until(page, "[...document.querySelectorAll('input')].filter((input) => input.value === '90.0').length === 2")
     x, z = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert np.allclose(sent(studio, "jobs/edit")[-1]["set"]["target.orientation"], z @ x, atol=1e-6)
@@ -235,8 +235,8 @@ def test_turning_a_part_multiplies_its_orientation(opened: Opened) -> None:
 
 def test_what_lies_beyond_the_printable_cylinder_is_red(opened: Opened) -> None:
     reds = []
-    for radius in (9.8, 3.0):
-        about: Any = {"jobs/boat.toml/scene": scene() | {"grid": {"shape": [64, 64, 64], "pitch": 0.1, "radius": radius}}}
+    for reach in (8.9, 3.0):
+        about: Any = {"jobs/boat.toml/scene": scene() | {"beam": scene()["beam"] | {"reach": reach}}}
         page, _ = opened(f"{JOB}part", **about)
         page.get_by_text("prints up to").wait_for()
         page.wait_for_timeout(400)

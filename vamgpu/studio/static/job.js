@@ -10,6 +10,12 @@ const PAUSE = 700; // after the last key before the text is saved [ms]
 const rank = (name) => (ORDER.indexOf(name) + 1 || ORDER.length + 1);
 const shown = (value) => (value === undefined ? "" : typeof value === "string" ? value : JSON.stringify(value).replaceAll(",", ", "));
 
+/** A value in one spelling: "1.0 mm" as "1 mm". */
+function plain(value) {
+  const [, number, unit] = (typeof value === "string" && value.match(/^([-+.\de]+)\s*(\D.*)$/)) || [];
+  return Number.isFinite(+number) ? `${+number} ${unit}` : JSON.stringify(value);
+}
+
 /** The value that a text means for a key of the schema, as JSON for the server. */
 export function meant(key, text) {
   const said = text.trim().replace("−", "-");
@@ -76,7 +82,7 @@ export class JobTab {
 
   presets() {
     const lists = store.presets || { vials: [], projectors: [], resins: [] }, titles = { vials: "Vial", projectors: "Projector", resins: "Resin" };
-    const same = (set) => Object.entries(set).every(([key, value]) => JSON.stringify(chosen.file.value(key)) === JSON.stringify(value));
+    const same = (set) => Object.entries(set).every(([key, value]) => plain(chosen.file.value(key)) === plain(value));
     const now = Object.keys(titles).map((family) => {
       const current = lists[family].find(({ set }) => same(set));
       return select(titles[family], [["", "own values"], ...lists[family].map(({ id, name, own }) => [id, own ? `${name} (own)` : name])], current?.id || "", (id) => {

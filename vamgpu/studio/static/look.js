@@ -210,7 +210,7 @@ export class LookTab {
       await reload.tasks();
       say("exposing again; the result appears here");
     }, { class: "primary" }), tolerances ? null : button("Measure all tolerances", () => send("POST", "tasks", { kind: "prove", result: chosen.result.id, device: null, tolerances: true }).then(reload.tasks))),
-    tolerances ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Tolerances" }, make("table", {}, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "error"), make("th", { scope: "col", class: "n" }, "window"), make("th", { scope: "col", class: "n" }, "wrong voxels"))),
+    tolerances ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Tolerances" }, make("table", { "aria-label": "Windows with one error at a time" }, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "error"), make("th", { scope: "col", class: "n" }, "window"), make("th", { scope: "col", class: "n" }, "wrong voxels"))),
       make("tbody", {}, tolerances.rows.map((row) => make("tr", {}, make("th", { scope: "row" }, `${row.name} ${row.change}`.replace("-", "−")), make("td", { class: "n" }, fixed(row.window, 3)), make("td", { class: "n" }, number(row.wrong))))))) : null,
     first.length ? make("ul", { class: "plain" }, first.map(({ name, text }) => make("li", {}, `${name}: ${text}`))) : null));
   }
@@ -249,7 +249,7 @@ export class LookTab {
   numbers() {
     const lines = this.result.lines || [];
     if (!lines.length) return make("div");
-    const made = card("All numbers", make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "All numbers" }, make("table", { class: "numbers" }, make("tbody", {}, lines.map(({ name, value, meaning }) => make("tr", {}, make("th", { scope: "row" }, name), make("td", { class: "n" }, value.replace(/^-/, "−")), make("td", { class: "soft" }, meaning)))))));
+    const made = card("All numbers", make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "All numbers" }, make("table", { class: "numbers", "aria-label": "Numbers of the result" }, make("tbody", {}, lines.map(({ name, value, meaning }) => make("tr", {}, make("th", { scope: "row" }, name), make("td", { class: "n" }, value.replace(/^-/, "−")), make("td", { class: "soft" }, meaning)))))));
     made.classList.add("wide");
     return made;
   }

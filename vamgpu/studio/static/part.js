@@ -89,8 +89,8 @@ export class PartTab {
       return { half_height: extents[2] / 2, reach: radius };
     }
     const { vessel, beam, grid, part } = this.scene, tall = beam?.height ?? (grid ? grid.shape[2] * grid.pitch : part?.extents[2]);
-    const lit = beam ? Math.min(beam.width / 2, vessel?.inner ?? Infinity) : null;
-    return { outer: vessel?.radius, inner: vessel?.inner, square: vessel?.shape === "box", lit, printable: grid?.radius ?? lit, half_height: tall / 2, beam: beam && [beam.width, beam.height] };
+    const lit = beam ? (beam.reach ?? beam.width / 2) : null, printable = lit && Math.min(lit, vessel?.lit ?? vessel?.inner ?? Infinity);
+    return { outer: vessel?.radius, inner: vessel?.inner, square: vessel?.shape === "box", lit, printable, half_height: tall / 2, beam: beam && [beam.width, beam.height] };
   }
 
   bodies() {
@@ -108,7 +108,7 @@ export class PartTab {
       about_ && ["file", about_.id], about_ && ["as drawn", `${about_.extents.map((each) => number(each)).join(" × ")} ${about_.unit}`],
       this.scene?.part && ["as printed", `${this.scene.part.extents.map((each) => number(each)).join(" × ")} mm`],
       this.scene?.part && ["reaches from the axis", length(this.scene.part.radius)],
-      this.scene?.grid && ["prints up to", length(this.scene.grid.radius)],
+      this.stage().printable && ["prints up to", length(this.stage().printable)],
       this.scene?.grid && ["voxels", this.scene.grid.shape.join(" × ")], this.scene?.grid && ["width of a voxel", length(this.scene.grid.pitch)],
       about_ && ["triangles", `${about_.triangles.toLocaleString("en")}${this.mesh.meta?.shown < this.mesh.meta?.triangles ? `, ${this.mesh.meta.shown.toLocaleString("en")} drawn` : ""}`],
     ])));
@@ -166,7 +166,7 @@ export class PartTab {
       make("label", { class: "field" }, make("span", {}, "Height along the axis"), height),
       error ? make("p", { class: "error" }, error.message) : null,
       make("div", { class: "thirds" }, field("Tilt about x, °", x, (v) => set(v, y, z)), field("Tilt about y, °", y, (v) => set(x, v, z)), field("Turn about z, °", z, (v) => set(x, y, v))),
-      make("div", { class: "thirds" }, ["x", "y", "z"].map((axis) => button(`${axis} by 90°`, () => this.turn(about(axis, 90)), { "aria-label": `Turn by 90° about ${axis}` }))), make("div", { class: "row" }, button("As drawn", () => this.save({}, ["target.orientation"])))));
+      make("div", { class: "thirds" }, ["x", "y", "z"].map((axis) => button(`${axis} by 90°`, () => this.turn(about(axis, 90)), { "aria-label": `Turn about ${axis} by 90°` }))), make("div", { class: "row" }, button("As drawn", () => this.save({}, ["target.orientation"])))));
   }
 
   pick(number_) {
@@ -219,7 +219,7 @@ export class PartTab {
       make("div", { class: "row between" }, make("span", { class: "soft" }, task.state === "queued" ? "waits in the queue" : `${task.progress?.said || "comparing"}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}`),
         button("Cancel", () => send("POST", `tasks/${path(task.id)}/cancel`))));
     else if (task?.state === "failed") parts.push(make("p", { class: "error" }, task.message));
-    else if (task?.orientations) parts.push(make("table", { class: "stands" }, make("thead", {}, make("tr", {}, ["tilt", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
+    else if (task?.orientations) parts.push(make("table", { class: "stands", "aria-label": "Orientations, best first" }, make("thead", {}, make("tr", {}, ["tilt", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
       make("tbody", {}, task.orientations.map((each) => make("tr", {}, make("th", { scope: "row" }, `${fixed(each.tilt, 0)}°${each.azimuth ? ` to ${fixed(each.azimuth, 0)}°` : ""}`),
         make("td", { class: "n" }, fixed(each.window, 3)), make("td", { class: "n" }, time(each.seconds)), make("td", { class: "n" }, length(each.height)),
         make("td", { class: "n" }, each.fits ? button("Use", () => this.save(each.set), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large")))))));

@@ -60,7 +60,7 @@ export class PrintTab {
       if (rig !== this.rig || this.closed) return;
       const rows = now.guarantees.map((each) => make("tr", {}, make("th", { scope: "row" }, each.about), make("td", { class: `sure ${each.kind.replace(" ", "-")}` }, make("span", { "aria-hidden": "true" }, `${SURE[each.kind] || ""} `), each.kind), make("td", { class: "soft" }, each.remedy ? `${each.why}; ${each.remedy}` : each.why)));
       this.machine.replaceChildren(card(`Machine ${rig === "emulated" ? "(emulated)" : rig}: guaranteed, watched or believed`, now.refused ? make("p", { class: "note bad" }, now.refused) : null,
-        make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Guarantees" }, make("table", { class: "guarantees" }, make("thead", {}, make("tr", {}, ["what", "how sure", "why"].map((text) => make("th", { scope: "col" }, text)))), make("tbody", {}, rows)))));
+        make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Guarantees" }, make("table", { class: "guarantees", "aria-label": "Guarantees of the machine" }, make("thead", {}, make("tr", {}, ["what", "how sure", "why"].map((text) => make("th", { scope: "col" }, text)))), make("tbody", {}, rows)))));
     } catch (error) {
       if (!this.closed) this.machine.replaceChildren(card(`Machine ${rig}`, make("p", { class: "note bad" }, error.message)));
     }

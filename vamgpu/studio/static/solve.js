@@ -156,7 +156,7 @@ export class SolveTab {
       const { rows, keys } = await get(`compare?a=${encodeURIComponent(a)}&b=${encodeURIComponent(b)}`);
       const cells = (list, first) => list.map((each) => make("tr", {}, make("th", { scope: "row" }, each[first], each.meaning ? make("small", { class: "block" }, each.meaning) : null), make("td", { class: "n" }, String(each.a ?? "–")), make("td", { class: "n" }, String(each.b ?? "–"))));
       const header = (what) => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, what), make("th", { scope: "col", class: "n" }, a), make("th", { scope: "col", class: "n" }, b)));
-      this.table.replaceChildren(make("div", { class: "scroll", tabindex: 0 }, make("table", {}, header("result"), make("tbody", {}, cells(rows, "name")))), keys.length ? make("div", { class: "scroll", tabindex: 0 }, make("table", {}, header("key that differs"), make("tbody", {}, cells(keys, "key")))) : make("p", { class: "soft" }, "Their job files hold the same values."));
+      this.table.replaceChildren(make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Results" }, make("table", { "aria-label": "Results of both" }, header("result"), make("tbody", {}, cells(rows, "name")))), keys.length ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Keys" }, make("table", { "aria-label": "Keys that differ" }, header("key that differs"), make("tbody", {}, cells(keys, "key")))) : make("p", { class: "soft" }, "Their job files hold the same values."));
       await this.differ(a, b);
     } catch (error) { this.table.replaceChildren(make("p", { class: "note bad" }, error.message)); }
   }
