@@ -21,6 +21,7 @@ export class LookTab {
         : empty("No result here", "A part alone has none. Make a job with it, and solve it."));
       return;
     }
+    root.append(make("p", { class: "soft" }, "Reading the result …"));
     this.load();
   }
 
@@ -185,7 +186,7 @@ export class LookTab {
       return made.error ? null : { points: made.positions.data, faces: made.indices.data, deviation: made.deviation?.data, meta: made.meta };
     };
     try {
-      if (this.meshes.gain !== gain) Object.assign(this.meshes, { gain, printed: await load("printed"), stray: await load("stray") });
+      if (this.meshes.gain !== gain) Object.assign(this.meshes, { gain, printed: await load("printed"), stray: (this.result.outer?.share ?? 1) * gain >= 1 ? await load("stray") : null });
       if (this.mode === "target") this.meshes.target ||= await load("target");
       if (this.closed) return;
       const { printed: surface, target, stray } = this.meshes, most = surface?.meta.pitch || this.result.pitch || 0.05;
@@ -212,7 +213,7 @@ export class LookTab {
     }, { class: "primary" }), tolerances ? null : button("Measure all tolerances", () => send("POST", "tasks", { kind: "prove", result: chosen.result.id, device: null, tolerances: true }).then(reload.tasks))),
     tolerances ? make("div", { class: "scroll", tabindex: 0, role: "group", "aria-label": "Tolerances" }, make("table", { "aria-label": "Windows with one error at a time" }, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "error"), make("th", { scope: "col", class: "n" }, "window"), make("th", { scope: "col", class: "n" }, "wrong voxels"))),
       make("tbody", {}, tolerances.rows.map((row) => make("tr", {}, make("th", { scope: "row" }, `${row.name} ${row.change}`.replace("-", "−")), make("td", { class: "n" }, fixed(row.window, 3)), make("td", { class: "n" }, number(row.wrong))))))) : null,
-    first.length ? make("ul", { class: "plain" }, first.map(({ name, text }) => make("li", {}, `${name}: ${text}`))) : null));
+    first.length ? make("h3", {}, "Errors that cause the first wrong voxel") : null, first.length ? make("ul", { class: "plain" }, first.map(({ name, text }) => make("li", {}, `${name}: ${text}`))) : null));
   }
 
   light() {

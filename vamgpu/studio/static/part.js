@@ -33,7 +33,7 @@ export class PartTab {
     }
     this.canvas = make("canvas", { class: "scene", tabindex: 0, role: "img", "aria-label": "The part in its vial, in three dimensions. Drag or use the arrow keys to turn the view, plus and minus to zoom." });
     this.caption = make("div", { class: "legend" });
-    this.inspector = make("div", { class: "stack inspector" });
+    this.inspector = make("div", { class: "stack inspector" }, make("p", { class: "soft" }, "Reading the part …"));
     this.handles = make("button", { type: "button", "aria-pressed": "false", hidden: !chosen.job, onclick: () => this.toggle() }, "Turn the part");
     root.append(make("div", { class: "split" },
       make("div", { class: "viewer" }, this.canvas, make("div", { class: "over" }, this.handles, button("Reset the view", () => this.scene && this.view.vessel(this.stage()))), this.caption), this.inspector));

@@ -23,6 +23,7 @@ export class SolveTab {
     root.append(make("div", { class: "split solve" }, make("div", { class: "stack" }, this.now, this.compare), make("div", { class: "stack inspector" }, this.start, this.queue)));
     this.fill();
     this.comparing();
+    this.clock = setInterval(() => this.shown && this.task()?.state === "running" && this.running(), 1000); // time passes between events
   }
 
   /** The task to show at large: the newest of this job that solves or simulates. */
@@ -59,7 +60,7 @@ export class SolveTab {
       return;
     }
     if (this.shown !== task.id) this.frame(task);
-    const { progress, state } = task, busy = BUSY.includes(state), key = STATES[state] || ["none", state];
+    const { progress, state } = task, busy = BUSY.includes(state), key = STATES[state] || ["none", state], solves = task.kind === "solve";
     this.parts.title.replaceChildren(mark(key[0]), make("h2", {}, `${KINDS[task.kind]} · ${task.job || task.result}`), make("span", { class: "soft" }, key[1]));
     const label = state === "queued" ? "Waits for the device" : busy ? progress?.said || "starting" : task.message || key[1];
     put(this.parts.said, label[0].toUpperCase() + label.slice(1));
@@ -68,7 +69,7 @@ export class SolveTab {
     if (progress?.share === null || progress?.share === undefined) this.parts.bar.removeAttribute("value"); else this.parts.bar.value = progress.share;
     this.parts.values.replaceChildren(...[
       busy && ["time left", progress?.left === null || progress?.left === undefined ? "–" : time(progress.left)], ["time", time((task.ended || Date.now() / 1000) - (task.began || task.added))],
-      ["evaluations", number(progress?.evaluations ?? null)], ["window", progress?.window === null || progress?.window === undefined ? "–" : fixed(progress.window, 3)], ["loss", number(progress?.loss ?? null)],
+      solves && ["evaluations", number(progress?.evaluations ?? null)], solves && ["window", progress?.window === null || progress?.window === undefined ? "–" : fixed(progress.window, 3)], solves && ["loss", number(progress?.loss ?? null)],
     ].filter(Boolean).map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value))));
     this.buttons(task, busy);
     const done = progress?.stages || [];
@@ -84,7 +85,7 @@ export class SolveTab {
       stages: make("ul", { class: "stages" }), notes: make("div", { class: "stack tight" }), curve: make("div", {}), dose: make("canvas", { role: "img", "aria-label": "Middle slice of the dose so far" }), log: make("pre", { hidden: true, tabindex: 0, "aria-label": "Output of the command" }) });
     this.figure = make("figure", { class: "dose", hidden: true }, make("h3", {}, "Dose so far"), parts.dose, make("figcaption", {}, "Middle slice of the dose, with the part’s outline"));
     this.now.replaceChildren(make("section", { class: "card", "aria-label": "Progress" }, make("div", { class: "stack" }, parts.title, make("div", { class: "stack tight" }, parts.said, parts.bar), parts.values, parts.buttons,
-      make("div", { class: "pair" }, make("div", { class: "stack" }, make("h3", {}, "Window after each evaluation"), parts.curve, make("h3", {}, "Stages"), parts.stages), this.figure), parts.notes, parts.log)));
+      make("div", { class: "pair" }, make("div", { class: "stack" }, task.kind === "solve" ? [make("h3", {}, "Window after each evaluation"), parts.curve] : null, make("h3", {}, "Stages"), parts.stages), this.figure), parts.notes, parts.log)));
   }
 
   buttons(task, busy) {
@@ -186,6 +187,7 @@ export class SolveTab {
 
   close() {
     this.closed = true;
+    clearInterval(this.clock);
     this.panes?.close();
   }
 }
