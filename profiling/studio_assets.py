@@ -14,12 +14,37 @@ from pathlib import Path
 
 STATIC = Path(__file__).resolve().parent.parent / "vamgpu" / "studio" / "static"
 PACKAGES = {"three": "0.187.0", "esbuild": "0.28.2", "@fontsource-variable/inter": "5.2.8"}
-CALLED = (
-    "AmbientLight ArrowHelper BufferAttribute BufferGeometry Color CylinderGeometry DirectionalLight DoubleSide "
-    "BackSide Group HemisphereLight Line LineBasicMaterial LineDashedMaterial LineLoop LineSegments Matrix4 Mesh "
-    "MeshBasicMaterial MeshStandardMaterial OrthographicCamera PerspectiveCamera PlaneGeometry Quaternion Raycaster Scene "
-    "Vector2 Vector3 WebGLRenderer"
-).split()
+CALLED = [
+    "AmbientLight",
+    "ArrowHelper",
+    "BufferAttribute",
+    "BufferGeometry",
+    "Color",
+    "CylinderGeometry",
+    "DirectionalLight",
+    "DoubleSide",
+    "BackSide",
+    "Group",
+    "HemisphereLight",
+    "Line",
+    "LineBasicMaterial",
+    "LineDashedMaterial",
+    "LineLoop",
+    "LineSegments",
+    "Matrix4",
+    "Mesh",
+    "MeshBasicMaterial",
+    "MeshStandardMaterial",
+    "OrthographicCamera",
+    "PerspectiveCamera",
+    "PlaneGeometry",
+    "Quaternion",
+    "Raycaster",
+    "Scene",
+    "Vector2",
+    "Vector3",
+    "WebGLRenderer",
+]
 """Names of three.js that the page imports; the bundle holds these and what they need."""
 CONTROLS = ("OrbitControls", "TransformControls")
 

@@ -17,7 +17,7 @@ from vamgpu.studio.server import Studio
 from vamgpu.targets import shapes
 
 SIZE: Any = {"width": 1360, "height": 850}
-COLORS = 192
+COLORS = 256
 SWITCHES = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
 LONGEST = 900_000
 """Longest wait for a solve or a simulation [ms]."""
@@ -54,7 +54,7 @@ def shot(page: Any, out: Path, name: str) -> Path:
     page.wait_for_timeout(1500)
     path = out / f"studio-{name}.png"
     page.screenshot(path=path)
-    small = Image.open(path).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)
+    small = Image.open(path).convert("RGB").quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     small.save(path, optimize=True)
     return path
 
@@ -65,12 +65,13 @@ def shoot(out: Path) -> list[Path]:
 
     drawn = []
     with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
-        shapes.build("boat").save(Path(place) / "boat.stl")
-        (Path(place) / "boat.toml").write_text(JOB)
+        (lab := Path(place) / "lab").mkdir()
+        shapes.build("boat").save(lab / "boat.stl")
+        (lab / "boat.toml").write_text(JOB)
         browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=SWITCHES)
         page = browser.new_page(viewport=SIZE)
         page.set_default_timeout(LONGEST)
-        with Studio(Path(place) / "boat.toml") as studio:
+        with Studio(lab / "boat.toml") as studio:
             page.goto(studio.url)
             page.get_by_role("heading", name="Size").wait_for()
             drawn.append(shot(page, out, "part"))

@@ -18,6 +18,7 @@ from vamgpu.jobs.demo import JOB as DEMO
 from vamgpu.jobs.edit import edited
 from vamgpu.jobs.model import JobFile
 from vamgpu.jobs.read import Job, checked_toml, read_text
+from vamgpu.optics.sampling import resin_pixel
 from vamgpu.storage.atomic import replacing
 from vamgpu.studio.parts import SHOWN, Mesh, Part, placed
 from vamgpu.studio.workspace import JOB, Refused, Workspace, stamp
@@ -162,6 +163,8 @@ class Texts:
         elif hasattr(light, "width") and light.width:
             found["vessel"] = {"table": table, "kind": type(light).__name__, "shape": "box",
                                "radius": 0.5 * float(light.width), "inner": 0.5 * float(light.width)}  # fmt: skip
+        if found["vessel"] is not None and np.isfinite(lit := getattr(light, "lit_radius", np.inf)):
+            found["vessel"]["lit"] = float(lit)
         pixels, pitch = file.beam.pixels, file.beam.pitch
         if solid is None:
             return
@@ -182,6 +185,7 @@ class Texts:
             "pitch": pitch,
             "width": pixels[0] * pitch,
             "height": pixels[1] * pitch,
+            "reach": 0.5 * pixels[0] * resin_pixel(file.beam, light)[0],  # in the resin
         }
         for k, (axis, side) in enumerate((("columns", "wide"), ("rows", "high"))):
             if pixels[k] + 4 < needed[k]:

@@ -43,7 +43,7 @@ export class PrintTab {
     }, { class: "danger", disabled: busy || (this.confirmed || "").trim() !== result.id });
     this.begin.replaceChildren(
       card("Machine", make("div", { class: "stack tight" }, rigs.length ? select("Rig file", rigs, this.rig, (value) => { this.rig = value; localStorage.setItem("rig", value); this.guarantees(); }, { "data-key": "rig" }) : make("p", { class: "soft" }, "No rig file in the workspace: put one there (see docs/machines.md)."),
-        make("div", { class: "halves" }, field("Speed", "speed", "of the rig file", "speed"), field("Turns", "turns", "as the exposure takes", "turns")))),
+        make("div", { class: "halves" }, field("Speed", "speed", "from the rig file", "speed"), field("Turns", "turns", "from the dose", "turns")))),
       card("1 · Dry run", make("div", { class: "stack tight" }, make("p", { class: "soft" }, "Prints on emulated machines, without light, and delivers the dose to a simulated vial."), state(dry, "Dry run"),
         make("div", { class: "row" }, button(dry ? "Run dry again" : "Run dry", () => send("POST", "tasks", { kind: "rehearse", ...request({}) }).then(reload.tasks), { class: dry?.state === "done" ? "" : "primary", disabled: busy || !this.rig })))),
       card("2 · Print", make("div", { class: "stack tight" },
