@@ -234,6 +234,18 @@ def test_turning_a_part_multiplies_its_orientation(opened: Opened) -> None:
     assert np.allclose(sent(studio, "jobs/edit")[-1]["set"]["target.orientation"], z @ x, atol=1e-6)
 
 
+def test_a_second_body_leaves_the_first_one_where_it_is(opened: Opened) -> None:
+    page, studio = opened(f"{JOB}part")  # drawn five times as large as printed, and 24 mm higher
+    page.get_by_role("button", name="Add", exact=True).click()
+    while not sent(studio, "jobs/edit"):
+        page.wait_for_timeout(50)
+    made = sent(studio, "jobs/edit")[0]
+    assert made["set"]["target.factor"] == pytest.approx(0.2, rel=1e-5)
+    assert made["set"]["target.origin"] == pytest.approx([0, 0, 24], abs=1e-3)
+    assert (made["set"]["body.0.mesh"], made["set"]["body.1.role"]) == ("benchy.stl", "keep out")
+    assert made["remove"] == ["target.mesh", "target.height"]
+
+
 def test_what_lies_beyond_the_printable_cylinder_is_red(opened: Opened) -> None:
     reds = []
     for reach in (8.9, 3.0):

@@ -8,6 +8,7 @@ const IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 const UNITS = [["mm", 1], ["µm", 0.001], ["cm", 10], ["m", 1000], ["inch", 25.4]];
 const multiply = (a, b) => a.map((row) => b[0].map((_, c) => row.reduce((sum, value, k) => sum + value * b[k][c], 0)));
 const SHOWN = 120000; // triangles
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** Rotation matrix about x, y or z by degrees. */
 function about(axis, degrees) {
@@ -52,7 +53,7 @@ export class PartTab {
     const turn = (this.loading = (this.loading || 0) + 1), { job, part } = chosen;
     try {
       const [mesh, scene, about_] = await Promise.all([
-        arrays(`${job ? `jobs/${path(job.id)}` : `parts/${path(part.id)}`}/mesh?most=${SHOWN}`).catch((error) => ({ error })),
+        (job && Array.isArray(chosen.file.fields.body) ? this.pieces(chosen.file.fields.body) : arrays(`${job ? `jobs/${path(job.id)}` : `parts/${path(part.id)}`}/mesh?most=${SHOWN}`)).catch((error) => ({ error })),
         job ? get(`jobs/${path(job.id)}/scene`) : null,
         part ? get(`parts/${path(part.id)}`) : null,
       ]);
@@ -65,16 +66,28 @@ export class PartTab {
     }
   }
 
+  /** Meshes of bodies, each where the job places it: turned and scaled about the origin, printed ones centered along z. */
+  async pieces(bodies) {
+    const { factor = 1, origin = null } = chosen.file.fields.target || {}, turn = this.matrix();
+    const known = bodies.map(({ mesh }) => store.workspace.parts.find(({ id }) => id === mesh)), ends = [Infinity, -Infinity];
+    const all = await Promise.all(known.map((part) => (part ? arrays(`parts/${path(part.id)}/mesh?most=${SHOWN}`) : null)));
+    const shift = origin ? turn.map((row) => -factor * dot(row, origin)) : [0, 0, 0];
+    const pieces = all.map((mesh, n) => {
+      if (!mesh) return { points: new Float32Array(0), faces: new Uint32Array(0), role: bodies[n].role };
+      const points = mesh.positions.data;
+      for (let k = 0; k < points.length; k += 3) points.set(turn.map((row, axis) => factor * dot(row, points.subarray(k, k + 3)) + shift[axis]), k);
+      if (["print", "gray", undefined].includes(bodies[n].role)) for (let k = 2; k < points.length; k += 3) { ends[0] = Math.min(ends[0], points[k]); ends[1] = Math.max(ends[1], points[k]); }
+      return { points, faces: mesh.indices.data, role: bodies[n].role || "print" };
+    });
+    if (!origin && ends[0] < ends[1]) for (const { points } of pieces) for (let k = 2; k < points.length; k += 3) points[k] -= (ends[0] + ends[1]) / 2;
+    return { pieces };
+  }
+
   /** Put the mesh and the vessel into the view. */
   place() {
-    const { mesh } = this, role = this.bodies();
-    if (!mesh.error && mesh.indices) {
-      const points = mesh.positions.data, split = [], body = mesh.body?.data;
-      for (let n = 0; n < Math.max(1, role.length); n++) {
-        const all = mesh.indices.data, faces = body ? all.filter((_, k) => body[Math.floor(k / 3)] === n) : n ? new Uint32Array(0) : all;
-        split.push({ points, faces, role: role[n]?.role });
-      }
-      this.view.bodies(split);
+    const { mesh } = this;
+    if (!mesh.error) {
+      this.view.bodies(mesh.pieces || [{ points: mesh.positions.data, faces: mesh.indices.data, role: this.bodies()[0].role }]);
       const center = this.scene ? [0, 0, 0] : [0, 1, 2].map((k) => (this.about.low[k] + this.about.high[k]) / 2);
       this.view.place(IDENTITY, 1, center);
     }
@@ -88,7 +101,7 @@ export class PartTab {
       const extents = this.about.extents, radius = Math.hypot(extents[0], extents[1]) / 2;
       return { half_height: extents[2] / 2, reach: radius };
     }
-    const { vessel, beam, grid, part } = this.scene, tall = beam?.height ?? (grid ? grid.shape[2] * grid.pitch : part?.extents[2]);
+    const { vessel, beam, grid, part } = this.scene, tall = beam?.height ?? (grid ? grid.shape[2] * grid.pitch : (part?.extents[2] ?? vessel?.inner ?? 10));
     const lit = beam ? (beam.reach ?? beam.width / 2) : null, printable = lit && Math.min(lit, vessel?.lit ?? vessel?.inner ?? Infinity);
     return { outer: vessel?.radius, inner: vessel?.inner, square: vessel?.shape === "box", lit, printable, half_height: tall / 2, beam: beam && [beam.width, beam.height] };
   }
@@ -191,17 +204,29 @@ export class PartTab {
   }
 
   add(part) {
-    const many = Array.isArray(chosen.file.fields.body) ? chosen.file.fields.body.length : 0, target = chosen.file.fields.target || {};
+    const many = Array.isArray(chosen.file.fields.body) ? chosen.file.fields.body.length : 0;
     if (many) return this.save({ [`body.${many}.mesh`]: part, [`body.${many}.role`]: "keep out" });
-    const first = target.mesh ? { "body.0.mesh": target.mesh } : { "body.0.shape": target.shape };
-    return this.save({ ...first, "body.0.role": "print", "body.1.mesh": part, "body.1.role": "keep out" }, ["mesh", "shape", "height", "factor", "orientation"].filter((key) => key in target).map((key) => `target.${key}`));
+    return this.become("print", { "body.1.mesh": part, "body.1.role": "keep out" });
+  }
+
+  /** Turn a job of one part into one of bodies: the part keeps its place by a factor and an origin. */
+  async become(role, more = {}) {
+    const target = chosen.file.fields.target || {}, set = { [target.mesh ? "body.0.mesh" : "body.0.shape"]: target.mesh || target.shape, "body.0.role": role, ...more };
+    if (chosen.part && this.mesh.positions) {
+      const drawn = (await arrays(`parts/${path(chosen.part.id)}/mesh?most=${SHOWN}`)).positions.data, placed = this.mesh.positions.data, turn = this.matrix();
+      const away = (points, k) => Math.hypot(points[k] - points[0], points[k + 1] - points[1], points[k + 2] - points[2]);
+      let far = 3;
+      for (let k = 3; k < drawn.length; k += 3) if (away(drawn, k) > away(drawn, far)) far = k;
+      const factor = away(placed, far) / away(drawn, far);
+      set["target.factor"] = +factor.toPrecision(6);
+      set["target.origin"] = [0, 1, 2].map((axis) => +(drawn[axis] - dot(turn.map((row) => row[axis]), placed) / factor).toPrecision(5) + 0);
+    }
+    return this.save(set, ["mesh", "shape", "height"].filter((key) => key in target).map((key) => `target.${key}`));
   }
 
   role(n, value) {
     if (Array.isArray(chosen.file.fields.body)) return this.save({ [`body.${n}.role`]: value });
-    const target = chosen.file.fields.target || {};
-    const set = target.mesh ? { "body.0.mesh": target.mesh } : { "body.0.shape": target.shape };
-    return this.save({ ...set, "body.0.role": value }, ["mesh", "shape", "height", "factor", "orientation"].filter((key) => key in target).map((key) => `target.${key}`));
+    return this.become(value);
   }
 
   standing() {
