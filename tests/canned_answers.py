@@ -256,7 +256,7 @@ def result(verdict: dict[str, Any] | None = VERDICT) -> dict[str, Any]:
         "pitch": PITCH,
         "shape": [96, 96, 64],
         "radius": 5.7,
-        "outer": {"share": 0.42, "where": "above the part", "place": [0, 0, 4]} if verdict else None,
+        "outer": {"share": 0.42, "place": [0, 0, 4]} if verdict else None,
         "tolerances": {"nominal": row, "rows": rows, "first": first} if verdict else None,
         "frames": {"count": 36, "rows": 64, "columns": 96, "bits": 8, "scale": 1.1},
         "history": {
@@ -265,7 +265,7 @@ def result(verdict: dict[str, Any] | None = VERDICT) -> dict[str, Any]:
             "loss": [0.1 / k for k in steps],
             "window": [0.09 - 0.3 / k for k in steps],
         },
-        "exposed": [{"off": {"axis": "20 um"}, "proof": "boat@axis-20um.proof"}] if verdict else [],
+        "exposed": [{"off": "axis-20um-dose-minus5", "proof": "boat@axis-20um.proof"}] if verdict else [],
         "report": "/api/v1/results/boat.vam/report" if verdict else None,
     }
 

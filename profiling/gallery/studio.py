@@ -22,10 +22,10 @@ SWITCHES = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftsha
 LONGEST = 900_000
 """Longest wait for a solve or a simulation [ms]."""
 JOB = """\
-# The boat of the demo, in a vial of 25 mm
+# A gear with two shafts, in a vial of 25 mm
 [target]
-mesh = "boat.stl"
-height = "11.5 mm"
+mesh = "gear.stl"
+height = "8 mm"
 
 [vial]
 radius = "12.4 mm"     # measured with a caliper
@@ -35,13 +35,14 @@ wall_index = 1.473
 absorption = "0.05 /mm"
 
 [beam]
-pixels = [100, 84]
-pitch = "240 um"
-fill = 0.92
-spread = "25 um"
+pixels = [108, 64]
+pitch = "200 um"
 
 [turntable]
-angles = 120
+angles = 90
+
+[solve]
+iterations = 40
 
 [print]
 irradiance = "65 mW/cm2"
@@ -66,12 +67,12 @@ def shoot(out: Path) -> list[Path]:
     drawn = []
     with tempfile.TemporaryDirectory() as place, sync_playwright() as tools:
         (lab := Path(place) / "lab").mkdir()
-        shapes.build("boat").save(lab / "boat.stl")
-        (lab / "boat.toml").write_text(JOB)
+        shapes.build("gear_base").save(lab / "gear.stl")
+        (lab / "gear.toml").write_text(JOB)
         browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=SWITCHES)
         page = browser.new_page(viewport=SIZE)
         page.set_default_timeout(LONGEST)
-        with Studio(lab / "boat.toml") as studio:
+        with Studio(lab / "gear.toml") as studio:
             page.goto(studio.url)
             page.get_by_role("heading", name="Size").wait_for()
             drawn.append(shot(page, out, "part"))
@@ -82,7 +83,8 @@ def shoot(out: Path) -> list[Path]:
                     page.get_by_role("heading", name="Dose so far").wait_for()
                     page.wait_for_timeout(3000)
                 drawn.append(shot(page, out, "job" if tab != "Solve" else "solve"))
-            page.get_by_text("prints", exact=True).wait_for()
+            page.get_by_text("Simulate · gear.vam").first.wait_for()
+            page.get_by_role("button", name="Look at the result").wait_for()
             for tab, ready in (("Look", "of the part prints"), ("Print", "how sure")):
                 page.get_by_role("tab", name=tab).click()
                 page.get_by_text(ready).first.wait_for()

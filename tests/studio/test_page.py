@@ -157,16 +157,17 @@ def test_slices_show_the_volume_the_right_way_round(opened: Opened) -> None:
     k = int((-2.0 / PITCH) + part.shape[2] / 2)  # through the peg, at +x and +y
     page.get_by_label("Place of the slice").fill(str(round((k + 0.5) / part.shape[2] / 0.002) * 0.002))
     page.wait_for_timeout(300)
-    shown = page.get_by_test_id("slices").evaluate("""(canvas) => {
-      const gl = canvas.getContext("webgl2"), all = new Uint8Array(4 * canvas.width * canvas.height);
+    sampled = np.array(
+        page.get_by_test_id("slices").evaluate("""(canvas) => {
+      const gl = canvas.getContext("webgl2"), all = new Uint8Array(4 * canvas.width * canvas.height), n = 96;
       gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, all);
-      return [canvas.width, canvas.height, Array.from(all)];
+      const gap = 10, each = Math.floor((canvas.width - 2 * gap) / 3);
+      const middle = (k, size) => Math.floor(((k + 0.5) / n) * size);
+      return [0, 1, 2].map((pane) => [...Array(n).keys()].map((row) => [...Array(n).keys()].map((column) => {
+        const k = 4 * (middle(row, canvas.height) * canvas.width + pane * (each + gap) + middle(column, each));
+        return [...all.slice(k, k + 3)]; })));
     }""")
-    image = np.array(shown[2]).reshape(shown[1], shown[0], 4)  # rows from the bottom
-    each = image.shape[1] // 3 - 6
-    panes = [image[:, round(n * (each + 10)) : round(n * (each + 10)) + each] for n in range(3)]
-    rows, columns = (np.arange(96) + 0.5) / 96 * panes[0].shape[0], (np.arange(96) + 0.5) / 96 * each
-    sampled = [pane[np.ix_(rows.astype(int), columns.astype(int))] for pane in panes]
+    )  # panes, rows from the bottom, columns, colors
     target = sampled[0][..., 0] < 180
     assert (target == (part[:, :, k].T > 0.5)).mean() > 0.97
     assert target[64:, 64:].any() and not target[:32, :32].any()  # the peg is right and up, and only there

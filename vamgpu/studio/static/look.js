@@ -77,7 +77,7 @@ export class LookTab {
   choice() {
     const all = this.result.exposed || [];
     if (!all.length) return null;
-    const named = ({ off }) => Object.entries(off).map(([key, value]) => `${key} ${String(value).replace("um", "µm").replace("-", "−")}`).join(", ");
+    const named = ({ off }) => [...off.matchAll(/(axis|spread|absorption|dose)-(minus)?([\d.]+)/g)].map(([, key, less, value]) => `${key} ${less ? "−" : key === "axis" || key === "spread" ? "" : "+"}${value} ${key === "axis" || key === "spread" ? "µm" : "%"}`).join(", ") || off;
     return make("select", { "aria-label": "Exposure that is shown", onchange: (event) => { this.proof = event.target.value || null; this.load(); } },
       make("option", { value: "" }, "as designed"), all.map((each) => make("option", { value: each.proof, selected: each.proof === this.proof }, named(each))));
   }
@@ -172,8 +172,8 @@ export class LookTab {
       this.mesh();
     } }, text)));
     this.scale = make("div", { class: "scale" });
-    const { outer } = this.result;
-    const stray = outer?.share >= 1 ? make("p", { class: "error" }, `Stray resin: the dose ${outer.where || "beside the part"} reaches ${percent(outer.share, 0)} of what prints.`) : outer ? make("p", { class: "soft" }, `Brightest resin away from the part: ${percent(outer.share, 0)} of the dose that prints${outer.where ? `, ${outer.where}` : ""}.`) : null;
+    const { outer } = this.result, [x, y, z] = outer?.place || [], spot = outer?.place ? `${number(Math.hypot(x, y))} mm from the axis at z = ${number(z)} mm` : "beside the part";
+    const stray = outer?.share >= 1 ? make("p", { class: "error" }, `Stray resin: the dose ${spot} reaches ${percent(outer.share, 0)} of what prints.`) : outer ? make("p", { class: "soft" }, `Brightest resin away from the part: ${percent(outer.share, 0)} of the dose that prints, ${spot}.`) : null;
     this.view = new SurfaceView(this.solid);
     this.meshes = {};
     this.mesh();
@@ -241,7 +241,7 @@ export class LookTab {
     const sinogram = make("img", { class: "sinogram", alt: "Sinogram of a row: one line for each frame", src: `${url("results", chosen.result.id, "sinogram")}?row=${Math.floor(frames.rows / 2)}` });
     const row = slider("Row", { min: 0, max: frames.rows - 1, step: 1, value: Math.floor(frames.rows / 2), say: (value) => `${value + 1} of ${frames.rows}`, input: () => {} });
     row.querySelector("input").addEventListener("change", (event) => { sinogram.src = `${url("results", chosen.result.id, "sinogram")}?row=${event.target.value}`; });
-    const made = card("Frames and sinogram", make("div", { class: "pair" }, make("div", { class: "stack tight" }, film, make("label", { class: "slider reel" }, play, range, where), make("p", { class: "soft" }, `${frames.count} frames, ${frames.columns} × ${frames.rows} pixels, ${frames.bits} bit; ${number(step)}° from one to the next over a full turn`)),
+    const made = card("Frames and sinogram", make("div", { class: "pair" }, make("div", { class: "stack tight" }, film, make("label", { class: "slider reel" }, play, range, where), make("p", { class: "soft" }, `${frames.count} frames, ${frames.columns} × ${frames.rows} pixels${frames.bits ? `, ${frames.bits} bit` : ""}; ${number(step)}° from one to the next over a full turn`)),
       make("div", { class: "stack tight" }, sinogram, row, make("p", { class: "soft" }, "One line for each frame, the columns of one row across"))));
     made.classList.add("wide");
     return made;

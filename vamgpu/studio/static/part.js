@@ -247,7 +247,7 @@ export class PartTab {
     else if (task?.orientations) parts.push(make("table", { class: "stands", "aria-label": "Orientations, best first" }, make("thead", {}, make("tr", {}, ["tilt", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
       make("tbody", {}, task.orientations.map((each) => make("tr", {}, make("th", { scope: "row" }, `${fixed(each.tilt, 0)}°${each.azimuth ? ` to ${fixed(each.azimuth, 0)}°` : ""}`),
         make("td", { class: "n" }, fixed(each.window, 3)), make("td", { class: "n" }, time(each.seconds)), make("td", { class: "n" }, length(each.height)),
-        make("td", { class: "n" }, each.fits ? button("Use", () => this.save(each.set), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large")))))));
+        make("td", { class: "n" }, each.fits ? button("Use", () => this.save(each.set, each.remove || []), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large")))))));
     if (!busy) parts.push(make("div", { class: "row" }, start));
     this.found.replaceChildren(make("div", { class: "stack tight" }, parts));
   }

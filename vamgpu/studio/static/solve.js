@@ -94,7 +94,7 @@ export class SolveTab {
     this.pressed = key;
     const act = (verb) => () => send("POST", `tasks/${path(task.id)}/${verb}`).then(reload.tasks);
     this.parts.buttons.replaceChildren(...[
-      busy && button(task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop", disabled: task.state === "cancelling" }),
+      busy && button(task.state === "cancelling" ? "Stopping; press after 10 s to end it at once" : task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop" }),
       !busy && task.resumable && button("Go on", act("resume"), { class: "primary" }),
       task.state === "done" && task.result && button("Look at the result", () => go("jobs", task.job || chosen.id, "look"), { class: "primary" }),
       button("Output", async () => {
