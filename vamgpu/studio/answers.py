@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
@@ -45,6 +44,8 @@ def explained(error: BaseException) -> Response:
         return refused(503, "this machine's memory is used up; close other programs, and try again")
     if isinstance(error, OSError) and not isinstance(error, StorageError):
         return refused(422, f"{error.strerror or error}; check the disk, and reload the list")
+    if not isinstance(error, VamError):
+        return refused(422, f"what was asked for is damaged ({type(error).__name__}: {error}); write it again")
     bad = isinstance(error, BadInput) and not isinstance(error, MeshError)
     return refused(400 if bad else 422, str(error))
 
@@ -77,9 +78,10 @@ async def _body(request: Request, model: type[BaseModel]) -> BaseModel:
     except TimeoutError as error:
         raise Refused(408, f"the body took longer than {SLOWEST:g} s; send it again") from error
     try:
-        return model.model_validate(parse_json(data))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        given = parse_json(data)
+    except ValueError as error:
         raise Refused(400, f"the body is not JSON: {error}; correct it") from error
+    return model.model_validate(given)
 
 
 def answer(
@@ -100,8 +102,8 @@ def answer(
             return _answered(await to_thread.run_sync(lambda: handler(**given)), status)
         except ClientDisconnect:
             return Response(status_code=400)
-        except (VamError, ValueError, MemoryError, OSError) as error:
-            return explained(error)
+        except (VamError, ValueError, MemoryError, OSError, LookupError, TypeError, AttributeError) as error:
+            return explained(error)  # the last three: a folder of another version, or a damaged one
 
     return endpoint
 

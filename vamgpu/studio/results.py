@@ -93,12 +93,10 @@ class Results:
             "outer": outer and {"share": float(outer["dose"]) / threshold, "place": outer["place"]},
         }  # fmt: skip
 
-    def _frames(self, folder: Folder) -> dict[str, Any] | None:
-        stored, details = folder.record("frames"), folder.manifest.details.get("frames")
-        if details is None:
-            return {"count": stored.shape[0], "rows": stored.shape[1], "columns": stored.shape[2], "bits": None,
-                    "scale": None}  # fmt: skip
-        return {"count": details["angles"], **{key: details.get(key) for key in ("rows", "columns", "bits", "scale")}}
+    def _frames(self, folder: Folder) -> dict[str, Any]:
+        (count, rows, columns), details = folder.record("frames").shape, folder.manifest.details.get("frames") or {}
+        return {"count": count, "rows": details.get("rows", rows), "columns": details.get("columns", columns),
+                "bits": details.get("bits"), "scale": details.get("scale")}  # fmt: skip
 
     def _exposed(self, place: Path) -> Iterator[dict[str, Any]]:
         for each in sorted(place.parent.glob(f"{place.stem}.off-*{PROOF}")):
