@@ -7,7 +7,7 @@ export function make(tag, given = {}, ...children) {
     if (value === null || value === undefined || value === false) continue;
     if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
     else if (key === "class") element.className = value;
-    else if (["value", "checked", "disabled", "selected", "hidden", "innerHTML"].includes(key)) element[key] = value;
+    else if (["value", "checked", "disabled", "selected", "hidden"].includes(key)) element[key] = value;
     else element.setAttribute(key, value === true ? "" : value);
   }
   element.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));

@@ -135,7 +135,7 @@ export class PartTab {
     let factor = 1;
     const name = make("input", { value: free(chosen.part.id), "aria-label": "Name of the job" });
     const height = make("input", { value: number(extents[2], 4), inputmode: "decimal" });
-    const doubt = this.about.doubts.length > 0;
+    const doubt = this.about.doubts.length > 0, fault = make("p", { class: "error", role: "alert" });
     const unit = select("Unit of the file", UNITS.map(([text, mm]) => [String(mm), `${text}: ${length(extents[2] * mm)} high`]), "1", (value) => {
       factor = +value;
       height.value = number(extents[2] * factor, 4);
@@ -146,10 +146,13 @@ export class PartTab {
       select("Vial", list("vials"), "", (value) => { want.vial = value || null; }),
       select("Projector", list("projectors"), "", (value) => { want.projector = value || null; }),
       select("Resin", list("resins"), "", (value) => { want.resin = value || null; }),
-      button("Make the job", async () => {
-        const made = await send("POST", "jobs", { name: name.value.trim(), part: chosen.part.id, height: `${height.value.replace("−", "-")} mm`, ...want });
-        await reload.workspace();
-        go("jobs", made.id, "part");
+      fault, button("Make the job", async () => {
+        put(fault, "");
+        try {
+          const made = await send("POST", "jobs", { name: name.value.trim(), part: chosen.part.id, height: `${height.value.replace("−", "-")} mm`, ...want });
+          await reload.workspace();
+          go("jobs", made.id, "part");
+        } catch (error) { put(fault, error.message); }
       }, { class: "primary" })));
   }
 
