@@ -25,7 +25,7 @@ JOB = """\
 # A gear with two shafts, in a vial of 25 mm
 [target]
 mesh = "gear.stl"
-height = "8 mm"
+height = "6 mm"
 
 [vial]
 radius = "12.4 mm"     # measured with a caliper
