@@ -84,7 +84,7 @@ def shoot(out: Path) -> list[Path]:
                     page.wait_for_timeout(3000)
                 drawn.append(shot(page, out, "job" if tab != "Solve" else "solve"))
             page.get_by_text("Simulate · gear.vam").first.wait_for()
-            page.get_by_role("button", name="Look at the result").wait_for()
+            page.get_by_role("button", name="Show the result").wait_for()
             for tab, ready in (("Look", "of the part prints"), ("Print", "how sure")):
                 page.get_by_role("tab", name=tab).click()
                 page.get_by_text(ready).first.wait_for()

@@ -59,7 +59,7 @@ def test_a_job_is_solved_judged_and_run_dry_from_the_page(client: Client, page: 
     page.locator('[data-key="device"]').select_option("numpy")
     page.get_by_role("button", name="Solve", exact=True).click()
     page.get_by_text("Simulate · boat.vam").first.wait_for()
-    page.get_by_role("button", name="Look at the result").wait_for()
+    page.get_by_role("button", name="Show the result").wait_for()
     page.get_by_role("tab", name="Look").click()
     page.get_by_test_id("verdict").wait_for()
     result = client("GET", "/results/boat.vam")

@@ -96,7 +96,7 @@ export class SolveTab {
     this.parts.buttons.replaceChildren(...[
       busy && button(task.state === "cancelling" ? "Stopping; press after 10 s to end it at once" : task.kind === "solve" ? "Stop; keep the patterns so far" : "Stop", act("cancel"), { class: "stop" }),
       !busy && task.resumable && button("Go on", act("resume"), { class: "primary" }),
-      task.state === "done" && task.result && button("Look at the result", () => go(chosen.kind, chosen.id, "look"), { class: "primary" }),
+      task.state === "done" && task.result && button("Show the result", () => go(chosen.kind, chosen.id, "look"), { class: "primary" }),
       button("Output", async () => {
         this.parts.log.hidden = !this.parts.log.hidden;
         if (!this.parts.log.hidden) put(this.parts.log, await text(`tasks/${path(task.id)}/log`) || "nothing yet");
