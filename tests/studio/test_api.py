@@ -5,8 +5,8 @@ from __future__ import annotations
 import http.client
 import json
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -177,7 +177,7 @@ def test_events_resume_after_the_last_one_that_a_page_knows() -> None:
     assert "event: reset" in run(f"{boot}-3", 1)
 
 
-async def _some(stream: Any, many: int) -> Any:
+async def _some(stream: AsyncIterator[str], many: int) -> AsyncIterator[tuple[int, str]]:
     for number in range(many):
         yield number, await anext(stream)
 

@@ -15,7 +15,7 @@ Listed = list[Scalar | list[Scalar | list[Scalar]]]
 Values = Annotated[dict[Key, Scalar | Annotated[Listed, Field(max_length=10_000)]], Field(max_length=200)]
 
 
-class Asked(BaseModel):
+class Strict(BaseModel):
     """A request: no unknown keys, no conversion."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -27,7 +27,7 @@ class Query(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class Check(Asked):
+class Check(Strict):
     text: Text
 
 
@@ -40,7 +40,7 @@ class Edit(Check):
     remove: Annotated[list[Key], Field(max_length=200)] = []
 
 
-class NewJob(Asked):
+class NewJob(Strict):
     name: Name
     part: Name | None = None
     height: Short | None = None
@@ -49,22 +49,22 @@ class NewJob(Asked):
     resin: Short | None = None
 
 
-class Copy(Asked):
+class Copy(Strict):
     name: Name
 
 
-class Preset(Asked):
+class Preset(Strict):
     family: Literal["vials", "projectors", "resins"]
     name: Name
     source: Short = ""
     set: Annotated[Values, Field(min_length=1)]
 
 
-class Attach(Asked):
+class Attach(Strict):
     run: Name
 
 
-class Device(Asked):
+class Device(Strict):
     device: Short | None = None
 
 
@@ -82,7 +82,7 @@ class Prove(Device):
     tolerances: bool = False
 
 
-class Off(Asked):
+class Off(Strict):
     axis: Short | None = None
     spread: Short | None = None
     absorption: Short | None = None
@@ -101,7 +101,7 @@ class Orient(Device):
     count: Annotated[int, Field(ge=1, le=500)] = 20
 
 
-class Export(Asked):
+class Export(Strict):
     kind: Literal["export"]
     result: Name
     format: Literal["png", "tiff", "npz", "mp4", "drtvam"]
@@ -110,7 +110,7 @@ class Export(Asked):
     overwrite: bool = False
 
 
-class Rehearse(Asked):
+class Rehearse(Strict):
     kind: Literal["rehearse"]
     result: Name
     rig: Name
