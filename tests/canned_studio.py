@@ -240,7 +240,7 @@ class _Handler(BaseHTTPRequestHandler):
         made = surface("target")
         points = made["positions"] * np.float32(1.0 if name.startswith("jobs") else 5.0)
         if not name.startswith("jobs"):
-            points = points + np.float32([0, 0, 24])
+            points = points + np.array([0, 0, 24], np.float32)
         named = {"positions": points, "indices": made["indices"]}
         return self.arrays(named, triangles=len(made["indices"]), shown=len(made["indices"]), cell=0)
 

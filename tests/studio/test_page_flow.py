@@ -24,12 +24,12 @@ def page(client: Client) -> Iterator[Any]:
         browser = tools.chromium.launch(executable_path=needs.browser(), args=SWITCHES, timeout=needs.WAIT)
         made = browser.new_page(viewport={"width": 1280, "height": 860})
         made.set_default_timeout(LONGEST)
-        made.wrong = []
-        made.on("pageerror", lambda error: made.wrong.append(str(error)))
-        made.on("console", lambda said: made.wrong.append(said.text) if "Security Policy" in said.text else None)
+        wrong: list[str] = []
+        made.on("pageerror", lambda error: wrong.append(str(error)))
+        made.on("console", lambda said: wrong.append(said.text) if "Security Policy" in said.text else None)
         made.goto(client.studio.url)
         yield made
-        assert not made.wrong, made.wrong
+        assert not wrong, wrong
 
 
 def test_the_scene_states_the_cylinder_that_every_angle_lights(client: Client) -> None:
