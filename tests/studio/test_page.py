@@ -127,6 +127,9 @@ def test_a_second_page_shows_what_the_first_one_changed(opened: Opened) -> None:
 def test_an_edit_of_an_old_text_is_refused_and_the_new_text_is_shown(opened: Opened) -> None:
     page, studio = opened(f"{JOB}job")
     page.get_by_label("vial wall", exact=True).wait_for()
+    while not studio.streams:
+        page.wait_for_timeout(50)
+    page.wait_for_timeout(500)  # the first event makes the page read everything again
     studio.text, studio.version = studio.text.replace("1.473", "1.52"), studio.version + 1
     page.get_by_label("vial wall", exact=True).fill("2 mm")
     page.get_by_label("vial wall", exact=True).press("Enter")

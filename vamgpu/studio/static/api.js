@@ -105,7 +105,10 @@ export const reload = {
 function changed(task) {
   const place = store.tasks.findIndex((each) => each.id === task.id), before = store.tasks[place];
   if (place < 0) store.tasks.unshift(task); else store.tasks[place] = task;
-  if (!before || before.state !== task.state) tell("tasks", task);
+  if (!before || before.state !== task.state) {
+    tell("tasks", task);
+    if (["rehearse", "print"].includes(task.kind)) reload.print().catch(() => {}); // its run is in the history now
+  }
   tell("task", task);
 }
 
