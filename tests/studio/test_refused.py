@@ -15,7 +15,7 @@ from studio_client import BOAT, Client
 
 from vamgpu.errors import BadInput, StorageError
 from vamgpu.hosts.panel import half_open
-from vamgpu.studio import answers
+from vamgpu.studio import answers, routes
 from vamgpu.studio.server import Studio
 
 API = "/api/v1"
@@ -251,6 +251,18 @@ def test_a_body_that_stops_is_refused(client: Client, place: Path, monkeypatch: 
         headers = {"Content-Length": "100", "Content-Type": kind}
         assert asked(client, "POST", API + path, b"{", Authorization=token, **headers)[0] == 408
     assert whole(place) == before
+
+
+def test_a_body_without_a_length_is_cut_off_at_the_limit(
+    client: Client, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(routes, "MOST_BYTES", 1000)
+    before = whole(place)
+    line = http.client.HTTPConnection("127.0.0.1", client.studio.port, timeout=60)
+    headers = {"Authorization": f"Bearer {client.studio.token}", "Transfer-Encoding": "chunked"}
+    pieces = (b"x" * 400 for _ in range(4))
+    line.request("POST", f"{API}/parts?name=long.stl", pieces, headers, encode_chunked=True)
+    assert line.getresponse().status == 413 and whole(place) == before
 
 
 def test_only_this_machine_is_served_and_only_once(place: Path, client: Client) -> None:
