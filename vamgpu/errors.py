@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 
 class VamError(Exception):
     """Root of all errors of vamgpu."""
@@ -143,8 +146,22 @@ class Underrun(DeviceError):
     """Too many frames came too late; the light was turned off and then the motion stopped."""
 
 
+class WrongKey(NamedTuple):
+    """One wrong value of a file."""
+
+    key: str  # such as "vial.radius"; empty if unknown
+    line: int | None  # from 1
+    message: str
+
+
 class JobError(BadInput):
-    """A job file holds a wrong value."""
+    """A job file holds a wrong value; ``wrong`` has the key and line of each, as far as they are known."""
+
+    wrong: tuple[WrongKey, ...]
+
+    def __init__(self, message: str, wrong: Iterable[WrongKey] = ()) -> None:
+        super().__init__(message)
+        self.wrong = tuple(wrong)
 
 
 class StorageError(VamError, OSError):

@@ -20,50 +20,27 @@ STARTING = 10.0  # longest wait for the web server [s]; the page cannot stop a p
 PORTS = 65535
 
 
-class Panel:
-    """A server of the page in a separate thread; a context manager, which may stay open after the print.
+class PageServer:
+    """A web server in a separate thread, behind `TokenAuth`; a context manager."""
 
-    Args:
-        board: The board of the print to show and stop.
-        host: The address to serve at.
-        port: Port of the server; 0 selects a free one.
-        token: Token for browsers and programs, 16 characters or more; None generates one. Other accounts of this
-            machine need it too.
-        page: False serves only programs.
-        runs: The folder whose run folders are the history; None shows none.
-        run: The name of this print's run folder.
-
-    Raises:
-        BadInput: An argument is invalid.
-        DeviceError: The extra is missing, the port is taken, or the server does not start.
-    """
-
-    board: Board
     host: str
-    page: bool
-    runs: Path | None
-    run: str | None
+    port: int
+    token: str
 
-    def __init__(
-        self, board: Board, host: str = "127.0.0.1", port: int = 0, token: str | None = None, page: bool = True, *,
-        runs: str | Path | None = None, run: str | None = None,
-    ) -> None:  # fmt: skip
-        if not isinstance(board, Board):
-            raise BadInput(f"the panel's board is {board!r}; expected the Board of a print")
+    def __init__(self, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> None:
         if not isinstance(host, str):
             raise BadInput(f"the panel's host is {host!r}; expected a name or address, such as '127.0.0.1'")
         if whole("the panel's port", port, 0) > PORTS:
             raise BadInput(f"the panel's port is {port!r}; expected at most {PORTS}: choose another host or port")
         if token is not None and (not isinstance(token, str) or len(token) < 16):
             raise BadInput("the panel's token is not text of 16 characters or more; leave it out to generate one")
-        self.board, self.host, self.page = board, host, page
-        self.runs, self.run = None if runs is None else Path(runs), run
-        self.token: str = secrets.token_urlsafe(24) if token is None else token
+        self.host = host
+        self.token = secrets.token_urlsafe(24) if token is None else token
         self._chosen = token is not None
         self._server, self._thread = None, None
         self._failed: BaseException | None = None
         self._socket = _listening(host, int(port))
-        self.port: int = int(self._socket.getsockname()[1])
+        self.port = int(self._socket.getsockname()[1])
 
     @property
     def url(self) -> str:
@@ -82,19 +59,23 @@ class Panel:
             raise
         return self
 
+    def app(self) -> Any:
+        """The application to serve."""
+        raise NotImplementedError
+
     def _made(self) -> Any:
         """The web server with its routes."""
         try:
             import uvicorn
 
-            from vamgpu.hosts.panel.routes import served  # it also needs the extra
+            from vamgpu.hosts.panel.half_open import protocol
 
-            app = served(self.board, self.page, self.runs, self.run)
+            app, http = self.app(), protocol()  # they also need the extra
         except ImportError as error:
             raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
         guarded = TokenAuth(app, self.token, self.host, self.port, self._chosen)
-        config = uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off", server_header=False)
-        return uvicorn.Server(config)
+        return uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off",
+                                             server_header=False, http=http))  # fmt: skip
 
     def _serve(self, server: Any) -> None:
         try:
@@ -121,6 +102,46 @@ class Panel:
             self._server.force_exit = True  # browsers keep their connections open
             self._thread.join(timeout=5.0)
         self._socket.close()
+
+
+class Panel(PageServer):
+    """A server of the page in a separate thread; a context manager, which may stay open after the print.
+
+    Args:
+        board: The board of the print to show and stop.
+        host: The address to serve at.
+        port: Port of the server; 0 selects a free one.
+        token: Token for browsers and programs, 16 characters or more; None generates one. Other accounts of this
+            machine need it too.
+        page: False serves only programs.
+        runs: The folder whose run folders are the history; None shows none.
+        run: The name of this print's run folder.
+
+    Raises:
+        BadInput: An argument is invalid.
+        DeviceError: The extra is missing, the port is taken, or the server does not start.
+    """
+
+    board: Board
+    page: bool
+    runs: Path | None
+    run: str | None
+
+    def __init__(
+        self, board: Board, host: str = "127.0.0.1", port: int = 0, token: str | None = None, page: bool = True, *,
+        runs: str | Path | None = None, run: str | None = None,
+    ) -> None:  # fmt: skip
+        if not isinstance(board, Board):
+            raise BadInput(f"the panel's board is {board!r}; expected the Board of a print")
+        self.board, self.page = board, page
+        self.runs, self.run = None if runs is None else Path(runs), run
+        super().__init__(host, port, token)
+
+    def app(self) -> Any:
+        """The routes of the page."""
+        from vamgpu.hosts.panel.routes import served
+
+        return served(self.board, self.page, self.runs, self.run)
 
 
 def _listening(host: str, port: int) -> socket.socket:

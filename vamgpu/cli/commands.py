@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from rich.markup import escape
@@ -16,6 +16,11 @@ from vamgpu.cli import curethrough, live, sweep
 from vamgpu.cli.options import Overwrite, Settings, console, continued
 from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from vamgpu.jobs.progress import RunEvents
 
 app: App = App(
     name="vam",
@@ -58,6 +63,7 @@ def solve(
     job: Path, *, out: Path | None = None, start: Path | None = None, rig: Path | None = None,
     settings: Settings = None, overwrite: Overwrite = False,
     pareto: Annotated[bool, Parameter(negative="")] = False, memory: str | None = None, cluster: str | None = None,
+    slices: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:  # fmt: skip
     """Optimize the patterns of a TOML job file and write them to a job folder, or resume a run that Ctrl-C stopped.
 
@@ -71,15 +77,16 @@ def solve(
             and a verdict that needs more is skipped
         cluster: cluster whose workers share the slices of a vial or the segments of a web: local:4 for four processes
             on this machine, tcp://host:8786 for a Dask cluster that sees the same files
+        slices: also store a slice of the dose beside the job folder every few seconds, for `vam studio`
     """
     from vamgpu.backend import within
     from vamgpu.cli.progress import shown
+    from vamgpu.jobs.progress import recorded
     from vamgpu.jobs.read import read_job
     from vamgpu.jobs.run import is_interrupted
-    from vamgpu.jobs.run import prove as coarsely
     from vamgpu.jobs.run import solve as run
     from vamgpu.jobs.web import is_web, read_web
-    from vamgpu.storage.memory import size
+    from vamgpu.storage.atomic import named
 
     if rig is not None:
         settings = [*(settings or ()), *_measured(job, rig, settings)]
@@ -97,24 +104,33 @@ def solve(
     checked, screen = read_job(job, settings or ()), console()
     again = "" if not overwrite and start is None else "without " + " and ".join(
         name for name, value in (("--overwrite", overwrite), ("--start", start)) if value)  # fmt: skip
-    with shown(screen) as progress, continued(lambda: is_interrupted(place), again):
-        folder = run(
-            checked, place, overwrite=overwrite, start=start, pareto=pareto, cluster=cluster, progress=progress
-        )  # fmt: skip
-    screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")
-    found, needs = None, 0
-    if checked.file.colors is None:
-        with shown(screen) as progress, suppress(KeyboardInterrupt):  # the folder is complete even without a verdict
-            progress("verdict", 0.0)
-            proof = coarsely(folder.path, checked.file.solve.device, coarse=True).proof
-            needs = report_memory(memory, proof)
-            found = None if needs else proof.verdict
-    if pareto:
-        screen.print(_exposures(folder.manifest.inputs["pareto"]))
-    if found is not None:
+    with recorded(named(place), "solve", slices) as events:
+        with shown(screen, events) as progress, continued(lambda: is_interrupted(place), again):
+            folder = run(
+                checked, place, overwrite=overwrite, start=start, pareto=pareto, cluster=cluster, progress=progress
+            )  # fmt: skip
+        screen.print(f"wrote [bold]{shown_path(folder.path)}[/]; prove it with: vam prove {shown_path(folder.path)}")
+        if pareto:
+            screen.print(_exposures(folder.manifest.inputs["pareto"]))
+        if checked.file.colors is None:
+            _verdict(screen, folder.path, checked.file.solve.device, memory, events)
+
+
+def _verdict(screen: Console, folder: Path, device: str | None, memory: str | None, events: RunEvents) -> None:
+    """Judge a solved folder by the solver's own dose; Ctrl-C leaves it complete, without a verdict."""
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.run import prove
+    from vamgpu.storage.memory import size
+
+    with shown(screen, events) as progress, suppress(KeyboardInterrupt):
+        progress("verdict", 0.0)
+        proof = prove(folder, device, coarse=True).proof
+        if needs := report_memory(memory, proof):
+            screen.print(f"[yellow]note[/]  no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
+            return
+        found = proof.verdict
+        events.verdict(found)
         show_verdict(screen, found)
-    elif needs:
-        screen.print(f"[yellow]note[/]  no verdict: it needs {size(needs)} of memory; leave out --memory to get it")
 
 
 def _exposures(points: list[dict[str, float]]) -> Table:

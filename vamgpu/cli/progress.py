@@ -18,7 +18,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from vamgpu.jobs.progress import RunEvents
 from vamgpu.jobs.run import StageProgress
+from vamgpu.methods.plan import Step
 
 STAGES = {
     "patterns": "reading the patterns",
@@ -38,6 +40,7 @@ STAGES = {
     "correct": "correcting the slices",
     "survey": "finding features and voids that cannot be printed",
     "columns": "solving whole columns",
+    "orientations": "solving coarsely in several orientations",
 }
 
 
@@ -50,11 +53,11 @@ class _Left(TimeRemainingColumn):
 
 
 @contextmanager
-def shown(console: Console) -> Iterator[StageProgress]:
-    """A function that shows progress; finished stages stay as lines with their seconds."""
+def shown(console: Console, events: RunEvents | None = None) -> Iterator[StageProgress]:
+    """A function that shows progress, and records it as ``events``; finished stages stay as lines with seconds."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), _Left())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        now = _Now(bar, console)
+        now = _Now(bar, console, events)
         yield now
         now.finish()
 
@@ -62,8 +65,9 @@ def shown(console: Console) -> Iterator[StageProgress]:
 class _Now:
     """The stage that is running."""
 
-    def __init__(self, bar: Progress, console: Console) -> None:
-        self._bar, self._console = bar, console
+    def __init__(self, bar: Progress, console: Console, events: RunEvents | None) -> None:
+        self._bar, self._console, self._events = bar, console, events
+        self.look = None if events is None else events.look
         self._stage, self._began, self._task = "", 0.0, None
 
     def __call__(self, stage: str, share: float) -> None:
@@ -73,12 +77,21 @@ class _Now:
             self._task = self._bar.add_task(STAGES.get(stage, stage), total=None)
         if self._task is not None and share > 0.0:  # a stage without a known share shows a pulse
             self._bar.update(self._task, total=1.0, completed=share)
+        if self._events is not None:
+            self._events.share(stage, STAGES.get(stage, stage), share)
+
+    def step(self, step: Step) -> None:
+        """Record a step of the optimization."""
+        if self._events is not None:
+            self._events.step(step)
 
     def tell(self, text: str) -> None:
         """Print a separate line."""
         self.finish()
         self._stage = ""
         self._console.print(f"[dim]{text}[/]", highlight=False)
+        if self._events is not None:
+            self._events.say("note", text=text)
 
     def finish(self) -> None:
         """Turn the running stage into a finished line."""

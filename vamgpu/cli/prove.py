@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from rich.markup import escape
 
 from vamgpu.cli.commands import app
-from vamgpu.cli.options import console, solved_folder
+from vamgpu.cli.options import Overwrite, console, solved_folder
 from vamgpu.cli.show import report_memory, show_lines, show_verdict, show_web, shown_path
 from vamgpu.errors import BadInput
+from vamgpu.methods.tolerances import Corner
+from vamgpu.schema.quantities import Place, Quantity, Thickness, measured
 
 if TYPE_CHECKING:
     from vamgpu.jobs.run import Proven
 
+Deviating = Annotated[float, Quantity("a share", above=-1.0)]
+"""A relative deviation, of either sign."""
 NOT_PRINTED = 3
 """Exit status of ``vam prove --check`` if the frames do not print the part."""
 
@@ -28,6 +33,8 @@ def prove(
     tolerances: Annotated[bool, Parameter(negative="")] = False, slices: tuple[int, int] | None = None,
     printed: Annotated[list[Path] | None, Parameter(name="--job", negative="")] = None, memory: str | None = None,
     rig: str | None = None, speed: str | None = None, check: Annotated[bool, Parameter(negative="")] = False,
+    save: Path | None = None, off: Annotated[list[str] | None, Parameter(negative="")] = None,
+    overwrite: Overwrite = False,
 ) -> int:  # fmt: skip
     """Simulate a job from its frames only, or a run from the frames that it really showed, and write a report.
 
@@ -45,13 +52,12 @@ def prove(
         rig: TOML file of a rig, or emulated: also expose each bit plane of a vial at the angles where it is shown
         speed: speed of the rig [deg/s], or with a unit; by default that of vam print
         check: exit with 3 if the part does not print
+        save: folder for the proof: its dose and all its numbers
+        off: error of the machine, such as axis="20 um", spread="30 um", absorption="5 %" or dose="-5 %"; several add up
     """
     from vamgpu.backend import within
-    from vamgpu.cli.progress import shown
-    from vamgpu.jobs.run import prove as run
     from vamgpu.jobs.web import is_web_folder
-    from vamgpu.storage.atomic import page_path
-    from vamgpu.storage.memory import size
+    from vamgpu.storage.atomic import named, page_path
 
     job = solved_folder(job, "prove")
     device = device if memory is None else within(device, memory)
@@ -68,10 +74,28 @@ def prove(
             raise BadInput(f"--check is for the job of a vial or of a run, but {str(job)!r} is a web; leave it out")
         _prove_web(job, place, device)
         return 0
+    settings = {"evaluations": 1500.0 if bound else 0.0, "tolerances": tolerances, "slices": slices}
+    settings["off"] = None if off is None else _errors(off)
+    return _prove_vial(job, place, device, settings, rig, speed, memory, None if save is None else named(save),
+                       check=check, overwrite=overwrite)  # fmt: skip
+
+
+def _prove_vial(
+    job: Path, place: Path, device: str | None, settings: dict[str, Any], rig: str | None, speed: str | None,
+    memory: str | None, save: Path | None, *, check: bool, overwrite: bool,
+) -> int:  # fmt: skip
+    """Simulate the job of a vial, show and store what was found, and return the exit status."""
+    from vamgpu.cli.progress import shown
+    from vamgpu.jobs.progress import recorded
+    from vamgpu.jobs.run import prove as run
+    from vamgpu.storage.folder import check_place
+    from vamgpu.storage.memory import size
+
+    if save is not None:
+        check_place(save, overwrite=overwrite)
     screen = console()
-    with shown(screen) as progress:
-        evaluations = 1500.0 if bound else 0.0
-        proven = run(job, device, evaluations=evaluations, tolerances=tolerances, slices=slices, progress=progress)
+    with nullcontext() if save is None else recorded(save, "prove") as events, shown(screen, events) as progress:
+        proven = run(job, device, **settings, progress=progress)
         if rig is not None:
             progress("planes", 0.0)
             proven = _by_planes(proven, job, rig, speed)
@@ -79,6 +103,11 @@ def prove(
         if not needs:
             progress("report", 0.0)
             proven.report(place)
+        if save is not None:
+            progress("folder", 0.0)
+            proven.proof.save(save, overwrite=overwrite)
+            if events is not None:
+                events.verdict(proven.proof.verdict)
     if check or not needs:
         show_verdict(screen, proven.proof.verdict)
     show_lines(screen, proven.proof.lines())
@@ -88,6 +117,21 @@ def prove(
         show_lines(screen, proven.proof.judgement.lines())
         screen.print(f"report  [bold]{shown_path(place.resolve())}[/]")
     return _checked(not check or proven.proof.all_correct, check)
+
+
+ERRORS: dict[str, Any] = {"axis": Place, "spread": Thickness, "absorption": Deviating, "dose": Deviating}
+"""Error of a machine → the type of its amount."""
+
+
+def _errors(off: Sequence[str]) -> Corner:
+    """The errors of a machine from texts such as axis="20 um". Raises `BadInput`."""
+    given: dict[str, Any] = {}
+    for text in off:
+        name, _, amount = text.partition("=")
+        if name not in ERRORS:
+            raise BadInput(f'--off is {text!r}; expected one of {", ".join(ERRORS)} with an amount: axis="20 um"')
+        given[name] = measured(f"--off {name}", amount.strip(' "'), ERRORS[name])
+    return Corner(**given)
 
 
 def _check_options(

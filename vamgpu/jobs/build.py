@@ -57,7 +57,7 @@ def target_of(job: Job, device: Device) -> Target:
             pitch=pitch, margin=section.margin, shape=section.shape_of_grid, device=device, name=job.name
         )
     return Target.from_mesh(
-        _source("target.shape", section, job.folder),
+        source_of("target.shape", section, job.folder),
         height=section.height,
         factor=section.factor,
         pitch=pitch,
@@ -69,7 +69,7 @@ def target_of(job: Job, device: Device) -> Target:
 
 def pitch_of(file: JobFile) -> float:
     """Edge of a voxel of a job [mm]: that of the job; by default a pixel in the resin, or along z if smaller."""
-    return file.target.pitch or min(resin_pixel(_pixel(file), _light(file)))
+    return file.target.pitch or min(resin_pixel(_pixel(file), light_of(file)))
 
 
 def scene_of(file: JobFile, folder: Path) -> Scene | None:
@@ -80,11 +80,11 @@ def scene_of(file: JobFile, folder: Path) -> Scene | None:
     bodies = []
     for number, section in enumerate(file.body):
         fields = section.model_dump(exclude={"mesh", "shape"})
-        bodies.append(Body(_source(f"body.{number}.shape", section, folder), **fields))
+        bodies.append(Body(source_of(f"body.{number}.shape", section, folder), **fields))
     return Scene(bodies, factor=file.target.factor or 1.0, **given)
 
 
-def _source(key: str, section: TargetSection | BodySection, folder: Path) -> Any:
+def source_of(key: str, section: TargetSection | BodySection, folder: Path) -> Any:
     """The file of a mesh, or a bundled shape. Raises `JobError`."""
     if section.mesh is not None:
         return folder / section.mesh
@@ -108,7 +108,7 @@ def _pixel(file: JobFile) -> Beam:
     return Beam((1, 1), file.beam.pitch)
 
 
-def _light(file: JobFile) -> Any:
+def light_of(file: JobFile) -> Any:
     """Vessel or light of a job; None in air."""
     vessel = next((one for one in (file.vial, file.vat, file.vessel) if one is not None), None)
     return vessel if file.light is None else file.light
@@ -133,7 +133,7 @@ def projection_of(
     file: JobFile, target: Target, device: Device, folder: Path = Path(), motion: Turntable | None = None
 ) -> Any:
     """The projector of a job whose paths are relative to ``folder``, with everything in its light path."""
-    light = _light(file)
+    light = light_of(file)
     vessel = light if file.light is None else None
     check = getattr(vessel, "check_fits", None)
     if check is not None:
@@ -142,7 +142,7 @@ def projection_of(
         motion = motion_of(file.turntable, folder, enough_angles(_pixel(file), light, target.radius))
     wobble = None if file.wobble is None else wobble_of(file.wobble, motion)
     section = file.beam
-    pixels = section.pixels or _covering(target, light, section.pitch, wobble)
+    pixels = section.pixels or covering(target, light, section.pitch, wobble)
     beam = beam_of(section, pixels, folder)
     scene = scene_of(file, folder)
     try:
@@ -187,7 +187,7 @@ def wobble_of(section: WobbleSection, motion: Turntable) -> Wobble:
     return Wobble(section.across, section.along)
 
 
-def _covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -> tuple[int, int]:
+def covering(target: Target, light: Any, pitch: float, wobble: Wobble | None) -> tuple[int, int]:
     """Pixels that light the whole part, for all positions of the axis."""
     turn = np.linspace(0.0, 2.0 * np.pi, 3601)
     away = 0.0 if wobble is None else float(np.hypot(wobble.across, wobble.along).max())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from textwrap import wrap
@@ -24,6 +25,8 @@ FILES: dict[str, type[Any]] = {"vial": JobFile, "web": WebFile, "machine": Machi
 """Kind of file → its model."""
 EXAMPLES = {"vial": JOB, "web": WEB_JOB, "machine": WEB_JOB, "slices": EXAMPLE}
 """Kind of file → a valid example."""
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+"""Keys without quotes."""
 HEADS = {
     "vial": "Jobs of a vial or another vessel that turns",
     "web": "Jobs of an endless web",
@@ -85,7 +88,7 @@ def commented(name: str) -> str:
         for key in () if model is None else keys(model):
             lines += _remark(f"{key.doc or key.name}: {key.what}" if key.what else key.doc or key.name)
             known = values is not None and key.name in values
-            value = _toml(values[key.name]) if known and values is not None else _usual(key.default)
+            value = toml_of(values[key.name]) if known and values is not None else _usual(key.default)
             lines.append(f"{off if known else '# '}{key.name} = {value}")
     return "\n".join(lines) + "\n"
 
@@ -106,11 +109,16 @@ def _usual(default: str) -> str:
     return "…" if default in ("", LEFT_OUT, NO_LIMIT) else default
 
 
-def _toml(value: Any) -> str:
+def bare(key: str) -> str:
+    """A key in TOML, in quotes if it needs them."""
+    return key if BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False)
+
+
+def toml_of(value: Any) -> str:
     """A value in TOML."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(part)}" for key, part in value.items()) + " }"
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)
+        return "{ " + ", ".join(f"{bare(key)} = {toml_of(part)}" for key, part in value.items()) + " }"
+    return f"[{', '.join(map(toml_of, value))}]" if isinstance(value, list) else json.dumps(value, ensure_ascii=False)
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
@@ -119,7 +127,7 @@ def toml_text(tables: Mapping[str, Any]) -> str:
     for name, table in tables.items():
         for one in table if isinstance(table, list) else [table]:
             head = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
-            lines += [head, *(f"{key} = {_toml(value)}" for key, value in one.items()), ""]
+            lines += [head, *(f"{key} = {toml_of(value)}" for key, value in one.items()), ""]
     return "\n".join(lines)
 
 

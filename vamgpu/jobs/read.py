@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from vamgpu.deprecated import Renamed
-from vamgpu.errors import JobError
+from vamgpu.errors import JobError, WrongKey
 from vamgpu.jobs.lines import key_lines, line_of
 from vamgpu.jobs.model import JobFile
 from vamgpu.schema.read import complaint, key_in_words, model_in, nouns_in
@@ -24,6 +25,8 @@ MOST_REPORTED = 100
 
 KINDS = {"rig": "a rig", "target": "a job"}
 """Table by which a file of another kind is known → its kind."""
+AT_LINE = re.compile(r"at line (\d+)")
+"""Where the parser of TOML says that an error is."""
 
 File = TypeVar("File", bound=BaseModel)
 
@@ -86,12 +89,19 @@ def checked(
     files: bool = False, complete: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """TOML text as a model of a file, and its keys as written; ``folder`` is the base of its relative paths."""
-    try:
-        data = parse_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        remedy = "correct that line" if Path(source).suffix.lower() in ("", ".toml") else "expected a TOML file"
-        raise JobError(f"{source}: not valid TOML: {error}; {remedy}") from error
+    data = checked_toml(text, source)
     return validated(model, data, settings, text=text, source=source, folder=folder, files=files, complete=complete)
+
+
+def checked_toml(text: str, source: str = "job") -> dict[str, Any]:
+    """The tables of a TOML text. Raises `JobError`."""
+    try:
+        return parse_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        found = AT_LINE.search(str(error))
+        remedy = "correct that line" if Path(source).suffix.lower() in ("", ".toml") else "expected a TOML file"
+        wrong = WrongKey("", int(found[1]) if found else None, f"not valid TOML: {error}; {remedy}")
+        raise JobError(f"{source}: {wrong.message}", (wrong,)) from error
 
 
 def validated(
@@ -115,8 +125,9 @@ def validated(
         raised = error.errors()
         every = [entry for entry in raised if not _misspelled(entry, raised)]
         found = [_complaint(entry, source, lines, replaced, model, data) for entry in every[:MOST_REPORTED]]
-        found += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
-        raise JobError("\n".join(found)) from error
+        said = [f"{place}: {wrong.message}" for place, wrong in found]
+        said += [f"{source}: {len(every) - MOST_REPORTED} more invalid values"] if len(every) > MOST_REPORTED else []
+        raise JobError("\n".join(said), (wrong for _, wrong in found)) from error
 
 
 def _misspelled(entry: Any, others: Iterable[Any]) -> bool:
@@ -158,21 +169,20 @@ def toml_value(text: str) -> Any:
 def _complaint(
     entry: Any, source: str, lines: dict[tuple[str, ...], int], replaced: set[tuple[str, ...]], file: type[BaseModel],
     data: dict[str, Any],
-) -> str:  # fmt: skip
+) -> tuple[str, WrongKey]:  # fmt: skip
+    """The place of an invalid value, and what is wrong with it."""
     between = getattr(entry.get("ctx", {}).get("error"), "key", ())
     parts = (*entry["loc"], *(int(part) if str(part).isdigit() else part for part in between))
     named = tuple(str(part) for part in parts if not isinstance(part, int))
-    if any(named[: len(changed)] == changed for changed in replaced):
-        place = "--set"
-    else:
-        line = line_of(lines, _numbered(parts, named, lines))
-        place = f"{source}, line {line}" if line else source
+    set_ = any(named[: len(changed)] == changed for changed in replaced)
+    line = None if set_ else line_of(lines, _numbered(parts, named, lines))
+    place = "--set" if set_ else f"{source}, line {line}" if line else source
     if entry["type"] == "missing" and isinstance(entry["input"], (list, tuple)) and isinstance(parts[-1], int):
         parts = parts[:-1]  # a missing value in a list has no name
-    subject = key_in_words(parts, data) or "job"
+    key, subject = ".".join(map(str, parts)) or "job", key_in_words(parts, data) or "job"
     if entry["type"] == "extra_forbidden":
-        return f"{place}: {subject}: unknown key; {_spelling(named, file, data)}"
-    return f"{place}: {subject}{complaint(entry, _remedy(parts, data))}"
+        return place, WrongKey(key, line, f"{subject}: unknown key; {_spelling(named, file, data)}")
+    return place, WrongKey(key, line, f"{subject}{complaint(entry, _remedy(parts, data))}")
 
 
 def _numbered(key: tuple[Any, ...], named: tuple[str, ...], lines: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ from vamgpu.methods.plan_folder import (
     tolerances_from,
 )
 from vamgpu.methods.surface import finer_voxels
-from vamgpu.methods.tolerances import Tolerances
+from vamgpu.methods.tolerances import Corner, Tolerances, at
 from vamgpu.methods.tradeoff import ParetoPoint, pareto
 from vamgpu.operators.defocus import Defocused
 from vamgpu.operators.projector import with_algorithm
@@ -239,10 +239,23 @@ def _one(
     plan = optimize(
         solved, target, method=method, iterations=limit, tolerance=file.solve.tolerance,
         evaluations=file.solve.evaluations, tolerances=file.tolerances, cancel=due,
-        progress=lambda step: progress("light", step.iteration / limit),
+        progress=_Steps(progress, limit),
         **_onward(begun, solved, target, method, file.tolerances, lamp), **lamp,
     )  # fmt: skip
     return replace(plan, operator=A)
+
+
+class _Steps:
+    """Reports steps as a share of their number, and in full where progress takes them."""
+
+    def __init__(self, progress: StageProgress, limit: int) -> None:
+        self._progress, self._limit = progress, limit
+        self._step: Callable[[Step], None] = getattr(progress, "step", lambda step: None)
+        self.look = getattr(progress, "look", None)
+
+    def __call__(self, step: Step) -> None:
+        self._step(step)
+        self._progress("light", step.iteration / self._limit)
 
 
 def _on_rings(light: Any, A: Any, asked: bool) -> Any:
@@ -326,13 +339,17 @@ def _both(job: Job, target: Target, device: Device, progress: StageProgress) -> 
 
 def prove(
     path: str | Path, device: str | None = None, *, evaluations: float = 0.0, tolerances: bool = False,
-    slices: tuple[int, int] | None = None, coarse: bool = False, progress: StageProgress = quiet,
+    slices: tuple[int, int] | None = None, coarse: bool = False, off: Corner | None = None,
+    progress: StageProgress = quiet,
 ) -> Proven:  # fmt: skip
-    """Simulate a job folder from the bytes and the gray curve of its frames."""
+    """Simulate a job folder from the bytes and the gray curve of its frames; ``off``: on a machine with these errors.
+
+    With errors, the exposure is that of the print without them.
+    """
     folder, place = Folder.open(path), open_device(device)
     record, exposure, strength = _recorded(folder)
-    off = tolerances_from(folder) if tolerances else None
-    if tolerances and (off is None or strength):
+    within = tolerances_from(folder) if tolerances else None
+    if (tolerances and (within is None or strength)) or (off is not None and strength):
         what = "two colors" if strength else "no tolerances"
         raise BadInput(f"{str(path)!r} has {what}; expected a job with [tolerances] and one color")
     if evaluations and strength:
@@ -344,15 +361,19 @@ def prove(
         progress("frames", 0.0)
         frames = frames_of(folder, place)
         progress("proof", 0.0)
-        settings = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        settings: dict[str, Any] = {"coarse": coarse, "progress": lambda share: progress("proof", share)}
+        if off is not None:
+            usual = simulate(A, frames, target, **settings, **exposure).scores.threshold
+            A, settings["threshold"] = at(A, off), usual / (1.0 + off.dose)
         proof = replace(simulate(A, frames, target, **settings, **exposure), history=record.history)
         if evaluations:
             progress("bound", 0.0)
-            most = evaluations * (len(off.corners()) if off is not None else 1)
-            widest = bound(A, target, evaluations=most, tolerances=off, slices=slices, progress=_spent(progress, most))
+            most = evaluations * (len(within.corners()) if within is not None else 1)
+            widest = bound(A, target, evaluations=most, tolerances=within, slices=slices,
+                           progress=_spent(progress, most))  # fmt: skip
             proof = replace(proof, bound=widest)
-        if off is not None:
-            proof = replace(proof, corners=prove_corners(A, frames, target, off))
+        if within is not None:
+            proof = replace(proof, corners=prove_corners(A, frames, target, within))
         if strength and not coarse and os.path.exists(uv_folder(Path(path))):
             beside = Folder.open(uv_folder(Path(path)))
             proof = subtracted(proof, strength, operator_from(beside, place), frames_of(beside, place))

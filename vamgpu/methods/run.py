@@ -298,6 +298,8 @@ class _Run:
                 self.history.append(Step(len(self.history) + 1, state.evaluations, *record))
                 state.iteration = len(self.history)
                 report(self.history[-1])
+                if (look := getattr(report, "look", None)) is not None:
+                    look(self._slice)
                 ends = LossTrajectory([self.history[0].loss, self.history[-1].loss])
                 if ends.lost:
                     trajectory = self._trajectory()
@@ -310,6 +312,20 @@ class _Run:
             steps.close()
         if self.history and self._trajectory().risen:
             warnings.warn(self._trajectory().message(), DivergenceWarning, stacklevel=3)
+
+    def _slice(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Dose and target [y, z] at the middle x, of the nominal print; None if memory does not suffice."""
+        state, A, target = self.state, self.state.operator, self.state.target
+        if isinstance(A, Scenarios):
+            A, target = A.operators[0], A.taken(target, 0)
+        try:
+            dose = None if "light" not in state.memory else A.T(state.buffer("light"))
+        except OutOfMemory:
+            dose = None
+        if dose is None:
+            return None
+        middle = dose.shape[0] // 2
+        return dose.part(middle, middle + 1)[0], target.part(middle, middle + 1)[0]
 
     def _trajectory(self) -> LossTrajectory:
         return LossTrajectory([step.loss for step in self.history])

@@ -23,6 +23,7 @@ from vamgpu.printing.frames import Frames
 from vamgpu.printing.given_dose import GivenDose, ProvedDose
 from vamgpu.printing.pack import Solved
 from vamgpu.printing.proof import Proof
+from vamgpu.printing.surface import stray
 from vamgpu.storage.folder import Entry, Folder
 from vamgpu.targets.target import Target
 
@@ -51,7 +52,37 @@ def save_proof(proof: Proof, path: str | Path, *, overwrite: bool = False) -> Pa
         inputs["plan"] = inputs_of(proof.frames.plan)[0]["plan"]
     arrays["dose"] = Entry(proof.dose, ("x", "y", "z"), spacing=proof.operator.grid.pitch)
     details = {"saved": "proof", "proof": {name: _written(getattr(proof, name)) for name in FIELDS}}
+    if "judgement" in proof.__dict__:
+        details["judged"] = _judged(proof)
+        if proof.outer is not None and proof.outer_share >= 1.0 and proof.independent:
+            where, radius = proof.outer, proof.operator.grid.inscribed_radius
+            found = stray(proof.fine(), proof.solid_from, radius, where.place, 2.0 * where.width)
+            arrays["stray_points"] = Entry(found.points.astype(np.float32), ("point", "axis"), "mm")
+            arrays["stray_faces"] = Entry(found.faces.astype(np.uint32), ("face", "corner"))
     return save_frames(path, proof.frames, inputs=inputs, arrays=arrays, details=details, overwrite=overwrite).path
+
+
+def _judged(proof: Proof) -> dict[str, Any]:
+    """What takes long to compute again: verdict, lines of numbers and sensitivity to errors, as plain values."""
+    verdict, table = proof.verdict, proof.judgement.table
+    said = {name: getattr(verdict, name) for name in ("prints", "proved", "opening", "sentence", "remedies",
+                                                      "latitude", "not_judged")}  # fmt: skip
+    rows = [{"name": row.name, "change": row.change, "window": row.window, "wrong": row.wrong, "note": row.note}
+            for row in (table.nominal, *table.rows)]  # fmt: skip
+    first = [{"name": one.name, "amount": one.amount, "text": one.text} for one in table.first_wrong]
+    lines = [line._asdict() for line in (*proof.lines(), *proof.judgement.lines())]
+    return _plain({"verdict": said, "lines": lines, "tolerances": {"nominal": rows[0], "rows": rows[1:],
+                                                                   "first": first}})  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """Plain values, with None for numbers that JSON lacks."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(part) for part in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def load_proof(path: str | Path, device: str | Device | None = None) -> Proof:

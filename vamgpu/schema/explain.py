@@ -38,22 +38,29 @@ class Key:
 
 def keys(table: type[Any]) -> tuple[Key, ...]:
     """The keys that files may write for a component or a `Section`."""
+    return tuple(Key(name, what(kind), _default(default, kind), doc) for name, kind, default, doc in _raw(table))
+
+
+def kinds_of(table: type[Any]) -> dict[str, Any]:
+    """The types of those keys."""
+    return {name: kind for name, kind, _, _ in _raw(table)}
+
+
+def _raw(table: type[Any]) -> list[tuple[str, Any, Any, str]]:
+    """Name, type, default and meaning of keys."""
     if issubclass(table, BaseModel):
         hints, fields = get_type_hints(table, include_extras=True), table.model_fields
         docs = docs_of(table, list(fields))
-        raw = [
+        return [
             (name, hints[name], MISSING if info.is_required() else info.default, info.description or docs.get(name, ""))
             for name, info in fields.items()
         ]
-    else:
-        written = {
-            name
-            for name, info in model_of(table).model_fields.items()
-            if info.annotation is not NoneType and not any(isinstance(mark, Kept) for mark in info.metadata)
-        }
-        fields = [field for field in fields_of(table) if field.name in written]
-        raw = [(field.name, field.kind, field.default, field.doc) for field in fields]
-    return tuple(Key(name, what(kind), _default(default, kind), doc) for name, kind, default, doc in raw)
+    written = {
+        name
+        for name, info in model_of(table).model_fields.items()
+        if info.annotation is not NoneType and not any(isinstance(mark, Kept) for mark in info.metadata)
+    }
+    return [(field.name, field.kind, field.default, field.doc) for field in fields_of(table) if field.name in written]
 
 
 def what(kind: Any) -> str:

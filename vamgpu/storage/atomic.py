@@ -164,20 +164,30 @@ def _workshop(place: Path) -> tuple[Path, int | None]:
             os.close(lock)
 
 
+def locked(file: int) -> bool:
+    """Lock an open file or folder until all its descriptors are closed; False if another one holds the lock."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
 def _locked(folder: Path) -> int | None:
     """A lock on a folder, which ends with this process; None if the file system has no locks."""
     if fcntl is None:
         return None
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return lock
-    except BlockingIOError:
-        os.close(lock)
-        raise
+        if locked(lock):
+            return lock
     except OSError:
         os.close(lock)
         return None
+    os.close(lock)
+    raise BlockingIOError
 
 
 def _move(draft: Path, place: Path, workshop: Path) -> None:

@@ -58,7 +58,7 @@ def load_mesh(
         raise BadInput(f"cannot read {str(path)!r}: expected a mesh file ending in {', '.join(FORMATS)}")
     if not is_file(file):
         raise BadInput(f"there is no mesh file {str(path)!r}; check the path")
-    mesh, notes = _read(file)
+    mesh, notes = read_mesh(file)
     solid = from_trimesh(mesh, name=name or file.stem, repair=repair)
     if notes:
         solid = replace(solid, mended=(*notes, *solid.mended))
@@ -94,7 +94,7 @@ def from_trimesh(mesh: trimesh.Trimesh, *, name: str = "solid", repair: bool = T
     return repaired(Solid(vertices, faces, name), fix=repair)
 
 
-def _read(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
+def read_mesh(file: Path) -> tuple[trimesh.Trimesh, tuple[str, ...]]:
     """A mesh, and what was left out of its file."""
     import trimesh
 

@@ -1,0 +1,65 @@
+"""Arrays of job folders, mapped from unlinked files: only the parts that are used occupy memory."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import OrderedDict
+from pathlib import Path
+from threading import Lock
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vamgpu.errors import BadInput
+from vamgpu.storage.folder import MANIFEST, Folder
+from vamgpu.studio.workspace import Stamp, stamp
+
+KEPT = 6
+"""Mapped arrays at a time."""
+
+
+class Volumes:
+    """The last arrays that were looked at."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[tuple[Path, str, Stamp], np.ndarray] = OrderedDict()
+        self._lock = Lock()
+
+    def of(self, folder: Folder, name: str) -> np.ndarray:
+        """An array of a job folder, verified by its hash when it is mapped. Raises `StorageError`."""
+        key = folder.path, name, stamp(folder.path / MANIFEST)
+        with self._lock:
+            if key in self._known:
+                self._known.move_to_end(key)
+                return self._known[key]
+            while len(self._known) >= KEPT:
+                self._known.popitem(last=False)
+            record, first = folder.record(name), 0
+            with tempfile.TemporaryFile() as file:
+                file.truncate(int(np.prod(record.shape)) * np.dtype(record.dtype).itemsize)
+                mapped = np.memmap(file, record.dtype, "r+", shape=record.shape)
+            for part in folder.parts(name):
+                mapped[first : first + len(part)] = part
+                first += len(part)
+            mapped.flags.writeable = False
+            self._known[key] = mapped
+            return mapped
+
+
+class Arrays(NamedTuple):
+    """Arrays that are sent one after another, and numbers that describe them."""
+
+    arrays: dict[str, np.ndarray]
+    meta: dict[str, Any]
+
+    def body(self) -> tuple[bytes, dict[str, str]]:
+        """The bytes, each array padded to a multiple of four, and the headers."""
+        pieces, said = list[bytes](), list[dict[str, Any]]()
+        for name, array in self.arrays.items():
+            if array.dtype.kind not in "uf" or array.dtype.itemsize > 4:
+                raise BadInput(f"the array {name} is {array.dtype}; expected float16, float32 or unsigned integers")
+            data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+            pieces += [data, b"\0" * (-len(data) % 4)]
+            said.append({"name": name, "dtype": array.dtype.name, "shape": list(array.shape)})
+        return b"".join(pieces), {"x-arrays": json.dumps(said), "x-meta": json.dumps(self.meta)}
