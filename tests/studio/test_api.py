@@ -94,6 +94,8 @@ def test_the_form_has_every_key_with_unit_bounds_and_meaning(client: Client) -> 
 def test_the_scene_says_what_does_not_fit(client: Client) -> None:
     scene = client("GET", "/jobs/boat.toml/scene")
     assert scene["problems"] == [] and scene["vessel"]["inner"] == pytest.approx(11.4)
+    assert scene["vessel"]["lit"] == pytest.approx(Job.parse(BOAT).file.vial.lit_radius)  # type: ignore[union-attr]
+    assert scene["beam"]["reach"] < 0.5 * scene["beam"]["width"]  # refraction narrows the columns
     assert scene["part"]["extents"][2] == pytest.approx(6.0) and scene["beam"]["pitch"] == 0.25
     large = BOAT.replace('"6 mm"', '"60 mm"').replace(
         'pitch = "250 um"\n\n[turn', 'pitch = "250 um"\npixels = [9, 9]\n[turn'

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vamgpu.errors import BadInput, JobError, VamError
+from vamgpu.geometry import Beam
 from vamgpu.jobs.build import covering, light_of, pitch_of
 from vamgpu.jobs.demo import JOB as DEMO
 from vamgpu.jobs.edit import edited
@@ -93,7 +94,7 @@ class Texts:
 
     def part(self, path: Path, most: int = SHOWN) -> Part:
         """A part; the last few stay in memory."""
-        key = (path, stamp(path), most)
+        key = (stamp(path), path.name, most)  # the same after the file was moved to its place
         with self._lock:
             if key not in self._parts:
                 while len(self._parts) >= MESHES:
@@ -185,7 +186,7 @@ class Texts:
             "pitch": pitch,
             "width": pixels[0] * pitch,
             "height": pixels[1] * pitch,
-            "reach": 0.5 * pixels[0] * resin_pixel(file.beam, light)[0],  # in the resin
+            "reach": 0.5 * pixels[0] * resin_pixel(Beam((1, 1), pitch), light)[0],  # in the resin
         }
         for k, (axis, side) in enumerate((("columns", "wide"), ("rows", "high"))):
             if pixels[k] + 4 < needed[k]:
