@@ -247,8 +247,8 @@ export class PartTab {
       make("div", { class: "row between" }, make("span", { class: "soft" }, task.state === "queued" ? "waits in the queue" : `${task.progress?.said || "comparing"}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}`),
         button("Cancel", () => send("POST", `tasks/${path(task.id)}/cancel`))));
     else if (task?.state === "failed") parts.push(make("p", { class: "error" }, task.message));
-    else if (task?.orientations) parts.push(make("table", { class: "stands", "aria-label": "Orientations, best first" }, make("thead", {}, make("tr", {}, ["tilt", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
-      make("tbody", {}, task.orientations.map((each) => make("tr", {}, make("th", { scope: "row" }, `${fixed(each.tilt, 0)}°${each.azimuth ? ` to ${fixed(each.azimuth, 0)}°` : ""}`),
+    else if (task?.orientations) parts.push(make("table", { class: "stands", "aria-label": "Orientations, best first" }, make("thead", {}, make("tr", {}, ["tilt", "towards", "window", "time", "height"].map((text, k) => make("th", { class: k ? "n" : "", scope: "col" }, text)), make("th", {}))),
+      make("tbody", {}, task.orientations.map((each) => make("tr", {}, make("th", { scope: "row" }, `${fixed(each.tilt, 0)}°`), make("td", { class: "n" }, each.tilt ? `${fixed(each.azimuth, 0)}°` : "–"),
         make("td", { class: "n" }, fixed(each.window, 3)), make("td", { class: "n" }, time(each.seconds)), make("td", { class: "n" }, length(each.height)),
         make("td", { class: "n" }, each.fits ? button("Use", () => this.save(each.set, each.remove || []), { "aria-label": `Use tilt ${fixed(each.tilt, 0)}°` }) : make("span", { class: "error" }, "too large")))))));
     if (!busy) parts.push(make("div", { class: "row" }, start));
