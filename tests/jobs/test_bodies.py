@@ -92,7 +92,7 @@ def test_tables_are_the_bodies_of_a_scene(job: Path) -> None:
 
 PART = '[target]\npitch = "0.2 mm"\n[beam]\npitch = "0.2 mm"\n'
 WRONG = {
-    "role": ('[[body]]\nshape = "boat"\nrole = "ornament"\n', "body.0.role"),
+    "role": ('[[body]]\nshape = "boat"\nrole = "ornament"\n', "[[body]] 1, role"),
     "both": ('[[body]]\nshape = "boat"\nmesh = "a.stl"\n', "expected exactly one of mesh"),
     "no dose": (
         '[[body]]\nshape = "boat"\n[[body]]\nshape = "boat"\nrole = "gray"\n',
@@ -120,7 +120,7 @@ def test_wrong_bodies_are_named(case: str) -> None:
 def test_the_line_is_that_of_the_body_that_is_meant(wrong: str) -> None:
     text = PART + '[[body]]\nshape = "boat"\nweight = 2.0\n[[body]]\nshape = "nut"\n' + wrong + "\n"
     line = text[: text.rindex("[[body]]" if "gray" in wrong else wrong)].count("\n") + 1
-    with pytest.raises(JobError, match=rf"line {line}: body\.1"):
+    with pytest.raises(JobError, match=rf"line {line}: \[\[body\]\] 2"):
         Job.parse(text)
 
 
@@ -131,7 +131,7 @@ def test_keys_of_one_part_and_of_bodies_are_not_mixed() -> None:
         assert said in str(caught.value)
     with pytest.raises(JobError, match="got void without a"):
         Job.parse(PART, ['target.shape="boat"', "target.factor=1.0", "target.void=0.5"])
-    with pytest.raises(JobError, match=r"body\.0\.shape: got 'bote'"):
+    with pytest.raises(JobError, match=r"\[\[body\]\] 1, shape: got 'bote'"):
         target_of(Job.parse(PART + '[[body]]\nshape = "bote"\n'), vam.open_device("numpy"))
 
 

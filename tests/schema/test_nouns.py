@@ -194,7 +194,7 @@ def test_defaults_are_what_constructors_have() -> None:
     ("family", "table", "said"),
     [
         ("vessel", {"kind": "fann"}, "no vessel 'fann'; expected one of .*did you mean 'fan'"),
-        ("vessel", {"kind": "round"}, "no vessel 'round'; expected one of .*: did you mean 'vial' \("),
+        ("vessel", {"kind": "round"}, r"no vessel 'round'; expected one of .*: did you mean 'vial' \("),
         ("vessel", {"throw": "3 mm"}, "kind is missing; add kind = one of vial"),
         ("vessel", {"kind": "fan", "throw": "-3 mm"}, r"vessel\.throw: got '-3 mm'; expected a length > 0"),
         ("vessel", {"kind": "vat", "width": "3 mm", "radius": "2 mm"}, "expected at most 1.5 mm"),

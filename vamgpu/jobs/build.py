@@ -80,7 +80,7 @@ def scene_of(file: JobFile, folder: Path) -> Scene | None:
     bodies = []
     for number, section in enumerate(file.body):
         fields = section.model_dump(exclude={"mesh", "shape"})
-        bodies.append(Body(source_of(f"body.{number}.shape", section, folder), **fields))
+        bodies.append(Body(source_of(f"[[body]] {number + 1}, shape", section, folder), **fields))
     return Scene(bodies, factor=file.target.factor or 1.0, **given)
 
 

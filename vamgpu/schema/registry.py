@@ -243,7 +243,7 @@ def remedy(name: str, kind: str, known: Iterable[str]) -> str:
     if instead:
         return f": {instead} replaces it"
     docs = {each: (load(FAMILIES[name].nouns[each]).__doc__ or "").partition(".")[0] for each in known
-            if name in FAMILIES}  # fmt: skip
+            if name in FAMILIES and each in FAMILIES[name].nouns}  # fmt: skip
     word = re.compile(rf"\b{re.escape(kind)}\b", re.IGNORECASE)
     meant = next((each for each, doc in docs.items() if len(kind) > 2 and word.search(doc)), None)
     return nearest(kind, known) if meant is None else f": did you mean {meant!r} ({docs[meant]})?"
