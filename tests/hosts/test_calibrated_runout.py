@@ -30,7 +30,7 @@ def measured(rig: RigConfig, truth: Optics = TRUTH) -> dict:
     machines, _ = rehearsal(rig, runout_run.TABLES, truth)
     try:
         found = runout_run.runout(machines, poses=16, repeats=1)
-        assert not machines.controller.status().light
+        assert machines.controller is not None and not machines.controller.status().light
     finally:
         machines.close()
     keep(found, rig)
@@ -108,7 +108,7 @@ def test_no_pin_or_too_few_poses_are_told(tmp_path: Path) -> None:
         machines, _ = rehearsal(rig, runout_run.TABLES, truth)
         with pytest.raises(BadInput, match=why):
             runout_run.runout(machines, repeats=1, poses=poses)
-        assert not machines.controller.status().light
+        assert machines.controller is not None and not machines.controller.status().light
         machines.close()
     measured(rig)
     (place,) = (tmp_path / "lab.calibration").iterdir()

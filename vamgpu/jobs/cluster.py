@@ -105,11 +105,12 @@ def _remote(client: Any, device: str | None, number: int, count: int) -> RemoteD
         except VamError:
             raise
         except Exception as error:  # noqa: BLE001 - a worker that dies breaks whatever is under way
-            if time.monotonic() > until and client.status != "running":
+            late = time.monotonic() >= until
+            if late and client.status != "running":
                 raise DeviceError("the scheduler has stopped; restart it, and run the command again") from error
-            if time.monotonic() > until and not client.nthreads():
+            if late and not client.nthreads():
                 raise DeviceError("no worker is left; start some, and run the same command to continue") from error
-            if time.monotonic() > until:
+            if late:
                 raise WorkerLost(f"no worker takes slab {number}: {type(error).__name__}: {error}") from error
 
     def send(orders: list[Any]) -> Callable[[], list[Any]]:

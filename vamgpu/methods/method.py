@@ -25,18 +25,16 @@ class Method(Protocol):
         cost: Least projector evaluations of an iteration.
         criterion: Criterion of its best light: the strict window for methods of thresholds, the loss for methods that
             minimize a loss. With weights or gray bodies it is the loss for all methods.
-        takes_start: Whether the method starts from ``light`` in the memory, if there is any. If it is False, or there
-            is no such attribute, `optimize` rejects a ``start``.
-        takes_weights: Whether weights of bodies change the result, as in all methods that minimize ``state.loss``. If
-            it is False, `optimize` rejects them.
+        takes_start: Optional; whether the method starts from ``light`` in the memory, if there is any. Without it,
+            `optimize` rejects a ``start``.
+        takes_weights: Optional; whether weights of bodies change the result, as in all methods that minimize
+            ``state.loss``. If it is False, `optimize` rejects them.
     """
 
     papers: ClassVar[tuple[str, ...]] = ()
     iterations: ClassVar[int]
     cost: ClassVar[float] = 1.0
     criterion: ClassVar[Criterion] = "loss"
-    takes_start: ClassVar[bool] = False
-    takes_weights: ClassVar[bool] = True
 
     def steps(self, state: OptimizerState) -> Steps:
         """Improve ``light`` in the memory without end, or until no gain is left.
