@@ -67,15 +67,15 @@ def _key(key: Key, kind: Any) -> dict[str, Any]:
 
 
 def _type(kind: Any, quantity: Quantity | None, literal: Any) -> str:
-    if Named in _marks(kind):
+    found = [WORDS[part] for part in _parts(kind) if part in WORDS]
+    if Named in _marks(kind) and found == ["text"]:
         return "file"
     if quantity is not None:
         return "quantity" if quantity.kind else "count" if quantity.whole else "number"
-    if literal is not None:
+    if literal is not None and not found:
         return "choice"
     if any(isinstance(mark, (Nouns, OneOrMany)) for mark in _marks(kind)):
         return "table" if any(isinstance(mark, Nouns) for mark in _marks(kind)) else "any"
-    found = [WORDS[part] for part in _parts(kind) if part in WORDS]
     if any(get_origin(part) is tuple for part in _parts(kind)):
         return "list"
     return found[0] if len(set(found)) == 1 else "any"

@@ -165,6 +165,6 @@ const title = (name) => name[0].toUpperCase() + name.slice(1).replaceAll("_", " 
 
 /** The sentence of a key, with its values: what it means, and what it may be. */
 function sentence(key) {
-  const doc = key.doc.replace(/ \[[^\]]*\]/, ""), said = doc ? doc[0].toUpperCase() + doc.slice(1) : "", bounds = key.what && !["text", "true or false"].includes(key.what) && key.type !== "choice" ? key.what : "";
+  const doc = key.doc.replace(/ \[[^[\]]*\]/, ""), said = doc ? doc[0].toUpperCase() + doc.slice(1) : "", bounds = key.what && !["text", "true or false"].includes(key.what) && key.type !== "choice" ? key.what : "";
   return [said, bounds && `(${bounds})`].filter(Boolean).join(" ");
 }
