@@ -90,6 +90,7 @@ def test_the_form_has_every_key_with_unit_bounds_and_meaning(client: Client) -> 
     fields = {(table, key["name"]): key["type"] for table in tables for key in tables[table]["keys"]}
     assert fields["turntable", "angles"] == fields["beam", "spread"] == "any"  # a number or a file
     assert fields["scattering", "anisotropy"] == "number"  # or a word
+    assert fields["scattering", "photons"] == "count" and fields["scattering", "tolerance"] == "number"
     assert "vessel.fan" in tables["vessel"]["kinds"] and found["components"]["vessel.fan"]["keys"]
     assert client("GET", "/schema.json")["type"] == "object"
 

@@ -70,6 +70,11 @@ class Nouns:
         others: dict[str, Any] = self.beside
         return create_model(model.__name__, __base__=model, **others) if others else model
 
+    def others(self) -> type[BaseModel]:
+        """The model of keys that are not fields of the component."""
+        others: dict[str, Any] = self.beside
+        return create_model("Others", __base__=Section, **others)
+
     def chosen(self, table: Mapping[str, Any]) -> type[Any]:
         """The class that a table describes; raises `BadInput`."""
         kinds = {kind: name for name, kind in self.choices}

@@ -44,7 +44,8 @@ def _table(name: str, field: Any) -> dict[str, Any]:
     if section is not None and nouns is None:
         return head | {"doc": first_of(section), "keys": _keys(section)}
     if head["component"]:
-        return head | _component(find(*choices[0].split(".", 1)))
+        component = _component(find(*choices[0].split(".", 1)))
+        return head | component | {"keys": [*component["keys"], *_keys(nouns.others() if nouns else BaseModel)]}
     return head | {"doc": what(Annotated[kind, nouns]) if nouns else ""}
 
 
