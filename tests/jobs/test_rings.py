@@ -90,6 +90,16 @@ def test_scattering_beside_what_it_does_not_know_is_refused(tmp_path: Path, othe
         job(tmp_path, JOB + '[scattering]\ncoefficient = "0.4 /mm"\n' + other)
 
 
+@pytest.mark.parametrize(("key", "said"), [
+    ("anisotropy = 1", r"line \d+: scattering: .* −0.98 to 0.98"),
+    ('anisotropy = "mie"', r"line \d+: scattering.anisotropy: got 'mie'; expected 'rayleigh'; correct the value$"),
+    ('phase = [["0 deg", 1], ["170 deg", 1]]', r"line \d+: scattering: .* from 0° to 170°; .* to 180°"),
+])  # fmt: skip
+def test_wrong_scattering_is_named_with_its_line(tmp_path: Path, key: str, said: str) -> None:
+    with pytest.raises(JobError, match=said):
+        job(tmp_path, f'{JOB}[scattering]\ncoefficient = "0.4 /mm"\n{key}\n')
+
+
 def test_light_out_of_focus_is_solved_on_rings_and_proven_by_rays(tmp_path: Path) -> None:
     blurred = JOB + '[defocus]\nfwhm = "1 mm"\ndepth_of_focus = "3 mm"\n'
     solve(job(tmp_path, blurred), tmp_path / "boat.vam")

@@ -110,3 +110,8 @@ def test_the_schema_refuses_what_the_reader_refuses(capsys: pytest.CaptureFixtur
     schema = json.loads(capsys.readouterr().out)
     for old, new in WRONG:
         assert wrong(schema, tomllib.loads(HEAD + FAN.replace(old, new)), schema), new
+
+
+def test_keys_beside_those_of_a_component_are_listed_at_its_table() -> None:
+    table = reference().split("### [scattering]")[1].split("###")[0]
+    assert "| `photons` | a whole number ≥ 1 | `4194304` |" in table and "| `tolerance` |" in table

@@ -87,6 +87,10 @@ def test_the_form_has_every_key_with_unit_bounds_and_meaning(client: Client) -> 
     known = {"mesh": "file", "pixels": "list", "footprint": "choice", "bits": "choice", "flip_r": "bool",
              "fill": "number", "iterations": "count", "method": "text", "height": "quantity"}  # fmt: skip
     assert {name: kinds[name] for name in known} == known
+    fields = {(table, key["name"]): key["type"] for table in tables for key in tables[table]["keys"]}
+    assert fields["turntable", "angles"] == fields["beam", "spread"] == "any"  # a number or a file
+    assert fields["scattering", "anisotropy"] == "number"  # or a word
+    assert fields["scattering", "photons"] == "count" and fields["scattering", "tolerance"] == "number"
     assert "vessel.fan" in tables["vessel"]["kinds"] and found["components"]["vessel.fan"]["keys"]
     assert client("GET", "/schema.json")["type"] == "object"
 

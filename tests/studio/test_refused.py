@@ -156,6 +156,8 @@ BODIES: list[tuple[str, str, Any]] = [
     ("POST", "/jobs", {"name": "boat"}),
     ("POST", "/jobs", {"name": "x", "part": "../secret.stl"}),
     ("POST", "/jobs", {"name": "x", "vial": "none"}),
+    ("POST", "/jobs", {"name": "x", "height": "-5 mm"}),
+    ("POST", "/jobs", {"name": "x", "height": "5,5 mm"}),
     ("POST", "/jobs/boat.toml/copy", {"name": "../x"}),
     ("POST", "/jobs/edit", {"text": "", "set": {"../x": 1}}),
     ("POST", "/jobs/edit", {"text": "[a", "set": {"a.b": 1}}),
@@ -228,7 +230,9 @@ def test_uploads_are_refused_before_they_are_read(
 @pytest.mark.parametrize("ending", ["stl", "3mf", "ply", "obj"])
 def test_files_that_are_no_mesh_are_not_kept(client: Client, place: Path, data: bytes, ending: str) -> None:
     before = whole(place)
-    assert client.raw("POST", f"/parts?name=odd.{ending}", data)[0] in (400, 422) and whole(place) == before
+    status, found, _ = client.raw("POST", f"/parts?name=odd.{ending}", data)
+    assert status in (400, 422) and whole(place) == before
+    assert b"odd." in found and b"zero-size" not in found
 
 
 @pytest.mark.parametrize("start", [b"", b"GET /api/v1/work", b"GET / HTTP/1.1\r\nHost: localhost\r\n", b"\x16\x03\x01"])

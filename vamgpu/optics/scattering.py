@@ -95,8 +95,9 @@ def _rising(phase: object) -> tuple[tuple[float, float], ...]:
         raise BadInput(f"Scattering phase has shape {rows.shape}; expected pairs of angle and intensity, two or more")
     angle, intensity = rows.T
     if (np.diff(angle) <= 0.0).any() or abs(angle[0]) > 1e-6 or abs(angle[-1] - np.pi) > 1e-3 or not intensity.any():
-        raise BadInput(f"Scattering phase has {len(rows)} angles from {angle[0]:g} to {angle[-1]:g} rad; expected them "
-                       "to rise from 0 to π, with light at some: extend the measurement to both ends")  # fmt: skip
+        raise BadInput(f"Scattering phase has {len(rows)} angles from {np.degrees(angle[0]):g}° to "
+                       f"{np.degrees(angle[-1]):g}°; expected them to rise from 0° to 180°, with light at some: extend "
+                       "the measurement to both ends")  # fmt: skip
     return tuple((float(a), float(b)) for a, b in rows)
 
 

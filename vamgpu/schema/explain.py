@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from vamgpu.schema.noun import MISSING, docs_of, fields_of, quantity_in
 from vamgpu.schema.quantities import Quantity
-from vamgpu.schema.read import NOUN, Kept, Nouns, OneOrMany, in_files, model_of
+from vamgpu.schema.read import NOUN, Kept, Nouns, OneOrMany, in_files, model_of, nouns_in
 from vamgpu.schema.registry import families, family, find
 from vamgpu.schema.write import write
 from vamgpu.units import NAMES
@@ -112,7 +112,7 @@ def _default(value: Any, kind: Any) -> str:
     if isinstance(value, (int, float)):
         quantity = quantity_in(kind)
         if quantity is None or quantity.kind is None:
-            return f"{value:g}"
+            return str(value) if isinstance(value, int) else f"{value:g}"
         if abs(value) >= FAR:
             return NO_LIMIT
         return f'"{value * quantity.scale / NAMES[quantity.unit]:g} {quantity.unit}"'
@@ -144,6 +144,8 @@ def _file(head: str, file: type[Any]) -> Iterator[str]:
         optional = "" if file.model_fields[name].is_required() else " (may be left out)"
         yield f"### {named}{optional}\n"
         yield f"{first_of(section)}\n" if section is not None else f"{what(hint).capitalize()}, see below.\n"
+        nouns = nouns_in(file.model_fields[name].annotation, file.model_fields[name].metadata)
+        section = section or (nouns.others() if nouns and nouns.beside else None)
         if section is not None:
             yield from _table(section)
 

@@ -70,6 +70,11 @@ class Nouns:
         others: dict[str, Any] = self.beside
         return create_model(model.__name__, __base__=model, **others) if others else model
 
+    def others(self) -> type[BaseModel]:
+        """The model of keys that are not fields of the component."""
+        others: dict[str, Any] = self.beside
+        return create_model("Others", __base__=Section, **others)
+
     def chosen(self, table: Mapping[str, Any]) -> type[Any]:
         """The class that a table describes; raises `BadInput`."""
         kinds = {kind: name for name, kind in self.choices}
@@ -107,6 +112,8 @@ class Nouns:
             return values  # a component that is a `Section` itself
         given = {name: getattr(values, name) for name in values.model_fields_set if name not in self.beside}
         given |= {name: context[name] for name in GIVEN if name in context and name in signature(cls).parameters}
+        if self.beside and not self.without:
+            cls(**given)  # its own errors, at the table in the file
         if self.without or self.beside:
             return Partial(cls, given, {name: getattr(values, name) for name in self.beside})
         return cls(**given)
@@ -206,23 +213,26 @@ def _joined(kinds: list[Any]) -> Any:
     lists = [kind for kind in plain if get_origin(get_args(kind)[0] if get_args(kind) else None) is tuple]
     if lists and len(plain) > 1:
         return Annotated[Any, OneOrMany(next(kind for kind in plain if kind not in lists), lists[0])]
+    words = [kind for kind in plain if get_origin(kind) is Literal]
+    if words and len(plain) > 1:
+        return Annotated[Any, OneOrMany(next(kind for kind in plain if kind not in words), words[0], str)]
     return Union[tuple(plain)] if plain else None  # noqa: UP007
 
 
 class OneOrMany:
-    """The type of a key that holds a value or a list of values; errors refer to what was written."""
+    """The type of a key that holds a value, or a list or a word; errors refer to what was written."""
 
     one: Any
     many: Any
 
-    def __init__(self, one: Any, many: Any) -> None:
-        self.one, self.many = one, many
+    def __init__(self, one: Any, many: Any, form: Any = (list, tuple)) -> None:
+        self.one, self.many, self.form = one, many, form
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         one, many = (TypeAdapter(kind, config=Section.model_config) for kind in (self.one, self.many))
 
         def read(value: Any, info: Any) -> Any:
-            return (many if isinstance(value, (list, tuple)) else one).validate_python(value, context=info.context)
+            return (many if isinstance(value, self.form) else one).validate_python(value, context=info.context)
 
         return core_schema.with_info_plain_validator_function(read)
 

@@ -44,7 +44,8 @@ def _table(name: str, field: Any) -> dict[str, Any]:
     if section is not None and nouns is None:
         return head | {"doc": first_of(section), "keys": _keys(section)}
     if head["component"]:
-        return head | _component(find(*choices[0].split(".", 1)))
+        component = _component(find(*choices[0].split(".", 1)))
+        return head | component | {"keys": [*component["keys"], *_keys(nouns.others() if nouns else BaseModel)]}
     return head | {"doc": what(Annotated[kind, nouns]) if nouns else ""}
 
 
@@ -67,15 +68,15 @@ def _key(key: Key, kind: Any) -> dict[str, Any]:
 
 
 def _type(kind: Any, quantity: Quantity | None, literal: Any) -> str:
-    if Named in _marks(kind):
+    found = [WORDS[part] for part in _parts(kind) if part in WORDS]
+    if Named in _marks(kind) and found == ["text"]:
         return "file"
     if quantity is not None:
         return "quantity" if quantity.kind else "count" if quantity.whole else "number"
-    if literal is not None:
+    if literal is not None and not found:
         return "choice"
     if any(isinstance(mark, (Nouns, OneOrMany)) for mark in _marks(kind)):
         return "table" if any(isinstance(mark, Nouns) for mark in _marks(kind)) else "any"
-    found = [WORDS[part] for part in _parts(kind) if part in WORDS]
     if any(get_origin(part) is tuple for part in _parts(kind)):
         return "list"
     return found[0] if len(set(found)) == 1 else "any"

@@ -65,7 +65,9 @@ class Part:
                 given, notes = read_mesh(path)
             points, faces = np.asarray(given.vertices, float), np.asarray(given.faces)
         columns = np.ascontiguousarray(points.T, np.float32)
-        ends = np.array([[column.min() for column in columns], [column.max() for column in columns]], float)
+        ends = np.full((2, 3), np.nan)
+        if columns.size:
+            ends[:] = [column.min() for column in columns], [column.max() for column in columns]
         if not len(faces) or not np.isfinite(ends).all():
             raise MeshError(f"{path.name!r} has no triangles, or corners that are not finite: export the part again")
         mesh = clustered(columns, faces, ends, most)

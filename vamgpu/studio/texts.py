@@ -90,7 +90,10 @@ class Texts:
         for preset in presets:
             removed += ["vial"] if any(key.startswith("vat.") for key in preset) else []
             changes |= preset
-        return self.save(name + ("" if name.endswith(JOB) else JOB), edited(text, changes, removed), None)
+        text = edited(text, changes, removed)
+        if wrong := [each["message"] for each in self.checked(text)["errors"] if each["field"] == "target.height"]:
+            raise Refused(400, wrong[0])
+        return self.save(name + ("" if name.endswith(JOB) else JOB), text, None)
 
     def part(self, path: Path, most: int = SHOWN) -> Part:
         """A part; the last few stay in memory."""

@@ -107,6 +107,7 @@ function changed(task) {
   if (place < 0) store.tasks.unshift(task); else store.tasks[place] = task;
   if (!before || before.state !== task.state) {
     tell("tasks", task);
+    reload.workspace().catch(() => {}); // the list states what runs
     if (["rehearse", "print"].includes(task.kind)) reload.print().catch(() => {}); // its run is in the history now
   }
   tell("task", task);
@@ -117,7 +118,10 @@ export function follow() {
   const stream = new EventSource(`${BASE}events`), quietly = (work) => work().catch(() => {});
   const lost = (is) => { if (store.lost !== is) { store.lost = is; tell("lost", is); } };
   stream.onopen = () => lost(false);
-  stream.onerror = () => lost(true);
+  stream.onerror = () => {
+    lost(true);
+    if (stream.readyState === EventSource.CLOSED) get("workspace").catch(({ message }) => tell("lost", message)); // another Studio has the port
+  };
   const listen = (event, act) => stream.addEventListener(event, ({ data }) => { lost(false); act(data ? JSON.parse(data) : null); });
   listen("task", changed);
   listen("removed", ({ id }) => { store.tasks = store.tasks.filter((each) => each.id !== id); tell("tasks"); });

@@ -114,7 +114,7 @@ export class JobTab {
     const [set, rest] = [keys.filter(first), keys.filter((key) => !first(key))], fields = (some) => make("div", { class: "fields" }, some.map((key) => this.field(table.name, key)));
     return make("section", { class: "card", "aria-label": table.name },
       make("div", { class: "row between" }, make("h2", {}, title(table.name), " ", make("code", {}, `[${table.name}]`)), table.optional && value !== undefined ? button("Remove", () => this.save({}, [table.name]), { class: "quiet", "aria-label": `Remove the table ${table.name}` }) : null),
-      make("p", { class: "soft" }, component?.doc || table.doc), own ? make("p", { class: "error" }, own.message) : null,
+      make("p", { class: "soft" }, (component?.doc || table.doc).replaceAll("`", "")), own ? make("p", { class: "error" }, own.message) : null,
       kinds ? select("Kind", [["", "choose"], ...table.kinds.map((each) => [each.split(".").pop(), each.split(".").pop()])], kind, (now) => now && this.save({ [`${table.name}.${table.word}`]: now }), { "data-key": `${table.name}.${table.word}` }) : null,
       set.length ? fields(set) : null,
       rest.length ? make("details", { "data-table": table.name, open: open.has(table.name) }, make("summary", {}, `${set.length ? "More keys" : "Keys"}: ${rest.map(({ name }) => name.replaceAll("_", " ")).join(", ")}`), fields(rest)) : null);
@@ -165,6 +165,6 @@ const title = (name) => name[0].toUpperCase() + name.slice(1).replaceAll("_", " 
 
 /** The sentence of a key, with its values: what it means, and what it may be. */
 function sentence(key) {
-  const doc = key.doc.replace(/ \[[^\]]*\]/, ""), said = doc ? doc[0].toUpperCase() + doc.slice(1) : "", bounds = key.what && !["text", "true or false"].includes(key.what) && key.type !== "choice" ? key.what : "";
+  const doc = key.doc.replace(/ \[[^[\]]*\]/, ""), said = doc ? doc[0].toUpperCase() + doc.slice(1) : "", bounds = key.what && !["text", "true or false"].includes(key.what) && key.type !== "choice" ? key.what : "";
   return [said, bounds && `(${bounds})`].filter(Boolean).join(" ");
 }

@@ -206,7 +206,7 @@ function running() {
 
 on("lost", (is) => {
   at("lost").hidden = !is;
-  if (is) put(at("lost"), "The server of Studio does not answer. A solve or print that runs goes on. This page tries again by itself; if it stays so, start `vam studio` again.");
+  if (is) put(at("lost"), is !== true ? is : "The server of Studio does not answer. A solve or print that runs goes on. This page tries again by itself; if it stays so, start `vam studio` again.");
 });
 on("workspace", async () => {
   const before = JSON.stringify([chosen.job?.state, chosen.job?.modified, chosen.job?.result, chosen.part?.modified, chosen.result?.modified, chosen.result?.state]);

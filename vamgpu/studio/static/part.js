@@ -1,6 +1,7 @@
 // Part: the mesh in its vial, its size and orientation, its bodies, and how it should stand.
 import { arrays, get, path, reload, send, store } from "./api.js";
 import { button, card, empty, facts, fixed, length, make, number, put, say, select, time } from "./dom.js";
+import { meant } from "./job.js";
 import { chosen, free, go } from "./main.js";
 import { PartView, ROLES } from "./scene.js";
 
@@ -8,6 +9,7 @@ const IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 const UNITS = [["mm", 1], ["µm", 0.001], ["cm", 10], ["m", 1000], ["inch", 25.4]];
 const multiply = (a, b) => a.map((row) => b[0].map((_, c) => row.reduce((sum, value, k) => sum + value * b[k][c], 0)));
 const SHOWN = 120000; // triangles
+const inMm = (text) => meant({ type: "quantity", unit: "mm" }, text);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** Rotation matrix about x, y or z by degrees. */
@@ -134,7 +136,7 @@ export class PartTab {
     const list = (family) => [["", "choose later"], ...lists[family].map(({ id, name }) => [id, name])];
     let factor = 1;
     const name = make("input", { value: free(chosen.part.id), "aria-label": "Name of the job" });
-    const height = make("input", { value: number(extents[2], 4), inputmode: "decimal" });
+    const height = make("input", { value: number(extents[2], 4), placeholder: "as drawn" });
     const doubt = this.about.doubts.length > 0, fault = make("p", { class: "error", role: "alert" });
     const unit = select("Unit of the file", UNITS.map(([text, mm]) => [String(mm), `${text}: ${length(extents[2] * mm)} high`]), "1", (value) => {
       factor = +value;
@@ -142,14 +144,14 @@ export class PartTab {
     });
     return card("New job with this part", make("div", { class: "stack" },
       make("label", { class: "field" }, make("span", {}, "Name"), name), doubt || extents[2] > 60 || extents[2] < 1 ? unit : null,
-      make("label", { class: "field" }, make("span", {}, "Height along the axis, in mm"), height),
+      make("label", { class: "field" }, make("span", {}, "Height along the axis"), height),
       select("Vial", list("vials"), "", (value) => { want.vial = value || null; }),
       select("Projector", list("projectors"), "", (value) => { want.projector = value || null; }),
       select("Resin", list("resins"), "", (value) => { want.resin = value || null; }),
       fault, button("Make the job", async () => {
         put(fault, "");
         try {
-          const made = await send("POST", "jobs", { name: name.value.trim(), part: chosen.part.id, height: `${height.value.replace("−", "-")} mm`, ...want });
+          const made = await send("POST", "jobs", { name: name.value.trim(), part: chosen.part.id, height: inMm(height.value) || null, ...want });
           await reload.workspace();
           go("jobs", made.id, "part");
         } catch (error) { put(fault, error.message); }
@@ -174,7 +176,7 @@ export class PartTab {
     const file = chosen.file, [x, y, z] = angles(this.matrix()), error = file.error("target.height") || file.error("target.factor") || file.error("target.orientation");
     const height = make("input", { value: file.value("target.height") ?? "", placeholder: "as drawn", "aria-invalid": error ? "true" : null, onchange: (event) => {
       const value = event.target.value.trim();
-      this.save(value ? { "target.height": /[a-zµ]/i.test(value) ? value : `${value} mm` } : {}, value ? ["target.factor"] : ["target.height"]);
+      this.save(value ? { "target.height": inMm(value) } : {}, value ? ["target.factor"] : ["target.height"]);
     } });
     const field = (text, value, change) => make("label", { class: "field" }, make("span", {}, text), make("input", { value: fixed(value, 1), inputmode: "decimal", onchange: (event) => change(+event.target.value.replace("−", "-")) }));
     const set = (a, b, c) => [a, b, c].every(Number.isFinite) ? this.save({ "target.orientation": clean(multiply(about("z", c), multiply(about("y", b), about("x", a)))) }) : say("an angle is a number of degrees, such as 37.5", true);

@@ -135,7 +135,7 @@ export class SolveTab {
   list() {
     const rows = store.tasks.slice(0, 12).map((task) => {
       const [sort, said] = STATES[task.state] || ["none", task.state], busy = BUSY.includes(task.state);
-      return make("li", {}, mark(sort), make("span", {}, `${KINDS[task.kind] || task.kind} · ${task.job || task.result}`), make("small", {}, busy ? `${said}${task.progress?.share ? ` · ${percent(task.progress.share, 0)}` : ""}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}` : `${said} · ${day(task.ended || task.added)}`),
+      return make("li", {}, mark(sort), make("span", {}, `${KINDS[task.kind] || task.kind} · ${task.job || task.result}`), make("small", {}, busy ? `${said}${task.progress?.share ? ` · ${percent(task.progress.share, 0)}` : ""}${task.progress?.left ? ` · ${time(task.progress.left)} left` : ""}` : [said, ...(task.kind === "export" ? task.made || [] : []), day(task.ended || task.added)].join(" · ")),
         busy ? button("Stop", () => send("POST", `tasks/${path(task.id)}/cancel`).then(reload.tasks), { class: "quiet", "aria-label": `Stop ${KINDS[task.kind]} of ${task.job || task.result}` }) : button("Clear", () => send("DELETE", `tasks/${path(task.id)}`).then(reload.tasks), { class: "quiet", "aria-label": `Take ${KINDS[task.kind]} of ${task.job || task.result} off the list` }));
     });
     this.queue.replaceChildren(card("Queue", rows.length ? make("ul", { class: "queue" }, rows) : make("p", { class: "soft" }, "Nothing ran yet. One task runs at a time on a device; others wait here.")));
