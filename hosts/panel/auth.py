@@ -61,6 +61,12 @@ class TokenAuth:
         self._names = {host.lower(), "localhost", own, f"{own}.local", socket.getfqdn().lower()}
         self._browsers: deque[str] = deque(maxlen=REMEMBERED)
         self._wrong: dict[str, deque[float]] = {}
+        self._once: set[str] = set()
+
+    def once(self) -> str:
+        """A token that admits one browser: its command line, which other accounts can see, then holds nothing."""
+        self._once.add(made := secrets.token_urlsafe(24))
+        return made
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """Pass a request on, or answer it."""
@@ -87,11 +93,13 @@ class TokenAuth:
         wrong = self._recent(scope)
         if len(wrong) >= self._most:
             return await _answer(send, 429, LOCKED.encode(), (b"retry-after", b"%d" % WINDOW))
-        if not secrets.compare_digest(given.encode(), self.token.encode()):
+        first = bool(query) and given in self._once
+        if not first and not secrets.compare_digest(given.encode(), self.token.encode()):
             wrong.append(time.monotonic())
             return await _answer(send, 403, REFUSED.encode())
         if not query:
             return await self.app(scope, receive, send)
+        self._once.discard(given)
         self._browsers.append(made := secrets.token_urlsafe(32))
         cookie = f"{self.cookie}={made}; HttpOnly; SameSite=Strict; Path=/".encode()
         return await _answer(send, 200, ENTER, (b"set-cookie", cookie), b"text/html; charset=utf-8")

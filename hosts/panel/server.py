@@ -38,6 +38,7 @@ class PageServer:
         self.token = secrets.token_urlsafe(24) if token is None else token
         self._chosen = token is not None
         self._server, self._thread = None, None
+        self._auth: TokenAuth | None = None
         self._failed: BaseException | None = None
         self._socket = _listening(host, int(port))
         self.port = int(self._socket.getsockname()[1])
@@ -45,8 +46,16 @@ class PageServer:
     @property
     def url(self) -> str:
         """Address of the page, with its token."""
+        return self._address(self.token)
+
+    def url_once(self) -> str:
+        """Address of the page for one browser, with a token that admits it once."""
+        assert self._auth is not None
+        return self._address(self._auth.once())
+
+    def _address(self, token: str) -> str:
         name = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{name}:{self.port}/?token={quote(self.token)}"
+        return f"http://{name}:{self.port}/?token={quote(token)}"
 
     def __enter__(self) -> Self:
         try:
@@ -73,8 +82,8 @@ class PageServer:
             app, http = self.app(), protocol()  # they also need the extra
         except ImportError as error:
             raise DeviceError('the panel needs a web server: pip install "vamgpu[panel]"') from error
-        guarded = TokenAuth(app, self.token, self.host, self.port, self._chosen)
-        return uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, lifespan="off",
+        self._auth = TokenAuth(app, self.token, self.host, self.port, self._chosen)
+        return uvicorn.Server(uvicorn.Config(self._auth, log_level="warning", access_log=False, lifespan="off",
                                              server_header=False, http=http))  # fmt: skip
 
     def _serve(self, server: Any) -> None:

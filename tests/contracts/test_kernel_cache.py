@@ -63,3 +63,4 @@ def test_a_cache_that_cannot_be_written_costs_only_time(place: Path, monkeypatch
     monkeypatch.setattr(kernel_cache.os, "replace", full)
     for _ in range(2):
         assert built(monkeypatch)[0] == [False]
+    assert not list(place.iterdir()), "no temporary file is left"

@@ -68,6 +68,20 @@ def test_a_second_run_in_the_same_place_starts_anew_and_torn_lines_wait(tmp_path
         assert reader.notes == ["second", "third"]
 
 
+def test_a_second_run_at_the_same_time_leaves_the_first_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TRIES", 1)
+    place, reader = tmp_path / "a", RunProgress(tmp_path / "a")
+    with recorded(place, "solve") as first:
+        first.say("note", text="first")
+        with recorded(place, "solve") as second:
+            second.say("note", text="second")
+        first.say("note", text="still first")
+        reader.read()
+        assert reader.running and reader.notes == ["first", "still first"]
+
+
 def test_slices_are_stored_now_and_then(tmp_path: Path) -> None:
     events, made = RunEvents(tmp_path / "a", slices=True), []
 

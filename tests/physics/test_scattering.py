@@ -221,3 +221,9 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     for each in wrong:
         with pytest.raises(BadInput, match="Scattering"):
             vam.Scattering(**known | each)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**31 - 1, 10**12])
+def test_any_whole_number_selects_photons(seed: int) -> None:
+    S = vam.ScatteringRings(scene(), vam.Scattering(0.6), photons=50_000, tolerance=0.5, seed=seed)
+    assert S.T(np.ones(S.range.shape, np.float32)).min() >= 0.0

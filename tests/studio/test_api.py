@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from studio_client import BOAT, Client
 from vamgpu.jobs.keys import keys_of
 from vamgpu.jobs.progress import recorded
 from vamgpu.jobs.read import Job
+from vamgpu.studio import prints
 from vamgpu.studio.events import KEPT, Events
 from vamgpu.studio.forms import form
 from vamgpu.studio.parts import Part, placed
 from vamgpu.studio.server import Studio
+from vamgpu.studio.workspace import Workspace
 from vamgpu.targets import shapes
 from vamgpu.targets.mesh import load_mesh
 from vamgpu.targets.stl import RECORD
@@ -230,3 +233,39 @@ def test_the_queue_runs_one_task_at_a_time_on_a_device_and_survives(tmp_path: Pa
     with Studio(tmp_path) as studio:
         (left,) = Client(studio)("GET", "/tasks")["tasks"]
         assert left["id"] == first["id"] and left["request"]["job"] == "a.toml"
+
+
+def test_a_print_begins_only_when_it_is_started_and_only_one_on_a_rig(tmp_path: Path) -> None:
+    for name in ("a.vam", "b.vam"):
+        (tmp_path / name).mkdir()
+    given = {"kind": "print", "rig": "emulated"}
+    with Studio(tmp_path) as studio:
+        studio.engine.look = lambda: None  # type: ignore[method-assign]
+        client, tasks = Client(studio), studio.engine.tasks
+        first = client("POST", "/tasks", given | {"result": "a.vam", "confirm": "a.vam"}, 201)
+        client("POST", "/tasks", given | {"result": "b.vam", "confirm": "b.vam"}, 409)
+        client("POST", "/tasks", {"kind": "rehearse", "rig": "emulated", "result": "b.vam"}, 201)
+    with Studio(tmp_path) as studio:
+        studio.engine.look = lambda: None  # type: ignore[method-assign]
+        tasks, started = studio.engine.tasks, list[str]()
+        tasks._start = lambda task: started.append(task.request["kind"])  # type: ignore[method-assign]
+        tasks.poll()
+        assert tasks.one(first["id"]).state == "cancelled" and started == ["rehearse"]
+    assert (tmp_path / ".studio").stat().st_mode & 0o077 == 0
+
+
+def test_a_page_that_shows_another_run_keeps_it_while_a_print_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace = Workspace(tmp_path)
+    for name in ("a.run", "b.run"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text("{}")
+    watch = SimpleNamespace(order=SimpleNamespace(planned=dict), viewed=lambda _: None, __exit__=lambda *_: None)
+    monkeypatch.setattr(prints, "running", lambda place: place.name == "a.run")
+    monkeypatch.setattr(prints, "attached", lambda place, board: watch)
+    shown = prints.Prints(workspace)
+    assert shown.follow("a.run") and shown.run == "a.run" and not shown.follow("a.run")
+    shown.attach("b.run")
+    assert not shown.follow("a.run") and shown.run == "b.run"
+    workspace.close()

@@ -290,3 +290,11 @@ def test_the_page_of_a_browser_gets_a_cookie_and_strict_headers(client: Client) 
     _, _, headers = client.raw("GET", "/workspace")
     assert "default-src 'none'" in headers["content-security-policy"] and headers["cache-control"] == "no-store"
     assert headers["x-content-type-options"] == "nosniff" and headers["cross-origin-resource-policy"] == "same-origin"
+
+
+def test_the_address_for_a_browser_admits_it_once(client: Client) -> None:
+    given = client.studio.url_once().partition("?")[2]
+    assert client.studio.token not in given
+    status, _ = asked(client, "GET", f"{API}/workspace", Authorization=f"Bearer {given.partition('=')[2]}")
+    assert status == 403
+    assert [asked(client, "GET", f"/?{given}")[0] for _ in range(2)] == [200, 403]

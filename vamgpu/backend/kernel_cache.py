@@ -58,6 +58,6 @@ def keep(key: str, content: bytes) -> None:
     """Store bytes in the user's cache if it can be written, whole or not at all: a process may be killed meanwhile."""
     with suppress(OSError):
         folder = user_cache_path("vamgpu", False, ensure_exists=True)
-        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-            file.write(content)
-        os.replace(file.name, folder / key)
+        with tempfile.TemporaryDirectory(dir=folder) as draft:
+            (Path(draft) / key).write_bytes(content)
+            os.replace(Path(draft) / key, folder / key)

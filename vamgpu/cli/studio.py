@@ -37,7 +37,7 @@ def studio(
     with Studio(place, host, port) as served:
         console().print(f"page    [bold]{escape(served.url)}[/]\nfolder  {escape(str(served.workspace.folder))}")
         if browser:
-            webbrowser.open(served.url)
+            webbrowser.open(served.url_once())
         with suppress(KeyboardInterrupt):
             threading.Event().wait()
 

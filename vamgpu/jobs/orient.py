@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from vamgpu.backend import open_device
-from vamgpu.errors import BadInput, JobError, VamError
-from vamgpu.jobs.build import projection_of, source_of, target_of
+from vamgpu.errors import BadInput, JobError
+from vamgpu.jobs.build import SPARE, covering, light_of, projection_of, source_of, target_of
 from vamgpu.jobs.read import Job
 from vamgpu.jobs.run import StageProgress, quiet
 from vamgpu.methods import optimize
@@ -71,7 +71,7 @@ def _tried(job: Job, solid: Solid, matrix: np.ndarray, factor: float, device: An
     beam = file.beam.model_copy(update={"pitch": COARSER * file.beam.pitch, "pixels": None, "spread": None})
     target = target.model_copy(update={"pitch": edge})
     coarse = replace(job, file=file.model_copy(update={"target": target, "beam": beam}))
-    placed = solid.placed(rotation=matrix, factor=factor)
+    placed: Any = solid.placed(rotation=matrix, factor=factor)
     tilt = float(np.degrees(np.arccos(np.clip(matrix[2, 2], -1.0, 1.0))))
     facts = {
         "matrix": matrix.tolist(), "tilt": tilt, "azimuth": float(np.degrees(np.arctan2(matrix[2, 1], matrix[2, 0]))),
@@ -81,11 +81,14 @@ def _tried(job: Job, solid: Solid, matrix: np.ndarray, factor: float, device: An
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # coarse voxels are meant
         try:
+            needed = covering(placed, light_of(file), file.beam.pitch, None)
+            if any(have + 2 * SPARE < need for have, need in zip(file.beam.pixels or needed, needed, strict=True)):
+                return None
             part = target_of(coarse, device)
             A = projection_of(coarse.file, part, device, job.folder)
         except JobError:
             raise
-        except VamError:
+        except BadInput:
             return None
         plan = optimize(A, part, iterations=ITERATIONS, progress=False)
         lamp = {} if file.print is None else file.print.model_dump()

@@ -57,9 +57,10 @@ class RunEvents:
             self._file = os.open(events_path(place), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             for _ in range(TRIES):  # a reader that looks whether it is locked holds it for a moment
                 if locked(self._file):
-                    break
+                    os.ftruncate(self._file, 0)
+                    return
                 time.sleep(0.05)
-            os.ftruncate(self._file, 0)
+            self.close()  # another run writes the same place
 
     def say(self, event: str, **facts: Any) -> None:
         """Add a line."""

@@ -121,7 +121,8 @@ class PhotonCount:
             each = max(round(0.5 * self.photons * len(some) / len(rays) / ITEMS), 1)
             ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
             device.launch(photons, rays=device.table(some), **given, first=0, each=each, most=SEGMENTS,
-                          seed=seed * len(rays) + first, absorbed=ends[0], escaped=ends[1], tally=tally)  # fmt: skip
+                          seed=(seed * len(rays) + first) & 0x7FFFFFFF, absorbed=ends[0], escaped=ends[1],
+                          tally=tally)  # fmt: skip
             low, high = np.moveaxis(tally.numpy().astype(np.float64), -1, 0)
             if (ended := sum(int(each.numpy().sum(dtype=np.int64)) for each in ends)) < 0.999 * ITEMS * each:
                 raise BadInput(

@@ -34,6 +34,7 @@ class Prints:
         self._watch: Watch | None = None
         self._board = Board()
         self.run: str | None = None
+        self._followed: str | None = None
         self._app: Any = served(self._board, True, workspace.folder, None)
 
     def rig(self, name: str, speed: float | None) -> dict[str, Any]:
@@ -91,12 +92,11 @@ class Prints:
             board.show(state=PrintState(told["state"]), message=str(told["message"]))
 
     def follow(self, run: str | None) -> bool:
-        """Attach to a run as soon as its process prints it; returns whether the page changed."""
-        if run is None or (run == self.run and self._watch is not None):
-            return False
-        if not running(self._workspace.folder / run):
+        """Attach once to a run as soon as its process prints it; returns whether the page changed."""
+        if run is None or run == self._followed or not running(self._workspace.folder / run):
             return False
         self.attach(run)
+        self._followed = None if self._watch is None else run
         return True
 
     def close(self) -> None:

@@ -154,9 +154,9 @@ class _Api:
         """The stream of events."""
         if self._streams >= STREAMS:
             return refused(503, f"{STREAMS} pages listen already; close some")
-        self._streams += 1
 
         async def told() -> AsyncIterator[str]:
+            self._streams += 1  # not before: a page that has left already never comes here
             try:
                 async for text in self.engine.events.stream(request.headers.get("last-event-id"), lambda: False):
                     yield text

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import vamgpu
-from vamgpu.errors import BadInput, VamError
+from vamgpu.errors import BadInput
 from vamgpu.hosts.panel.server import PageServer
 from vamgpu.studio.events import Events
 from vamgpu.studio.presets import Presets
@@ -59,7 +59,7 @@ class Engine:
         while not self._over.wait(PERIOD):
             try:
                 self.look()
-            except (VamError, OSError, ValueError, KeyError) as error:
+            except Exception as error:
                 log.error("a look at the workspace failed: %r", error)
 
     def look(self) -> None:

@@ -69,6 +69,8 @@ class Tasks:
             with suppress(OSError, ValueError, TypeError):
                 task = Task(**parse_json(read_text(file)))
                 self._known[task.id] = task
+                if task.state == "queued" and task.request["kind"] == "print":  # its turn never came
+                    task.state, task.message = "cancelled", "Studio ended before the print began; start it again"
 
     def listed(self) -> list[dict[str, Any]]:
         """All tasks, newest first."""
@@ -121,6 +123,8 @@ class Tasks:
             taken = {name for task in self._known.values() if task.state not in ENDED for name in task.facts["made"]}
             if clash := taken & set(command.made):
                 raise Refused(409, f"another task writes {', '.join(sorted(clash))}; wait for its end, or cancel it")
+            if command.kind == "print" and command.lane in self._lanes("queued", "running", "cancelling"):
+                raise Refused(409, f"{command.rig} prints now; start this print when the vial is changed")
             stamp = time.strftime("%Y%m%d-%H%M%S")
             names = (f"{stamp}-{number:04d}-{command.kind}" for number in self._numbers)
             task = Task(next(name for name in names if name not in self._known), request, added=time.time())
@@ -198,16 +202,20 @@ class Tasks:
             for task in list(self._known.values()):
                 if task.state in ("running", "cancelling"):
                     self._look(task)
-            lanes = {task.facts["lane"] for task in self._known.values() if task.state in ("running", "cancelling")}
+            lanes = self._lanes("running", "cancelling")
             for task in list(self._known.values()):
                 if task.state == "queued" and task.facts["lane"] not in lanes:
                     lanes.add(task.facts["lane"])
                     self._start(task)
 
+    def _lanes(self, *states: str) -> set[str]:
+        return {task.facts["lane"] for task in self._known.values() if task.state in states}
+
     def _start(self, task: Task) -> None:
         """Run the command in a session of its own; it holds a lock on its log as long as it lives."""
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-                                    "COLUMNS": "120", "PYTHONUNBUFFERED": "1"}  # fmt: skip
+                                    "COLUMNS": "120", "PYTHONUNBUFFERED": "1",
+                                    "PYTHONSAFEPATH": "1"}  # fmt: skip  # the workspace holds no modules
         task.state, task.began = "running", time.time()
         try:
             with self._log(task).open("wb") as log:

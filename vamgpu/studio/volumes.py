@@ -35,14 +35,12 @@ class Volumes:
                 return self._known[key]
             while len(self._known) >= KEPT:
                 self._known.popitem(last=False)
-            record, first = folder.record(name), 0
+            record = folder.record(name)
             with tempfile.TemporaryFile() as file:
-                file.truncate(int(np.prod(record.shape)) * np.dtype(record.dtype).itemsize)
-                mapped = np.memmap(file, record.dtype, "r+", shape=record.shape)
-            for part in folder.parts(name):
-                mapped[first : first + len(part)] = part
-                first += len(part)
-            mapped.flags.writeable = False
+                for part in folder.parts(name):  # written, since a map beyond a full disk would end the server
+                    file.write(np.ascontiguousarray(part, record.dtype).data)
+                file.flush()
+                mapped = np.memmap(file, record.dtype, "r", shape=record.shape)
             self._known[key] = mapped
             return mapped
 

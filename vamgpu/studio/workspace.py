@@ -89,12 +89,15 @@ class Workspace:
         self.opened: str | None = whole.name if inside and NAME.fullmatch(whole.name) else None
         self.own: Path = self.folder / OWN
         try:
-            (self.own / "tasks").mkdir(parents=True, exist_ok=True)
+            self.own.mkdir(0o700, parents=True, exist_ok=True)
+            self.own.chmod(0o700)  # logs of prints hold the token of their page
+            (self.own / "tasks").mkdir(exist_ok=True)
             self._lock = os.open(self.own / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            alone = locked(self._lock)
         except OSError as error:
             raise StorageError(f"cannot use {str(self.folder)!r} as a workspace: {error.strerror}; choose another "
                                "folder") from error  # fmt: skip
-        if not locked(self._lock):
+        if not alone:
             os.close(self._lock)
             raise StorageError(f"another Studio serves {str(self.folder)!r}; use its page, or choose another folder")
         self.remembered: Remembered = Remembered()
