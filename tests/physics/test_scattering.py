@@ -11,6 +11,7 @@ from scipy.special import ndtr
 import vamgpu as vam
 from vamgpu.errors import BadInput
 from vamgpu.kernels.photons import UNITS, WAYS, philox, photons
+from vamgpu.methods.tolerances import Corner, at
 from vamgpu.operators.photon_table import QUANTILES, PhotonCount
 
 RADIUS = 5.0
@@ -204,6 +205,18 @@ def test_quantiles_have_the_moments_of_the_phase_function(given: dict[str, Any])
         assert each.density(middle).mean() > 0.0
 
 
+def test_a_tolerance_changes_the_resin_of_scattered_light_too() -> None:
+    A, resin = scene(), vam.Scattering(0.6)
+    darker = scene(absorption=1.1 * 0.06)
+    S = vam.ScatteringRings(A, resin, tolerance=0.1, photons=400_000)
+    assert at(S, Corner()) is S
+    wanted = vam.ScatteringRings(darker, resin, tolerance=0.1, photons=400_000)
+    light = A.device.upload(np.random.default_rng(5).random(A.range.shape, np.float32))
+    got, nominal = at(S, Corner(absorption=0.1)).T(light).numpy(), S.T(light).numpy()
+    assert np.array_equal(got, wanted.T(light).numpy()) and np.abs(got - nominal).max() > 0.01 * nominal.max()
+    assert at(S, Corner(axis=0.05)).operator is S
+
+
 def test_what_rings_or_photons_cannot_do_is_refused() -> None:
     A, resin = scene(), vam.Scattering(0.6)
     vial = vam.Vial(radius=RADIUS, wall=0.5, resin_index=1.5, wall_index=1.473)
@@ -214,8 +227,10 @@ def test_what_rings_or_photons_cannot_do_is_refused() -> None:
             vam.ScatteringRings(vam.Projection(A.grid, A.beam, *other), resin)
     with pytest.raises(BadInput, match="rays are not scattered"):
         vam.projector(A.grid, A.beam, A.motion, A.vessel, algorithm="rays", scattering=resin)
-    with pytest.raises(BadInput, match=r"noise of 2_000 photons .*use photons=\d"):
-        vam.ScatteringRings(A, resin, photons=2_000, tolerance=1e-4)
+    with pytest.raises(BadInput, match=r"noise of 10 photons .*use photons=\d") as told:
+        vam.ScatteringRings(A, resin, photons=10, tolerance=0.02)
+    asked = int(str(told.value).rpartition("photons=")[2])
+    assert vam.ScatteringRings(A, resin, photons=asked, tolerance=0.02).terms, "what the message asks for is enough"
     known: dict[str, Any] = {"coefficient": 1.0}
     wrong: list[dict[str, Any]] = [{"coefficient": 0.0}, {"anisotropy": 1.0}, {"phase": ((0.0, 1.0), (1.0, 0.5))}]
     for each in wrong:

@@ -16,6 +16,8 @@ DECODERS = {
     "vamgpu/storage/images.py": {"Image.open", "OpenEXR.File"},
     "vamgpu/storage/films.py": {"av.open"},  # of an open file
     "vamgpu/storage/atomic.py": {"os.open"},  # for locks and fsync
+    "vamgpu/jobs/progress.py": {"os.open"},  # for locks
+    "vamgpu/studio/workspace.py": {"os.open"},  # for a lock
     "vamgpu/targets/mesh.py": {"trimesh.load_scene"},  # of bytes
     "vamgpu/curethrough/images.py": {"Image.open"},  # of bytes
     "vamgpu/reports/style.py": {"Image.open"},  # of bytes that were drawn here
@@ -23,7 +25,13 @@ DECODERS = {
     # what comes with the library, the system or a process of its own
     "vamgpu/reports/page.py": {"read_text"},
     "kernels/catalog.py": {"read_text", "json.loads"},
-    "vamgpu/backend/opencl.py": {"read_text"},
+    "vamgpu/__init__.py": {"read_text"},
+    "vamgpu/backend/kernel_cache.py": {"read_bytes"},  # this user's own, checked by the driver
+    "vamgpu/backend/opencl.py": {"read_text", "read_bytes"},
+    "vamgpu/studio/presets.py": {"read_text"},
+    "vamgpu/studio/routes.py": {"read_bytes"},
+    "vamgpu/studio/tasks.py": {"open"},  # what its processes said
+    "vamgpu/studio/volumes.py": {"np.memmap"},  # of a file that it wrote
     "vamgpu/backend/opencl_platforms.py": {"read_bytes"},
     "vamgpu/jobs/bench.py": {"open"},
     "vamgpu/cli/__init__.py": {"os.open"},

@@ -222,6 +222,8 @@ def test_a_print_starts_only_after_its_name_is_typed(opened: Opened) -> None:
     page.get_by_label("Type boat.vam to confirm").last.fill("boat")
     assert start.is_disabled()
     page.get_by_label("Type boat.vam to confirm").last.fill("boat.vam")
+    assert start.is_disabled(), "it is not known to print"
+    page.get_by_label("Print anyway").check()
     start.click()
     until(page, "document.querySelectorAll('.task').length > 0")
     made = sent(studio, "tasks")[0]

@@ -111,7 +111,7 @@ def validated(
 ) -> tuple[File, dict[str, Any]]:  # fmt: skip
     """Tables as a model of a file; arguments and errors as for `checked`; ``text`` yields their lines."""
     for table, what in KINDS.items():
-        if table in data and table not in model.model_fields:
+        if table in data and table not in model.model_fields and model.model_config.get("extra") != "ignore":
             needs = " and ".join(f"[{name}]" for name in KINDS if name in model.model_fields)
             raise JobError(f"{source} is the file of {what}, with a table [{table}]; expected another file"
                            f"{needs and f', with {needs}'}: check the path")  # fmt: skip

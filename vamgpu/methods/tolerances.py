@@ -19,6 +19,7 @@ from vamgpu.operators.compose import Composed, Sum
 from vamgpu.operators.projection import Projection
 from vamgpu.operators.reductions import window
 from vamgpu.operators.ring_projection import RingProjection, unsupported_reason
+from vamgpu.operators.scattering_rings import ScatteringRings
 from vamgpu.operators.scenarios import Scenarios
 from vamgpu.operators.shifts import Tiles, Wobbled
 from vamgpu.operators.wobble import Wobble
@@ -339,6 +340,11 @@ def _rebuilt(operator: Any, corner: Corner) -> Any:
     if isinstance(operator, RingProjection):
         changed = _projected(operator.direct, corner)
         return changed if unsupported_reason(changed) else RingProjection.of(changed)
+    if isinstance(operator, ScatteringRings):
+        A, resin = _projected(operator.operator, replace(corner, axis=0.0)), operator.scattering
+        if A is not operator.operator:
+            operator = ScatteringRings(A, resin, operator.tolerance, operator.photons, operator.seed)
+        return _moved(operator, corner.axis)
     if isinstance(operator, Composed):
         return Composed(_rebuilt(operator.outer, corner), operator.inner)
     if isinstance(operator, Wobbled):

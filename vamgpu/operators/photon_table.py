@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import sqrt
+from math import ceil, sqrt
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from vamgpu.backend.device import Device
-from vamgpu.errors import BadInput
+from vamgpu.errors import BadInput, OutOfMemory
 from vamgpu.geometry import FULL_TURN, Beam
 from vamgpu.kernels.photons import UNITS, WAYS, photons
 from vamgpu.kernels.spectrum import ROWS
@@ -71,6 +72,16 @@ class PhotonCount:
         return np.stack([np.cumsum(count) - count, count], axis=1)
 
     @property
+    def least(self) -> int:
+        """Smallest number of photons that are followed."""
+        return 2 * ITEMS * ceil(RAYS * (self.beam.pixels[0] - self.half) / ITEMS)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of both halves of the photons."""
+        return 8 * (self.beam.pixels[0] - self.half) * int(self.rings[-1].sum()) * self.slices_of_bins.size
+
+    @property
     def areas(self) -> np.ndarray:
         """Area of a cell of each ring [mm²], (rings,)."""
         ring = np.arange(self.grid.rings)
@@ -118,7 +129,8 @@ class PhotonCount:
         for first in range(0, len(rays), at_once):
             some = rays[first : first + at_once]
             tally = device.table(np.zeros((len(some), cells, bins.size, 2)), "uint32")
-            each = max(round(0.5 * self.photons * len(some) / len(rays) / ITEMS), 1)
+            wanted = max(0.5 * self.photons / len(rays), RAYS)  # from each ray of a column, one at least
+            each = ceil(wanted * len(some) / ITEMS)
             ends = [device.empty((ITEMS,), np.dtype(np.uint32), table=True) for _ in range(2)]
             device.launch(photons, rays=device.table(some), **given, first=0, each=each, most=SEGMENTS,
                           seed=(seed * len(rays) + first) & 0x7FFFFFFF, absorbed=ends[0], escaped=ends[1],
@@ -169,9 +181,12 @@ class ScatteredLight:
     noise: float  # root mean square of its dose for random frames, of the greatest
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def scattered_light(count: PhotonCount, device: Device, tolerance: float, seed: int) -> ScatteredLight:
     """The terms of what two halves of the photons count, as many as differ from it by a tolerance."""
+    if hasattr(os, "sysconf") and count.nbytes > os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+        raise OutOfMemory(f"the photons of each pixel of a row, on rings and along z, take {count.nbytes / 1e9:.0f} GB,"
+                          " more than this machine has: use a coarser grid, or wider pixels")  # fmt: skip
     first, second = (count.fluence(device, 2 * seed + half) for half in range(2))
     slices = count.slices_of_bins
     noise = _noise(count, first @ slices, second @ slices)
@@ -204,7 +219,7 @@ def _noise(count: PhotonCount, first: np.ndarray, second: np.ndarray) -> float:
             total += (np.conj(spectrum[:, skip:]) * left[turn][:, skip:]).sum(axis=1)
             doses.append(np.fft.ifft(total).real)
         apart.append(doses[0] - doses[1])
-        greatest = max(greatest, float(np.max(doses)))
+        greatest = max(greatest, 0.5 * float(np.max(doses[0] + doses[1])))
     return float(0.5 * np.sqrt(np.mean(np.concatenate(apart) ** 2)) / max(greatest, 1e-30))
 
 

@@ -163,7 +163,7 @@ class ScatteredRings:
         count = PhotonCount(rings, A.beam, A.vessel, scattering, photons)
         found = scattered_light(count, A.device, tolerance, seed)
         if found.noise > tolerance:
-            more = 1.2 * photons * (found.noise / tolerance) ** 2
+            more = 2.0 * max(photons, count.least) * (found.noise / tolerance) ** 2
             raise BadInput(f"the noise of {photons:_} photons is {found.noise:.3g} of the greatest dose of scattered "
                            f"light; expected at most {tolerance:g}: use photons={ceil(more):_}")  # fmt: skip
         self._shapes, self._flat = found.profiles, A.beam.flat

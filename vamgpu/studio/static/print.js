@@ -34,13 +34,18 @@ export class PrintTab {
     const state = (task, text) => task && make("div", { class: "task" }, mark({ done: "good", failed: "bad", cancelled: "warn" }[task.state] || "busy"), make("span", {}, BUSY.includes(task.state) ? `${text}: ${task.progress?.said || task.state}${task.progress?.share ? `, ${percent(task.progress.share, 0)}` : ""}` : `${text}: ${/^report /.test(task.message) ? "done; its report is under Earlier prints" : task.message || task.state}`));
     const confirm = make("input", { "aria-label": `Type ${result.id} to confirm`, placeholder: result.id, autocomplete: "off", spellcheck: "false", "data-key": "confirm", value: this.confirmed || "", oninput: (event) => {
       this.confirmed = event.target.value;
-      start.disabled = busy || this.confirmed.trim() !== result.id;
+      start.disabled = held();
     } });
+    const held = () => busy || (this.confirmed || "").trim() !== result.id || (!good && this.anyway !== result.id);
+    const anyway = make("label", { class: "check", hidden: good }, make("input", { type: "checkbox", checked: this.anyway === result.id, "data-key": "anyway", onchange: (event) => {
+      this.anyway = event.target.checked ? result.id : null;
+      start.disabled = held();
+    } }), make("span", {}, "Print anyway, although it is not known to print"));
     const start = button("Start the print", async () => {
       await send("POST", "tasks", { kind: "print", ...request({ anyway: !good, confirm: this.confirmed.trim() }) });
-      this.confirmed = "";
+      this.confirmed = this.anyway = "";
       await Promise.all([reload.tasks(), reload.print()]);
-    }, { class: "danger", disabled: busy || (this.confirmed || "").trim() !== result.id });
+    }, { class: "danger", disabled: held() });
     this.begin.replaceChildren(
       card("Machine", make("div", { class: "stack tight" }, rigs.length ? select("Rig file", rigs, this.rig, (value) => { this.rig = value; localStorage.setItem("rig", value); this.guarantees(); }, { "data-key": "rig" }) : make("p", { class: "soft" }, "No rig file in the workspace: put one there (see docs/machines.md)."),
         make("div", { class: "halves" }, field("Speed", "speed", "from the rig file", "speed"), field("Turns", "turns", "from the dose", "turns")))),
@@ -49,7 +54,7 @@ export class PrintTab {
       card("2 · Print", make("div", { class: "stack tight" },
         result.verdict ? make("p", { class: good ? "note good" : "note bad" }, result.verdict.sentence) : make("p", { class: "note" }, "This result was not simulated: whether it prints is unknown."),
         state(print, "Print"), make("p", { class: "soft" }, this.rig === "emulated" ? "These are emulated machines: no light is switched on." : "The lamp will light the vial. Close the enclosure first."),
-        make("label", { class: "field" }, make("span", {}, `Type ${result.id} to confirm`), confirm), make("div", { class: "row" }, start))));
+        make("label", { class: "field" }, make("span", {}, `Type ${result.id} to confirm`), confirm), anyway, make("div", { class: "row" }, start))));
   }
 
   async guarantees() {

@@ -26,7 +26,8 @@ const FRAGMENT = `#version 300 es
     if (pane == 0) color = dark ? vec3(mix(0.06, 0.75, t)) : mix(vec3(0.95, 0.96, 0.97), vec3(0.42, 0.49, 0.58), t);
     else if (pane == 1) { color = texture(heat, vec2(clamp(d / 1.5, 0.002, 0.998), 0.5)).rgb; if (edge) color = vec3(1.0); }
     else if (pane == 2) {
-      bool solid = d >= 1.0, part = t > 0.5;
+      vec3 voxels = vec3(textureSize(dose, 0)); // whole voxels print, as they are counted
+      bool solid = texture(dose, (floor(p * voxels) + 0.5) / voxels).r * most * gain >= 1.0, part = t > 0.5;
       bool hatch = mod(gl_FragCoord.x + gl_FragCoord.y, 6.0) < 3.0; // in the dark room brightness and stripes replace hues
       if (dark) color = vec3(solid ? (part ? 0.45 : hatch ? 1.0 : 0.0) : part ? 1.0 : 0.06);
       else color = solid ? (part ? vec3(0.69, 0.745, 0.815) : vec3(0.94, 0.588, 0.125)) : part ? vec3(0.84, 0.227, 0.286) : vec3(0.965, 0.97, 0.98);
