@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 import webbrowser
 from contextlib import suppress
@@ -16,6 +18,8 @@ from vamgpu.cli.options import Overwrite, Settings, console
 
 WORKSPACE = "vamgpu-studio"
 """Folder in the home folder that is the workspace unless another one is given."""
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+"""Variables of a screen on Linux; without one, a browser of the terminal would take it over."""
 
 
 @app.command
@@ -36,7 +40,7 @@ def studio(
     place = Path.home() / WORKSPACE if workspace is None else workspace
     with Studio(place, host, port) as served:
         console().print(f"page    [bold]{escape(served.url)}[/]\nfolder  {escape(str(served.workspace.folder))}")
-        if browser:
+        if browser and (sys.platform != "linux" or any(map(os.environ.get, DISPLAYS))):
             webbrowser.open(served.url_once())
         with suppress(KeyboardInterrupt):
             threading.Event().wait()

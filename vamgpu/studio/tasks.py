@@ -66,10 +66,11 @@ class Tasks:
         self._progress: dict[str, RunProgress] = {}
         self._known: dict[str, Task] = {}
         for file in sorted(self._folder.glob("*.json")):
-            with suppress(OSError, ValueError, TypeError):
+            with suppress(OSError, ValueError, TypeError, KeyError):
                 task = Task(**parse_json(read_text(file)))
+                kind, _ = task.request["kind"], task.facts["uses"]  # which one of another version may lack
                 self._known[task.id] = task
-                if task.state == "queued" and task.request["kind"] == "print":  # its turn never came
+                if task.state == "queued" and kind == "print":  # its turn never came
                     task.state, task.message = "cancelled", "Studio ended before the print began; start it again"
 
     def listed(self) -> list[dict[str, Any]]:
