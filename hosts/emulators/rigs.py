@@ -117,6 +117,8 @@ class EmulatedStageRig(_TriggeredRig):
 
     microsteps: int
     unit: str
+    stage: EmulatedStage
+    controller: EmulatedController | None
 
     def __init__(
         self, microsteps: int, model: ArrayModel = ArrayModel(), engines: int = 1, unit: str = "deg",
@@ -157,7 +159,10 @@ class EmulatedStageRig(_TriggeredRig):
 class EmulatedVideoRig(_EmulatedRig):
     """A video projector with a stage, or a stepper whose clock is faster by a rate [ppm]."""
 
+    clock: VirtualClock
     gated: bool
+    recorder: DoseRecorder
+    stage: EmulatedStage
 
     def __init__(
         self, images: int, size: tuple[int, int], *, bits: int = 8, latency: int = 1, share: float = 1.0,

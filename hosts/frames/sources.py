@@ -76,6 +76,7 @@ class _Leveled:
 class VialFrames(_Leveled):
     """The frames of a vial's job: number k is frame k."""
 
+    bits: int
     count: int
 
     def __init__(self, frames: Frames, mirrors: MirrorArray) -> None:

@@ -105,6 +105,7 @@ class Spread(LinearOperator):
 
     domain: VolumeSpace | WebSpace
     range: VolumeSpace | WebSpace
+    device: Device
     grid: Grid | WebGrid
     diffusion: Diffusion
 

@@ -48,7 +48,7 @@ Missed = Annotated[Positive, Field(description="largest relative error of the wi
 TOLERANCE = {"tolerance": (Missed, 0.02)}
 Noise = Annotated[Positive, Field(description="largest error of scattered light, relative to its greatest dose")]
 Followed = Annotated[Count, Field(description="number of photons that are followed")]
-SCATTERED = {"tolerance": (Noise, 0.01), "photons": (Followed, PHOTONS)}
+SCATTERED: dict[str, tuple[Any, float]] = {"tolerance": (Noise, 0.01), "photons": (Followed, PHOTONS)}
 LENGTH = Quantity("a length", least=0.0, example="25 um")
 MOST_ANGLES = 1_000_000
 """Largest number of angles per turn: more are a typing error, and would fail after minutes for lack of memory."""

@@ -48,7 +48,7 @@ class RunEvents:
 
     def __init__(self, place: Path, slices: bool = False) -> None:
         self._place, self._due, self._last, self._count = place, 0.0, -PERIOD, 0
-        self._stage, self._line = "", dict[str, Any]()
+        self._stage, self._line, self._share = "", dict[str, Any](), 0.0
         self.look: Callable[[Slice], None] | None = self._look if slices else None
         with suppress(OSError):
             slice_path(place).unlink(missing_ok=True)
@@ -72,13 +72,21 @@ class RunEvents:
         """Report a stage, and the share of it that is done."""
         now = time.monotonic()
         if stage != self._stage:
+            self.flush()
             self._stage = stage
             self.say("stage", stage=stage, said=said)
         elif now - self._last < PERIOD and share < 1.0:
+            self._share = share
             return
         else:
             self.say("share", share=share, **self._line)
         self._last, self._line = now, {}
+
+    def flush(self) -> None:
+        """Add the last step, if no line has it."""
+        if self._line:
+            self.say("share", share=self._share, **self._line)
+            self._line = {}
 
     def step(self, step: Step) -> None:
         """Keep a step for the next line."""
@@ -130,6 +138,7 @@ def recorded(place: Path, command: str, slices: bool = False) -> Iterator[RunEve
         raise
     finally:
         warnings.showwarning = shown
+        events.flush()
         events.say("ended", status=status, message=message)
         events.close()
 

@@ -156,6 +156,9 @@ Profile = dict[str, DeviceArray]
 class ScatteredRings:
     """Scattered light of a projection on rings: patterns, each blurred along z by a profile."""
 
+    rings: PolarGrid
+    device: Device
+
     def __init__(
         self, A: Projection, scattering: Scatterer, rings: PolarGrid, tolerance: float, photons: int, seed: int
     ) -> None:

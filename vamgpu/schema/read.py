@@ -224,6 +224,7 @@ class OneOrMany:
 
     one: Any
     many: Any
+    form: Any
 
     def __init__(self, one: Any, many: Any, form: Any = (list, tuple)) -> None:
         self.one, self.many, self.form = one, many, form

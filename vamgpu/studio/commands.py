@@ -22,7 +22,9 @@ class Command:
     """A task's command line in the workspace, and what it makes. progress: what its progress is recorded beside."""
 
     def __init__(self, workspace: Workspace, request: dict[str, Any]) -> None:
-        self._workspace, self.request, self.kind = workspace, request, str(request["kind"])
+        self._workspace = workspace
+        self.request: dict[str, Any] = request
+        self.kind: str = str(request["kind"])
         self.job: str | None = request.get("job")
         self.result: str | None = request.get("result")
         self.rig: str | None = request.get("rig")

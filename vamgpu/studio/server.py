@@ -29,6 +29,13 @@ LOCAL = ("127.0.0.1", "::1", "localhost")
 class Engine:
     """Everything behind the routes, for one workspace."""
 
+    workspace: Workspace
+    events: Events
+    texts: Texts
+    results: Results
+    prints: Prints
+    revision: int
+
     def __init__(self, workspace: Workspace) -> None:
         self.workspace, self.events = workspace, Events()
         self.tasks: Tasks = Tasks(workspace, self.events.publish)

@@ -36,6 +36,9 @@ Stamp = tuple[int, int, int]
 class Refused(VamError):
     """A request that is answered with an error; ``status`` is that of HTTP."""
 
+    status: int
+    wrong: tuple[WrongKey, ...]
+
     def __init__(self, status: int, message: str, wrong: tuple[WrongKey, ...] = ()) -> None:
         super().__init__(message)
         self.status, self.wrong = status, wrong

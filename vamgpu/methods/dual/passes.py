@@ -29,6 +29,8 @@ ENOUGH = 1e-6
 class DualState(OptimizerState):
     """One run of a rule: the light of both colors, and the steps that the rules share."""
 
+    evaluations: float
+
     def __init__(self, colors: Colors, design: DeviceArray) -> None:
         super().__init__(cast(Any, colors.visible), design, {}, "loss")
         self.colors = colors

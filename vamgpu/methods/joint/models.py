@@ -134,6 +134,8 @@ class LinearModel(Model):
         turns: Number of turns, all with the same light.
     """
 
+    resin: TwoColorResin
+    turns: int
     device: Device
 
     def __init__(self, visible: Projection, ultraviolet: Projection, resin: TwoColorResin, turns: int = 3) -> None:
@@ -173,6 +175,8 @@ class KineticModel(Model):
         DeviceError: Arrays are on different devices.
     """
 
+    resin: TwoColorResin
+    turns: int
     device: Device
 
     def __init__(
